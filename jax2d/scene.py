@@ -1,0 +1,140 @@
+"""What exists in a world and how it moves: Capacity, Scene, State, Controls, Touching.
+
+Kept apart on purpose. A `Scene` holds what cannot change during a step (shapes, masses, joints,
+thrusters, who may touch whom) and is replaced only at a reset. A `State` holds what a step changes.
+
+Shapes are indexed polygons first, then circles: shape `i < capacity.polygons` is polygon `i`, shape
+`capacity.polygons + j` is circle `j`. Every field below is given for one world; a batch of worlds
+has one leading axis more, `[num_worlds, ...]`, on every field. Units: m, kg, s, rad. Vertices run
+counter-clockwise about the centre of mass, which is the origin of the body frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Array = Any  # jax.Array or numpy.ndarray: fields are traced, stored and compared alike
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Capacity:
+    """How many of each thing a world has room for. Compile-time: engines are built for one capacity."""
+
+    polygons: int
+    circles: int
+    joints: int
+    thrusters: int
+    vertices: int = 4  # most vertices of a polygon
+
+    def __post_init__(self) -> None:
+        for name in ("polygons", "circles", "joints", "thrusters"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"Capacity.{name} is {getattr(self, name)}; it must be 0 or more")
+        if self.shapes == 0:
+            raise ValueError("Capacity has neither polygons nor circles; give at least one shape")
+        if not 3 <= self.vertices <= 8:
+            raise ValueError(f"Capacity.vertices is {self.vertices}; polygons have 3 to 8 vertices")
+
+    @property
+    def shapes(self) -> int:
+        return self.polygons + self.circles
+
+    @property
+    def touch_words(self) -> int:
+        """Number of 32-bit words that hold one bit per shape."""
+        return (self.shapes + 31) // 32
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What exists. `n` shapes, `P` polygons, `V` vertices, `C` circles, `J` joints, `T` thrusters."""
+
+    # Shapes
+    shape_active: Array  # [n] bool, padded slots are False
+    inverse_mass: Array  # [n] 1/kg, 0 for fixed shapes
+    inverse_inertia: Array  # [n] 1/(kg m^2), 0 for fixed shapes
+    density: Array  # [n] kg/m^2 (area density); not used by a step, kept for observations and editing
+    friction: Array  # [n] coefficient
+    restitution: Array  # [n] 0..1
+    vertices: Array  # [P, V, 2] m, body frame, counter-clockwise; unused slots repeat the last vertex
+    num_vertices: Array  # [P] int32
+    radius: Array  # [C] m
+    can_touch: Array  # [n, n] bool, symmetric, False on the diagonal; collision modes and joints applied
+    # Joints: body b is held to body a
+    joint_active: Array  # [J] bool
+    joint_a: Array  # [J] int32 shape index
+    joint_b: Array  # [J] int32 shape index
+    joint_anchor_a: Array  # [J, 2] m, frame of a
+    joint_anchor_b: Array  # [J, 2] m, frame of b
+    joint_is_fixed: Array  # [J] bool, True: also holds the relative angle (a weld)
+    joint_rest_angle: Array  # [J] rad, angle_b - angle_a at which a fixed joint rests, zero of limits
+    motor_on: Array  # [J] bool
+    motor_speed: Array  # [J] target of (angular_velocity_a - angular_velocity_b), in units of settings.base_motor_speed
+    motor_power: Array  # [J] in units of settings.base_motor_power
+    has_limits: Array  # [J] bool
+    lower_limit: Array  # [J] rad, of angle_b - angle_a - rest_angle
+    upper_limit: Array  # [J] rad
+    # Thrusters
+    thruster_active: Array  # [T] bool
+    thruster_body: Array  # [T] int32 shape index
+    thruster_position: Array  # [T, 2] m, body frame
+    thruster_angle: Array  # [T] rad, body frame, direction in which the body is pushed
+    thruster_power: Array  # [T] in units of settings.base_thruster_power
+    # World
+    gravity: Array  # [2] m/s^2
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class State:
+    """How it moves. `K` is the number of contact slots an engine keeps for warm starting."""
+
+    position: Array  # [n, 2] m, world frame, centre of mass
+    angle: Array  # [n] rad, not wrapped
+    velocity: Array  # [n, 2] m/s
+    angular_velocity: Array  # [n] rad/s
+    joint_impulse: Array  # [J, 5] N s and N m s: point x, point y, angle or motor, lower limit, upper limit
+    contact_key: Array  # [K] int32, which pair and feature a slot belongs to; -1 for an unused slot
+    contact_impulse: Array  # [K, 2] N s: normal, tangent
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Controls:
+    """What an agent does in one step."""
+
+    motor: Array  # [J] -1..1, share of the motor's target speed (0: motor exerts nothing)
+    thruster: Array  # [T] 0..1, share of the thruster's power
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Touching:
+    """Who touches whom, as bits: bit `j % 32` of word `j // 32` in row `i` says that i touches j."""
+
+    at_end: Array  # [n, words] uint32, after the last physics step of the call
+    during: Array  # [n, words] uint32, in any physics step of the call
+    overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
+
+
+def touch_matrix(bits: Array, num_shapes: int) -> Array:
+    """Expands `[..., n, words]` uint32 touch bits to a `[..., n, n]` bool matrix."""
+    columns = np.arange(num_shapes)
+    words = jnp.asarray(bits)[..., :, columns // 32]
+    return ((words >> (columns % 32).astype(np.uint32)) & 1).astype(bool)
+
+
+def index_worlds(tree: Any, index: Any) -> Any:
+    """Selects worlds from a batch (`[num_worlds, ...]` on every field) by an index, slice or index array."""
+    return jax.tree.map(lambda x: x[index], tree)
+
+
+def stack_worlds(worlds: list[Any]) -> Any:
+    """Stacks single worlds of one capacity into a batch with a leading world axis."""
+    return jax.tree.map(lambda *xs: np.stack([np.asarray(x) for x in xs]), *worlds)
