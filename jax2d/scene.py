@@ -75,7 +75,7 @@ class Scene:
     joint_is_fixed: Array  # [J] bool, True: also holds the relative angle (a weld)
     joint_rest_angle: Array  # [J] rad, angle_b - angle_a at which a fixed joint rests, zero of limits
     motor_on: Array  # [J] bool
-    motor_speed: Array  # [J] target of (angular_velocity_a - angular_velocity_b), in units of settings.base_motor_speed
+    motor_speed: Array  # [J] target of (angular_velocity_b - angular_velocity_a), in units of settings.base_motor_speed
     motor_power: Array  # [J] in units of settings.base_motor_power
     has_limits: Array  # [J] bool
     lower_limit: Array  # [J] rad, of angle_b - angle_a - rest_angle
