@@ -1,0 +1,69 @@
+# make train | make test on a machine that has only Python >= 3.11, make, git and a package registry.
+# Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
+
+.DEFAULT_GOAL := help
+.PHONY: help install train test test-slow test-gpu check format lock bench-engine bench-engine-peers clean
+.SUFFIXES:
+
+# Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the newest of 3.11-3.13 found.
+PYTHON ?=
+# Test processes. They share one JAX compile cache, so that the second run is short.
+TEST_WORKERS ?= 2
+# More options for pytest, e.g. PYTEST_ARGS="-k pendulum -x"
+PYTEST_ARGS ?=
+# More options for train, e.g. TRAIN_ARGS="--run runs/mine"
+TRAIN_ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+help:
+	@echo "make train         install, then the main job: a small pretraining run on CPU, minutes"
+	@echo "make test          install, then lint, types and tests        (test-slow, test-gpu: the rest)"
+	@echo "make check         install, then ruff and the type checker only"
+	@echo "make install       .venv with the pinned packages and this one (editable)"
+	@echo "make bench-engine  physics steps per second on this machine   (bench-engine-peers: next to the published engine)"
+	@echo "make lock          renew requirements.lock from pyproject.toml"
+
+install: $(STAMP)
+
+$(STAMP): requirements.lock pyproject.toml .ci/install
+	@PYTHON="$(PYTHON)" bash .ci/install "$(VENV)"
+	@touch "$(STAMP)"
+
+train: $(STAMP)
+	$(BIN)/kinetix-dist train --recipe quickstart $(TRAIN_ARGS)
+
+check: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyrefly check --summary=none
+
+format: $(STAMP)
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+test: check
+	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
+
+test-gpu: $(STAMP)
+	$(BIN)/python -m pytest -m gpu $(PYTEST_ARGS)
+
+bench-engine: $(STAMP)
+	$(BIN)/kinetix-dist bench engine --json runs/bench_engine.json
+
+bench-engine-peers: $(STAMP)
+	bash bench/peers/setup.sh
+	$(BIN)/kinetix-dist bench engine --peers --json runs/bench_engine.json
+
+# The lock holds versions and hashes only: whoever installs chooses the registry.
+lock: $(STAMP)
+	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
+		--no-header --no-annotate --upgrade --output-file requirements.lock
+
+clean:
+	rm -rf $(VENV) .cache .pytest_cache .ruff_cache
