@@ -5,7 +5,7 @@
 .PHONY: help install train test test-slow test-gpu check format lock bench-engine bench-engine-peers clean
 .SUFFIXES:
 
-# Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the newest of 3.11-3.13 found.
+# Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.11, 3.12, 3.13, python3 found.
 PYTHON ?=
 # Test processes. They share one JAX compile cache, so that the second run is short.
 TEST_WORKERS ?= 2

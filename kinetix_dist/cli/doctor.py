@@ -1,0 +1,241 @@
+"""`kinetix-dist doctor`: what this machine can run, and what is missing, with the remedy.
+
+Imports nothing heavy itself: every library is tried in a process of its own (`doctor_probes`), so that a
+broken one becomes a line of the report. Exit status 0 when `kinetix-dist train` can run here, else 1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from kinetix_dist.cli.doctor_probes import ProbeError, run_probe
+
+PACKAGE = "kinetix-dist"
+MIN_PYTHON = (3, 11)
+MIN_FREE_DISK_GB = 2.0  # a quickstart run writes under 0.2 GB; the rest is compile caches and ray's spill
+MIN_MEMORY_GB = 4.0  # the quickstart run needs about 3
+RAY_PORTS = {6379: "cluster head", 8265: "dashboard", 10001: "client"}  # ray's defaults; others are chosen if taken
+_INSTALL = "run `make install` in the repository"
+
+
+@dataclasses.dataclass(frozen=True)
+class Args:
+    """Report what this machine can run, and what is missing."""
+
+    json: bool = False
+    """Print the report as JSON instead of text."""
+    require_gpu: bool = False
+    """Fail where JAX or Warp cannot use a GPU."""
+    run_dir: Path = Path("runs")
+    """Where runs would be written: checked for space and permission."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Check:
+    """One line of the report. Only `error` keeps training from running."""
+
+    name: str
+    status: Literal["ok", "warning", "error"]
+    detail: str
+    remedy: str = ""
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def run(args: Args) -> int:
+    """Prints the report; 0 when training can run here, else 1."""
+    checks = list(diagnose(args))
+    can_train = not any(check.status == "error" for check in checks)
+    if args.json:
+        print(json.dumps({"can_train": can_train, "checks": [dataclasses.asdict(c) for c in checks]}, indent=2))
+    else:
+        print(_as_text(checks, can_train))
+    return 0 if can_train else 1
+
+
+def diagnose(args: Args) -> Iterator[Check]:
+    """All checks, in the order of the report."""
+    yield _check_python()
+    yield _check_hardware()
+    yield from _check_packages()
+    yield _probed("warp", _judge_warp, f"the physics kernel cannot be compiled; {_INSTALL}")
+    yield _probed("ray", _judge_ray, f"{_INSTALL}; without ray only local mode runs", failure="warning")
+    jax_check = _probed("jax", _judge_jax, f"{_INSTALL}; to leave a broken GPU aside set JAX_PLATFORMS=cpu")
+    yield jax_check
+    yield _check_gpu(jax_check, required=args.require_gpu)
+    yield _check_disk(args.run_dir)
+    yield _check_shared_memory()
+    yield _check_ports()
+
+
+def _check_python() -> Check:
+    found = platform.python_version()
+    if sys.version_info < MIN_PYTHON:
+        return Check(name="python", status="error", detail=found, remedy="use Python 3.11 or newer")
+    return Check(name="python", status="ok", detail=f"{found} at {sys.executable}", facts={"version": found})
+
+
+def _check_hardware() -> Check:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    facts: dict[str, Any] = {"system": platform.platform(), "cores": cores}
+    try:
+        import psutil
+    except ImportError:
+        return Check(name="machine", status="ok", detail=f"{facts['system']}, {cores} cores", facts=facts)
+    memory = psutil.virtual_memory()
+    facts |= {"memory_gb": round(memory.total / 1e9, 1), "memory_free_gb": round(memory.available / 1e9, 1)}
+    detail = f"{facts['system']}, {cores} cores, {facts['memory_free_gb']} of {facts['memory_gb']} GB memory free"
+    if facts["memory_free_gb"] < MIN_MEMORY_GB:
+        remedy = f"free memory: a small run on CPU needs about {MIN_MEMORY_GB:.0f} GB"
+        return Check(name="machine", status="warning", detail=detail, remedy=remedy, facts=facts)
+    return Check(name="machine", status="ok", detail=detail, facts=facts)
+
+
+def _check_packages() -> Iterator[Check]:
+    """Installed versions against the ranges in this package's own metadata."""
+    try:
+        wanted = importlib.metadata.requires(PACKAGE) or []
+        from packaging.requirements import Requirement
+    except ImportError as error:  # PackageNotFoundError is one
+        yield Check(name="packages", status="warning", detail=f"{PACKAGE}: {error}", remedy=_INSTALL)
+        return
+    versions, missing, outside = {}, [], []
+    for requirement in map(Requirement, wanted):
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
+            continue
+        try:
+            versions[requirement.name] = version = importlib.metadata.version(requirement.name)
+        except importlib.metadata.PackageNotFoundError:
+            missing.append(requirement.name)
+            continue
+        if not requirement.specifier.contains(version, prereleases=True):
+            outside.append(f"{requirement.name} {version} (wanted {requirement.specifier})")
+    if missing:
+        detail = f"not installed: {', '.join(missing)}"
+        yield Check(name="packages", status="error", detail=detail, remedy=_INSTALL, facts=versions)
+    elif outside:
+        yield Check(name="packages", status="warning", detail="; ".join(outside), remedy=_INSTALL, facts=versions)
+    else:
+        yield Check(name="packages", status="ok", detail=f"{len(versions)} as required", facts=versions)
+
+
+def _probed(
+    name: str,
+    judge: Callable[[dict[str, Any]], str],
+    remedy: str,
+    failure: Literal["warning", "error"] = "error",
+) -> Check:
+    try:
+        facts = run_probe(name)
+    except ProbeError as error:
+        return Check(name=name, status=failure, detail=str(error), remedy=remedy)
+    return Check(name=name, status="ok", detail=judge(facts), facts=facts)
+
+
+def _judge_jax(facts: dict[str, Any]) -> str:
+    kinds = ", ".join(sorted(set(facts["devices"])))
+    return f"{facts['version']}, {len(facts['devices'])} {facts['platform']} device(s): {kinds}"
+
+
+def _judge_warp(facts: dict[str, Any]) -> str:
+    seen = f"{len(facts['cuda_devices'])} CUDA device(s)"
+    return f"{facts['version']}, CPU kernel compiled and run in {facts['compile_seconds']} s, {seen}"
+
+
+def _judge_ray(facts: dict[str, Any]) -> str:
+    return facts["version"]
+
+
+def _check_gpu(jax_check: Check, *, required: bool) -> Check:
+    """Whether there is an NVIDIA GPU and JAX uses it."""
+    failure: Literal["warning", "error"] = "error" if required else "warning"
+    try:
+        driver = run_probe("driver")
+    except ProbeError as error:
+        if required:
+            return Check(name="gpu", status="error", detail=str(error), remedy="install an NVIDIA driver, 525 or newer")
+        return Check(name="gpu", status="ok", detail="none (no NVIDIA driver); everything runs on the CPU")
+    detail = f"{driver['gpus']} GPU(s), driver for CUDA {driver['cuda_version']}"
+    if driver["gpus"] == 0:
+        remedy = "check CUDA_VISIBLE_DEVICES and the container's GPU option"
+        return Check(name="gpu", status=failure, detail=detail, remedy=remedy, facts=driver)
+    if jax_check.facts.get("platform") != "gpu":
+        extra = "cuda13" if int(driver["cuda_version"].split(".")[0]) >= 13 else "cuda12"
+        remedy = f"JAX does not use it: uv pip install -e '.[{extra}]', and unset JAX_PLATFORMS"
+        return Check(name="gpu", status=failure, detail=detail, remedy=remedy, facts=driver)
+    return Check(name="gpu", status="ok", detail=f"{detail}, used by JAX", facts=driver)
+
+
+def _check_disk(run_dir: Path) -> Check:
+    existing = next(path for path in [run_dir.absolute(), *run_dir.absolute().parents] if path.exists())
+    free_gb = round(shutil.disk_usage(existing).free / 1e9, 1)
+    facts = {"run_dir": str(run_dir), "free_gb": free_gb}
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        detail = f"{existing} cannot be written: {error.strerror or error}"
+        remedy = "choose another folder with --run-dir (train: --run)"
+        return Check(name="disk", status="error", detail=detail, remedy=remedy, facts=facts)
+    detail = f"{free_gb} GB free for {run_dir}"
+    if free_gb < MIN_FREE_DISK_GB:
+        remedy = f"free {MIN_FREE_DISK_GB:.0f} GB, or choose another folder"
+        return Check(name="disk", status="error", detail=detail, remedy=remedy, facts=facts)
+    return Check(name="disk", status="ok", detail=detail, facts=facts)
+
+
+def _check_shared_memory() -> Check:
+    """Ray's object store lives in /dev/shm and falls back to the slower /tmp where that is small (containers)."""
+    shm = Path("/dev/shm")
+    if not shm.is_dir():
+        return Check(name="shared memory", status="ok", detail="no /dev/shm on this system")
+    free_gb = round(shutil.disk_usage(shm).free / 1e9, 1)
+    if free_gb < 1.0:
+        remedy = "start the container with a larger one, e.g. --shm-size=8g; ray is slow without"
+        return Check(name="shared memory", status="warning", detail=f"{free_gb} GB free in /dev/shm", remedy=remedy)
+    return Check(name="shared memory", status="ok", detail=f"{free_gb} GB free in /dev/shm")
+
+
+def _check_ports() -> Check:
+    try:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+    except OSError as error:
+        remedy = "allow sockets on the loopback interface: ray and jax.distributed need them"
+        return Check(name="ports", status="error", detail=f"cannot bind 127.0.0.1: {error}", remedy=remedy)
+    taken = [f"{port} ({use})" for port, use in RAY_PORTS.items() if _is_taken(port)]
+    if taken:
+        remedy = "fine on one machine, where free ports are chosen; a cluster needs `ray start --port`"
+        return Check(name="ports", status="warning", detail=f"in use: {', '.join(taken)}", remedy=remedy)
+    return Check(name="ports", status="ok", detail=f"loopback works; {', '.join(map(str, RAY_PORTS))} are free")
+
+
+def _is_taken(port: int) -> bool:
+    with socket.socket() as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return True
+    return False
+
+
+def _as_text(checks: list[Check], can_train: bool) -> str:
+    signs = {"ok": "ok     ", "warning": "WARNING", "error": "ERROR  "}
+    lines = []
+    for check in checks:
+        lines.append(f"{signs[check.status]}  {check.name:<14} {check.detail}")
+        if check.remedy:
+            lines.append(f"{'':<24} -> {check.remedy}")
+    lines.append("")
+    lines.append("training can run here" if can_train else "training cannot run here: mend the lines marked ERROR")
+    return "\n".join(lines)
