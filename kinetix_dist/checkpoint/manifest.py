@@ -1,0 +1,54 @@
+"""SHA-256 of every file of a checkpoint: a flipped byte is found before its numbers are used.
+
+Array files restore a flipped byte as a silently wrong number, so a checkpoint is only as good as its manifest.
+The manifest is written last; a directory without one was never finished.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+MANIFEST_NAME = "manifest.json"
+_CHUNK_BYTES = 1 << 20
+
+
+def write_manifest(directory: Path) -> None:
+    """Writes `manifest.json`: relative path -> {"sha256", "bytes"} of every other file below `directory`."""
+    files = {
+        str(path.relative_to(directory)): {"sha256": _sha256(path), "bytes": path.stat().st_size}
+        for path in _files(directory)
+    }
+    (directory / MANIFEST_NAME).write_text(json.dumps({"files": files}, indent=1, sort_keys=True) + "\n")
+
+
+def manifest_fault(directory: Path) -> str | None:
+    """What is wrong with the files of a checkpoint, in words; None when every file is what was written."""
+    try:
+        listed = json.loads((directory / MANIFEST_NAME).read_text())["files"]
+    except FileNotFoundError:
+        return f"it has no {MANIFEST_NAME}: it was never finished"
+    except (ValueError, KeyError, OSError) as error:
+        return f"its {MANIFEST_NAME} cannot be read ({error})"
+    for name, expected in listed.items():
+        path = directory / name
+        if not path.is_file():
+            return f"file {name} is missing"
+        if path.stat().st_size != expected["bytes"]:
+            return f"file {name} has {path.stat().st_size} bytes instead of {expected['bytes']}"
+        if _sha256(path) != expected["sha256"]:
+            return f"file {name} does not have the SHA-256 that was written"
+    return None
+
+
+def _files(directory: Path) -> list[Path]:
+    return sorted(path for path in directory.rglob("*") if path.is_file() and path.name != MANIFEST_NAME)
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            digest.update(chunk)
+    return digest.hexdigest()

@@ -1,0 +1,152 @@
+"""Checkpoints on disk: named arrays (Orbax), a description (JSON) and a SHA-256 manifest, published by one rename.
+
+    checkpoints/00000040/            the number is that of policy updates done
+        arrays/                      Orbax, one flat dictionary of arrays
+        checkpoint.json              format, update, whatever the caller describes it by
+        manifest.json                SHA-256 of every other file, written last
+
+A checkpoint is written into a hidden directory beside its place, read back, verified, and only then renamed; older
+ones are pruned after that. So a process that dies while saving leaves the previous checkpoint as the newest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.checkpoint.manifest import manifest_fault, write_manifest
+
+FORMAT = 1
+DESCRIPTION_NAME = "checkpoint.json"
+ARRAYS_NAME = "arrays"
+_DIGITS = 8
+
+
+class CheckpointError(Exception):
+    """A checkpoint that cannot be used, and why."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """One verified checkpoint in memory."""
+
+    path: Path
+    arrays: dict[str, np.ndarray]  # path through the saved pytree -> array
+    description: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Rejected:
+    """A checkpoint directory that was passed over, and why."""
+
+    path: Path
+    reason: str
+
+
+def save_checkpoint(
+    directory: Path, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any], *, keep: int
+) -> Path:
+    """Writes, verifies and publishes one checkpoint, then prunes to the newest `keep`; returns its path.
+
+    Raises OSError or CheckpointError when it could not be made durable; the older ones are then untouched.
+    """
+    if keep < 1:
+        raise ValueError(f"keep is {keep}; at least 1 checkpoint must be kept")
+    directory.mkdir(parents=True, exist_ok=True)
+    final = directory / f"{num_updates:0{_DIGITS}d}"
+    draft = directory / f".saving-{final.name}-{os.getpid()}"
+    try:
+        shutil.rmtree(draft, ignore_errors=True)
+        draft.mkdir()
+        _save_arrays(draft / ARRAYS_NAME, arrays)
+        content = {"format": FORMAT, "num_updates": num_updates, "num_arrays": len(arrays), **description}
+        (draft / DESCRIPTION_NAME).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+        write_manifest(draft)
+        _sync(draft)
+        if fault := manifest_fault(draft):
+            raise CheckpointError(f"checkpoint {final} could not be written: {fault}")
+        shutil.rmtree(final, ignore_errors=True)
+        os.replace(draft, final)
+        _sync_directory(directory)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise
+    for old in list_checkpoints(directory)[:-keep]:
+        shutil.rmtree(old, ignore_errors=True)
+    return final
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Verifies a checkpoint directory against its manifest and reads it; raises CheckpointError otherwise."""
+    path = Path(path)
+    if not path.is_dir():
+        raise CheckpointError(f"there is no checkpoint {path}")
+    if fault := manifest_fault(path):
+        raise CheckpointError(f"checkpoint {path} is damaged: {fault}")
+    description = json.loads((path / DESCRIPTION_NAME).read_text())
+    if description.get("format") != FORMAT:
+        raise CheckpointError(
+            f"checkpoint {path} has format {description.get('format')!r}; this version reads format {FORMAT}"
+        )
+    return Checkpoint(path=path, arrays=_load_arrays(path / ARRAYS_NAME), description=description)
+
+
+def newest_good(directory: Path) -> tuple[Checkpoint | None, list[Rejected]]:
+    """The newest checkpoint that verifies and reads, and those newer than it that were rejected."""
+    rejected = []
+    for path in reversed(list_checkpoints(directory)):
+        try:
+            return load_checkpoint(path), rejected
+        except Exception as error:  # Orbax raises many kinds for unreadable arrays: each means "walk back"
+            rejected.append(Rejected(path=path, reason=" ".join(str(error).split()) or type(error).__name__))
+    return None, rejected
+
+
+def list_checkpoints(directory: Path) -> list[Path]:
+    """Checkpoint directories, oldest first, whether good or not."""
+    if not directory.is_dir():
+        return []
+    return sorted(path for path in directory.iterdir() if path.is_dir() and re.fullmatch(r"\d+", path.name))
+
+
+def _save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    import orbax.checkpoint as ocp
+
+    empty = [name for name, array in arrays.items() if np.asarray(array).size == 0]
+    if empty:
+        raise ValueError(f"array {empty[0]} is empty; leave empty arrays out of a checkpoint")
+    ocp.PyTreeCheckpointer().save(path.absolute(), dict(arrays))
+
+
+def _load_arrays(path: Path) -> dict[str, np.ndarray]:
+    import orbax.checkpoint as ocp
+
+    checkpointer = ocp.PyTreeCheckpointer()
+    names = checkpointer.metadata(path.absolute()).item_metadata.tree
+    as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in names}
+    return dict(checkpointer.restore(path.absolute(), restore_args=as_numpy))
+
+
+def _sync(directory: Path) -> None:
+    for path in directory.rglob("*"):
+        if path.is_file():
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+        else:
+            _sync_directory(path)
+
+
+def _sync_directory(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,93 @@
+"""Every metric the system writes: its name, its unit and what it means. Sinks refuse a name that is not here.
+
+`<set>` in a name stands for the name of a level set ("evaluation/random_s/solve_rate").
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+
+
+class UnknownMetricError(ValueError):
+    """A metric was reported that `METRICS` does not describe."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """One number that is followed over a run."""
+
+    name: str
+    unit: str
+    meaning: str
+
+
+_ALL = (
+    # Progress
+    Metric("progress/updates", "updates", "policy updates done since the start of the run"),
+    Metric("progress/env_steps", "env steps", "environment steps trained on since the start of the run"),
+    Metric("progress/seconds", "s", "time spent since the start of the run, earlier sessions of a resumed run included"),
+    Metric("progress/env_steps_per_second", "env steps/s", "training speed since the previous update, everything included"),
+    # Where the time went since the previous update; the shares add up to 1
+    Metric("time/rollout", "share", "drawing levels and playing them"),
+    Metric("time/learn", "share", "advantages and gradient steps"),
+    Metric("time/curate", "share", "the learner waiting for (or, in local mode, doing) the scoring of levels"),
+    Metric("time/evaluate", "share", "evaluating on held-out and designed levels"),
+    Metric("time/record", "share", "recording rollouts"),
+    Metric("time/checkpoint", "share", "writing checkpoints"),
+    Metric("time/idle", "share", "everything else: dispatch, transfers, waiting"),
+    # Training episodes
+    Metric("train/episodes", "episodes", "episodes that ended in this update's rollout"),
+    Metric("train/solve_rate", "share", "of those episodes, how many were solved; nan when none ended"),
+    Metric("train/failed_rate", "share", "of those episodes, how many ended because green touched red"),
+    Metric("train/mean_return", "reward", "mean return of those episodes, undiscounted, dense reward included"),
+    Metric("train/mean_reward", "reward", "mean reward of an environment step"),
+    # Curriculum
+    Metric("curriculum/learnability", "p(1-p)", "mean score of the levels in the buffer, p = solved / finished episodes"),
+    Metric("curriculum/solve_rate", "share", "mean solve rate of the levels in the buffer when they were scored"),
+    Metric("curriculum/learnable_share", "share", "of the candidates scored, how many had a score above zero"),
+    Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, kept or not"),
+    Metric("curriculum/buffer_age", "updates", "updates done since the policy version that scored the buffer"),
+    Metric("curriculum/buffer_is_stale", "0 or 1", "1 when a refresh was lost and the previous buffer is still in use"),
+    Metric("curriculum/scoring_seconds", "s", "how long the scoring of the buffer in use took the curator"),
+    # Learner
+    Metric("learner/policy_loss", "1", "clipped surrogate loss, mean over gradient steps"),
+    Metric("learner/value_loss", "reward^2", "clipped value loss, mean over gradient steps"),
+    Metric("learner/entropy", "nat", "entropy of the policy, summed over action heads"),
+    Metric("learner/approx_kl", "nat", "estimated KL divergence from the policy that acted"),
+    Metric("learner/clip_fraction", "share", "of ratios that were clipped"),
+    Metric("learner/gradient_norm", "1", "global norm of the gradients before clipping"),
+    Metric("learner/explained_variance", "share", "of the variance of returns that the value function explains"),
+    Metric("learner/skipped_steps", "gradient steps", "skipped in this update because a gradient was not finite"),
+    # Runtime
+    Metric("runtime/policy_lag", "updates", "versions between the policy that acted and the policy that was updated, mean"),
+    Metric("runtime/policy_lag_max", "updates", "the same, maximum"),
+    Metric("runtime/dropped_steps", "env steps", "rolled out but not trained on, since the start of this session"),
+    Metric("runtime/restarts", "processes", "replaced after a failure, since the start of this session"),
+    Metric("runtime/recovery_seconds", "s", "time the last replacement took"),
+    Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
+    # Evaluation
+    Metric("evaluation/<set>/solve_rate", "share", "first episodes solved on a level set"),
+    Metric("evaluation/<set>/low", "share", "lower end of its 95 % Wilson interval"),
+    Metric("evaluation/<set>/high", "share", "upper end of its 95 % Wilson interval"),
+)
+
+METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+
+
+def describe(name: str) -> Metric:
+    """The description of a metric; raises UnknownMetricError for a name nobody described."""
+    if name in METRICS:
+        return METRICS[name]
+    pattern = re.sub(r"^evaluation/[^/]+/", "evaluation/<set>/", name)
+    if pattern in METRICS:
+        return METRICS[pattern]
+    raise UnknownMetricError(f"metric {name!r} is not described; add it to kinetix_dist/telemetry/names.py")
+
+
+def check_metrics(metrics: Mapping[str, float]) -> dict[str, float]:
+    """The metrics as Python floats, every name known."""
+    for name in metrics:
+        describe(name)
+    return {name: float(value) for name, value in metrics.items()}

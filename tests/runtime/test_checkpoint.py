@@ -1,0 +1,102 @@
+"""A checkpoint restores exactly what was saved, and a damaged one is never used."""
+
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kinetix_dist.checkpoint import (
+    ArrayMismatchError,
+    CheckpointError,
+    flatten_arrays,
+    list_checkpoints,
+    load_checkpoint,
+    newest_good,
+    save_checkpoint,
+    unflatten_arrays,
+)
+
+
+def _state(seed: int) -> dict:
+    rng = np.random.default_rng(seed)
+    return {
+        "params": {"kernel": rng.normal(size=(3, 4)).astype(np.float32), "bias": jnp.ones((4,), jnp.bfloat16)},
+        "counters": (np.int32(seed), np.asarray([True, False])),
+        "key": jax.random.key(seed),
+    }
+
+
+def _save(directory, number: int, keep: int = 5):
+    return save_checkpoint(directory, number, flatten_arrays(_state(number)), {"config_hash": "abc"}, keep=keep)
+
+
+def test_what_was_saved_is_restored_bit_for_bit(tmp_path):
+    path = _save(tmp_path, 7)
+    checkpoint = load_checkpoint(path)
+    restored = unflatten_arrays(_state(0), checkpoint.arrays)
+    expected, got = flatten_arrays(_state(7)), flatten_arrays(restored)
+    assert expected.keys() == got.keys()
+    for name in expected:
+        assert expected[name].dtype == got[name].dtype
+        np.testing.assert_array_equal(expected[name], got[name], err_msg=name)
+    assert checkpoint.description["config_hash"] == "abc"
+    assert checkpoint.description["num_updates"] == 7
+
+
+def test_only_the_newest_are_kept(tmp_path):
+    for number in (1, 2, 3):
+        _save(tmp_path, number, keep=2)
+    assert [path.name for path in list_checkpoints(tmp_path)] == ["00000002", "00000003"]
+
+
+def _flip_a_byte(path):
+    file = max((f for f in (path / "arrays").rglob("*") if f.is_file()), key=lambda f: f.stat().st_size)
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(bytes(data))
+
+
+def _truncate(path):
+    file = max((f for f in (path / "arrays").rglob("*") if f.is_file()), key=lambda f: f.stat().st_size)
+    file.write_bytes(file.read_bytes()[:-1])
+
+
+def _empty(path):
+    shutil.rmtree(path)
+    path.mkdir()
+
+
+def _lose_the_description(path):
+    (path / "checkpoint.json").unlink()
+
+
+@pytest.mark.parametrize("damage", [_flip_a_byte, _truncate, _empty, _lose_the_description])
+def test_a_damaged_checkpoint_is_named_and_the_one_before_it_used(tmp_path, damage):
+    _save(tmp_path, 1)
+    newest = _save(tmp_path, 2)
+    damage(newest)
+    with pytest.raises(CheckpointError, match="00000002"):
+        load_checkpoint(newest)
+    good, rejected = newest_good(tmp_path)
+    assert good is not None and good.description["num_updates"] == 1
+    assert [r.path for r in rejected] == [newest]
+
+
+def test_a_save_that_was_interrupted_is_not_a_checkpoint(tmp_path):
+    _save(tmp_path, 1)
+    shutil.copytree(tmp_path / "00000001", tmp_path / ".saving-00000002-1")
+    good, rejected = newest_good(tmp_path)
+    assert good is not None and good.path.name == "00000001" and not rejected
+
+
+def test_arrays_of_another_structure_are_refused_by_name():
+    arrays = flatten_arrays(_state(0))
+    template = _state(0)
+    template["params"]["kernel"] = np.zeros((3, 5), np.float32)
+    with pytest.raises(ArrayMismatchError, match=r"params/kernel is float32\[3, 4\], expected float32\[3, 5\]"):
+        unflatten_arrays(template, arrays)
+    del arrays["counters/1"]
+    with pytest.raises(ArrayMismatchError, match="counters/1 is missing"):
+        unflatten_arrays(_state(0), arrays)
