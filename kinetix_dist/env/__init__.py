@@ -1,0 +1,1 @@
+"""Environment, observations, reward and actions. Imports `kinetix_dist.level` and `jax2d`, never models or learner."""

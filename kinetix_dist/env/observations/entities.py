@@ -1,0 +1,266 @@
+"""Entity observations: a world as a set of polygons, circles, joints and thrusters, with four attention masks.
+
+An observation is kept in two parts, because memory is what a rollout runs out of:
+
+    StaticObs     what cannot change in an episode; computed once a level
+    DynamicObs    how bodies move and who touches whom; 28 n + 4 n bytes a world and step (S: 224, M: 288, L: 512)
+
+`observe(static, dynamic)` joins them to an `EntityObs`, the input of a policy, when (and where) it is needed.
+
+Features, in the order of the public package:
+
+    shape       position 2, velocity 2, inverse mass, inverse inertia, density, tanh(angular velocity / 10),
+                role one-hot 4, sin, cos, friction, restitution                                           16
+    polygon     shape, 0, vertices 2 V (unused -1), is triangle, gravity_y / 10               19 + 2 V =  27
+    circle      shape, radius, 1, gravity_y / 10                                                          19
+    joint       active, is fixed, anchor on `from` 2, anchor on `to` 2, sin and cos of the rest angle      8
+                motor speed, power, on, has limits, colour one-hot 4, sin and cos of the lower limit,
+                sin and cos of the upper limit, lower - rest, upper - rest (all 14 zero for fixed joints,
+                the last 6 also without limits)                                                           22
+    thruster    active, position 2, colour one-hot 2, sin, cos, power                                      8
+
+Rows of things that do not exist are zero. Units: m, m/s, rad, 1/kg; powers and speeds in units of the engine
+settings, as in `Scene`. Every joint gives two rows: row j goes from a to b, row J + j from b to a.
+
+Attention masks [4, n, n], symmetric, True on the diagonal of active shapes, False wherever a shape is inactive:
+0 all shapes; 1 connected by any number of joints; 2 connected by one joint; 3 touching now.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array, Capacity, Scene, touch_matrix
+from kinetix_dist.env.reward import pack_bits
+from kinetix_dist.env.roles import Role
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
+
+NUM_BODY_FEATURES = 7
+NUM_CIRCLE_FEATURES = 19
+NUM_JOINT_FEATURES = 22
+NUM_THRUSTER_FEATURES = 8
+NUM_ATTENTION_MASKS = 4
+ANGULAR_VELOCITY_SCALE = 10.0  # rad/s; tanh squashes what spins faster
+GRAVITY_SCALE = 10.0  # m/s^2
+
+
+def num_polygon_features(capacity: Capacity) -> int:
+    """27 with the usual 4 vertices."""
+    return 19 + 2 * capacity.vertices
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DynamicObs:
+    """What changes from step to step. Leading axes: worlds, or time and worlds."""
+
+    bodies: Array  # [W, n, 7] float32: position 2, velocity 2, tanh(angular velocity / 10), sin, cos
+    touching: Array  # [W, n, words] uint32, see `jax2d.scene.Touching`; zero right after a reset
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StaticObs:
+    """What a level fixes. `polygons` and `circles` are their rows without the seven numbers of `bodies`."""
+
+    polygons: Array  # [W, P, 20] (19 + 2 V - 7)
+    circles: Array  # [W, C, 12]
+    joints: Array  # [W, 2 J, 22]
+    thrusters: Array  # [W, T, 8]
+    shape_mask: Array  # [W, n] bool
+    joint_mask: Array  # [W, 2 J] bool
+    thruster_mask: Array  # [W, T] bool
+    joint_from: Array  # [W, 2 J] int32 shape index, 0 for joints that do not exist
+    joint_to: Array  # [W, 2 J] int32
+    thruster_owner: Array  # [W, T] int32
+    connected_any: Array  # [W, n, words] uint32, row i bit j: a chain of joints leads from i to j (or i is j)
+    connected_one: Array  # [W, n, words] uint32, row i bit j: a joint holds i and j (or i is j)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EntityObs:
+    """A whole observation, the input of a policy. See the module docstring for features and masks."""
+
+    polygons: Array  # [W, P, 27]
+    circles: Array  # [W, C, 19]
+    joints: Array  # [W, 2 J, 22]
+    thrusters: Array  # [W, T, 8]
+    shape_mask: Array  # [W, n] bool, polygons first
+    joint_mask: Array  # [W, 2 J] bool
+    thruster_mask: Array  # [W, T] bool
+    joint_from: Array  # [W, 2 J] int32 shape index
+    joint_to: Array  # [W, 2 J] int32
+    thruster_owner: Array  # [W, T] int32
+    attention_masks: Array  # [W, 4, n, n] bool
+
+
+def observe(static: StaticObs, dynamic: DynamicObs) -> EntityObs:
+    """The whole observation. `dynamic` may have leading axes more than `static`, such as time: [T, W, ...]."""
+    leading = dynamic.bodies.shape[:-2]
+    static = jax.tree.map(lambda x: jnp.broadcast_to(x, leading + x.shape[static.shape_mask.ndim - 1 :]), static)
+    num_polygons, num_shapes = static.polygons.shape[-2], static.shape_mask.shape[-1]
+    bodies = jnp.where(static.shape_mask[..., None], dynamic.bodies, 0.0)
+    both_active = static.shape_mask[..., :, None] & static.shape_mask[..., None, :]
+    touching = (touch_matrix(dynamic.touching, num_shapes) | np.eye(num_shapes, dtype=bool)) & both_active
+    return EntityObs(
+        polygons=_join_features(bodies[..., :num_polygons, :], static.polygons),
+        circles=_join_features(bodies[..., num_polygons:, :], static.circles),
+        joints=static.joints,
+        thrusters=static.thrusters,
+        shape_mask=static.shape_mask,
+        joint_mask=static.joint_mask,
+        thruster_mask=static.thruster_mask,
+        joint_from=static.joint_from,
+        joint_to=static.joint_to,
+        thruster_owner=static.thruster_owner,
+        attention_masks=jnp.stack(
+            [
+                both_active,
+                touch_matrix(static.connected_any, num_shapes),
+                touch_matrix(static.connected_one, num_shapes),
+                touching,
+            ],
+            axis=-3,
+        ),
+    )
+
+
+def dynamic_obs(position: Array, angle: Array, velocity: Array, angular_velocity: Array, touching: Array) -> DynamicObs:
+    """From what `Engine.bodies` gives ([W, n, 2], [W, n], [W, n, 2], [W, n]) and touch bits [W, n, words]."""
+    spin = jnp.tanh(angular_velocity / ANGULAR_VELOCITY_SCALE)
+    rotation = jnp.stack([spin, jnp.sin(angle), jnp.cos(angle)], axis=-1)
+    bodies = jnp.concatenate([position, velocity, rotation], axis=-1)
+    return DynamicObs(bodies=bodies.astype(jnp.float32), touching=touching)
+
+
+def static_obs(levels: Level) -> StaticObs:
+    """Features of a batch of levels ([W, ...] on every field) that no step can change."""
+    scene = levels.scene
+    num_polygons = scene.vertices.shape[1]
+    shape = jnp.concatenate(
+        [
+            scene.inverse_mass[..., None],
+            scene.inverse_inertia[..., None],
+            scene.density[..., None],
+            jax.nn.one_hot(levels.shape_role, len(Role)),
+            scene.friction[..., None],
+            scene.restitution[..., None],
+        ],
+        axis=-1,
+    )
+    gravity = jnp.broadcast_to((scene.gravity[:, None, 1:] / GRAVITY_SCALE), (*shape.shape[:2], 1))
+    polygon_shape, circle_shape = shape[:, :num_polygons], shape[:, num_polygons:]
+    polygon_gravity, circle_gravity = gravity[:, :num_polygons], gravity[:, num_polygons:]
+    polygons = jnp.concatenate([polygon_shape, _polygon_features(scene), polygon_gravity], axis=-1)
+    radius = scene.radius[..., None]
+    circles = jnp.concatenate([circle_shape, radius, jnp.ones_like(radius), circle_gravity], axis=-1)
+    joint_mask = jnp.concatenate([scene.joint_active, scene.joint_active], axis=1)
+    connected_one, connected_any = connections(scene)
+    return StaticObs(
+        polygons=_masked(polygons, scene.shape_active[:, :num_polygons]),
+        circles=_masked(circles, scene.shape_active[:, num_polygons:]),
+        joints=_masked(_joint_features(levels), joint_mask),
+        thrusters=_masked(_thruster_features(levels), scene.thruster_active),
+        shape_mask=scene.shape_active,
+        joint_mask=joint_mask,
+        thruster_mask=scene.thruster_active,
+        joint_from=jnp.where(joint_mask, jnp.concatenate([scene.joint_a, scene.joint_b], axis=1), 0),
+        joint_to=jnp.where(joint_mask, jnp.concatenate([scene.joint_b, scene.joint_a], axis=1), 0),
+        thruster_owner=jnp.where(scene.thruster_active, scene.thruster_body, 0),
+        connected_any=pack_bits(connected_any),
+        connected_one=pack_bits(connected_one),
+    )
+
+
+def connections(scene: Scene) -> tuple[Array, Array]:
+    """Who is jointed to whom: by one joint, and by any number of them (the transitive closure); [W, n, n] bool.
+
+    Both are symmetric and True on the diagonal of active shapes. Squaring the relation doubles the length of the
+    chains it covers, so that log2(n) squarings cover all.
+    """
+    active = scene.shape_active
+    num_shapes = active.shape[-1]
+    ends_a = jax.nn.one_hot(scene.joint_a, num_shapes) * scene.joint_active[..., None]
+    ends_b = jax.nn.one_hot(scene.joint_b, num_shapes) * scene.joint_active[..., None]
+    directed = jnp.einsum("wja,wjb->wab", ends_a, ends_b) > 0
+    both_active = active[:, :, None] & active[:, None, :]
+    one = (directed | directed.swapaxes(1, 2) | np.eye(num_shapes, dtype=bool)) & both_active
+
+    def square(relation: Array, _: None) -> tuple[Array, None]:
+        steps = relation.astype(jnp.float32)
+        return jnp.einsum("wab,wbc->wac", steps, steps) > 0, None
+
+    num_squarings = max(1, int(np.ceil(np.log2(num_shapes))))
+    any_number, _ = jax.lax.scan(square, one, None, length=num_squarings)
+    return one, any_number
+
+
+def _polygon_features(scene: Scene) -> Array:
+    """0 for polygon, vertices with -1 in unused slots, is triangle: [W, P, 2 V + 2]."""
+    num_vertices = scene.num_vertices[..., None]
+    is_used = jnp.arange(scene.vertices.shape[2]) < num_vertices
+    vertices = jnp.where(is_used[..., None], scene.vertices, -1.0)
+    flat = vertices.reshape(*vertices.shape[:2], -1)
+    return jnp.concatenate([jnp.zeros_like(flat[..., :1]), flat, (num_vertices <= 3).astype(flat.dtype)], axis=-1)
+
+
+def _joint_features(levels: Level) -> Array:
+    """[W, 2 J, 22]: joints from a to b, then the same joints from b to a."""
+    scene = levels.scene
+    is_free = 1.0 - scene.joint_is_fixed
+    is_limited = is_free * scene.has_limits
+    limits = [
+        jnp.sin(scene.lower_limit),
+        jnp.cos(scene.lower_limit),
+        jnp.sin(scene.upper_limit),
+        jnp.cos(scene.upper_limit),
+        scene.lower_limit - scene.joint_rest_angle,
+        scene.upper_limit - scene.joint_rest_angle,
+    ]
+    motor = [scene.motor_speed, scene.motor_power, scene.motor_on, scene.has_limits]
+    colour = jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS)
+    kind = jnp.stack([scene.joint_active, scene.joint_is_fixed], axis=-1).astype(jnp.float32)
+    rest = jnp.stack([jnp.sin(scene.joint_rest_angle), jnp.cos(scene.joint_rest_angle)], axis=-1)
+    revolute = jnp.concatenate(
+        [
+            jnp.stack(motor, axis=-1) * is_free[..., None],
+            colour * is_free[..., None],
+            jnp.stack(limits, axis=-1) * is_limited[..., None],
+        ],
+        axis=-1,
+    )
+    a_to_b = jnp.concatenate([kind, scene.joint_anchor_a, scene.joint_anchor_b, rest, revolute], axis=-1)
+    b_to_a = jnp.concatenate([kind, scene.joint_anchor_b, scene.joint_anchor_a, rest, revolute], axis=-1)
+    return jnp.concatenate([a_to_b, b_to_a], axis=1)
+
+
+def _thruster_features(levels: Level) -> Array:
+    scene = levels.scene
+    colour = jax.nn.one_hot(levels.thruster_colour, NUM_THRUSTER_COLOURS)
+    direction = jnp.stack([jnp.sin(scene.thruster_angle), jnp.cos(scene.thruster_angle), scene.thruster_power], axis=-1)
+    active = scene.thruster_active[..., None].astype(jnp.float32)
+    return jnp.concatenate([active, scene.thruster_position, colour, direction], axis=-1)
+
+
+def _masked(features: Array, mask: Array) -> Array:
+    return jnp.where(mask[..., None], features, 0.0).astype(jnp.float32)
+
+
+def _join_features(bodies: Array, static: Array) -> Array:
+    """Puts the seven moving numbers of each shape among its static ones, in the order of the module docstring."""
+    return jnp.concatenate(
+        [
+            bodies[..., :4],  # position, velocity
+            static[..., :3],  # inverse mass, inverse inertia, density
+            bodies[..., 4:5],  # angular velocity
+            static[..., 3:7],  # role
+            bodies[..., 5:],  # sin, cos
+            static[..., 7:],  # friction, restitution and what is particular to polygons or circles
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,198 @@
+"""Entity and flat observations of hand-built worlds: order of features, masks, connectivity."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax2d.scene import Scene
+from kinetix_dist.env.observations.entities import (
+    DynamicObs,
+    EntityObs,
+    connections,
+    dynamic_obs,
+    observe,
+    static_obs,
+)
+from kinetix_dist.env.observations.flat import flat_size, flatten
+from kinetix_dist.env.roles import Role
+from kinetix_dist.level.level import SIZES, Level
+from tests.env.worlds import BOX, DISC_1, DISC_2, MOTOR_JOINT, RADIUS_M, THRUSTER, batch, small_level
+
+
+def observe_start(levels: Level, touching: np.ndarray | None = None) -> EntityObs:
+    bits = jnp.zeros((*levels.angle.shape, 1), jnp.uint32) if touching is None else jnp.asarray(touching)
+    moving = dynamic_obs(levels.position, levels.angle, levels.velocity, levels.angular_velocity, bits)
+    return observe(static_obs(levels), moving)
+
+
+def test_polygon_row_has_the_27_features_in_the_published_order() -> None:
+    level = small_level(gravity=-9.81, velocity={BOX: (0.5, -0.25)})
+    angle = np.zeros(7, np.float32)
+    angle[BOX] = 0.3
+    spin = np.zeros(7, np.float32)
+    spin[BOX] = -5.0
+    level = dataclasses.replace(level, angle=angle, angular_velocity=spin)
+    row = observe_start(batch(level)).polygons[0, BOX]
+    mass, inertia = 0.25, 0.25 * 0.25 / 6
+    vertices = [-0.25, -0.25, 0.25, -0.25, 0.25, 0.25, -0.25, 0.25]
+    expected = [1.0, 1.0, 0.5, -0.25, 1 / mass, 1 / inertia, 1.0, np.tanh(-0.5), 0, 1, 0, 0]
+    expected += [np.sin(0.3), np.cos(0.3), 0.5, 0.0, 0.0, *vertices, 0.0, -0.981]
+    assert row.shape == (27,)
+    np.testing.assert_allclose(row, expected, rtol=1e-6)  # float32
+
+
+def test_circle_row_has_the_19_features_in_the_published_order() -> None:
+    row = observe_start(batch(small_level(gravity=-9.81))).circles[0, 0]
+    mass = np.pi * RADIUS_M**2
+    expected = [3, 1, 0, 0, 1 / mass, 2 / (mass * RADIUS_M**2), 1, 0, 0, 0, 1, 0, 0, 1, 0.5, 0, RADIUS_M, 1, -0.981]
+    assert row.shape == (19,)
+    np.testing.assert_allclose(row, expected, rtol=1e-6)
+
+
+def test_triangle_has_minus_one_in_its_unused_vertex_and_the_triangle_flag() -> None:
+    level = small_level()
+    scene = dataclasses.replace(level.scene, num_vertices=np.array([4, 4, 4, 4, 3], np.int32))
+    row = observe_start(batch(dataclasses.replace(level, scene=scene))).polygons[0, BOX]
+    np.testing.assert_array_equal(row[23:26], [-1.0, -1.0, 1.0])
+
+
+def test_a_joint_gives_two_rows_with_its_ends_swapped() -> None:
+    limits = {"has_limits": True, "lower_limit": -0.5, "upper_limit": 1.0, "joint_rest_angle": 0.2}
+    obs = observe_start(batch(small_level(joint={**MOTOR_JOINT, **limits})))
+    start, rest = [1, 0], [np.sin(0.2), np.cos(0.2)]
+    motor = [1.5, 2.0, 1, 1, 0, 0, 1, 0]
+    limit = [np.sin(-0.5), np.cos(-0.5), np.sin(1.0), np.cos(1.0), -0.7, 0.8]
+    assert obs.joints.shape == (1, 2, 22)
+    np.testing.assert_allclose(obs.joints[0, 0], [*start, 0.5, 0.1, -0.2, 0.3, *rest, *motor, *limit], rtol=1e-6)
+    np.testing.assert_allclose(obs.joints[0, 1], [*start, -0.2, 0.3, 0.5, 0.1, *rest, *motor, *limit], rtol=1e-6)
+    np.testing.assert_array_equal(obs.joint_from[0], [BOX, DISC_1])
+    np.testing.assert_array_equal(obs.joint_to[0], [DISC_1, BOX])
+
+
+def test_motor_and_limit_features_of_a_fixed_joint_are_zero() -> None:
+    joint = {**MOTOR_JOINT, "joint_is_fixed": True, "has_limits": True, "upper_limit": 1.0}
+    row = observe_start(batch(small_level(joint=joint))).joints[0, 0]
+    np.testing.assert_array_equal(row[:2], [1, 1])
+    np.testing.assert_array_equal(row[8:], np.zeros(14))
+
+
+def test_limit_features_of_a_joint_without_limits_are_zero() -> None:
+    row = observe_start(batch(small_level(joint={**MOTOR_JOINT, "upper_limit": 1.0}))).joints[0, 0]
+    np.testing.assert_array_equal(row[16:], np.zeros(6))
+
+
+def test_thruster_row_has_the_8_features_in_the_published_order() -> None:
+    obs = observe_start(batch(small_level(thruster=THRUSTER)))
+    np.testing.assert_allclose(obs.thrusters[0, 0], [1, 0.1, -0.2, 0, 1, 1, 0, 2.0], atol=1e-7)
+    np.testing.assert_array_equal(obs.thruster_owner[0], [BOX])
+
+
+def test_what_does_not_exist_is_zero_and_masked_everywhere() -> None:
+    joint = {**MOTOR_JOINT, "joint_active": False}
+    level = small_level(joint=joint, thruster={**THRUSTER, "thruster_active": False})
+    all_touch = np.full((1, 7, 1), 0x7F, np.uint32)
+    garbage = dataclasses.replace(level, position=np.where(np.arange(7)[:, None] == DISC_2, np.nan, level.position))
+    obs = observe_start(batch(garbage), all_touch)
+    for rows in (obs.circles[0, 1], obs.joints, obs.thrusters):
+        assert not rows.any()
+    assert not obs.shape_mask[0, DISC_2] and not obs.joint_mask.any() and not obs.thruster_mask.any()
+    assert not obs.attention_masks[0, :, DISC_2].any() and not obs.attention_masks[0, :, :, DISC_2].any()
+    assert not obs.joint_from.any() and not obs.joint_to.any() and not obs.thruster_owner.any()
+
+
+def test_attention_masks_are_all_then_any_joints_then_one_joint_then_touching() -> None:
+    touching = np.zeros((1, 7, 1), np.uint32)
+    touching[0, 0, 0], touching[0, DISC_1, 0] = 1 << DISC_1, 1 << 0
+    masks = observe_start(batch(small_level(joint=MOTOR_JOINT)), touching).attention_masks[0]
+    active = np.arange(7) != DISC_2
+    diagonal = np.diag(active)
+    jointed, touch = diagonal.copy(), diagonal.copy()
+    jointed[BOX, DISC_1] = jointed[DISC_1, BOX] = True
+    touch[0, DISC_1] = touch[DISC_1, 0] = True
+    np.testing.assert_array_equal(masks[0], active[:, None] & active)
+    np.testing.assert_array_equal(masks[1], jointed)
+    np.testing.assert_array_equal(masks[2], jointed)
+    np.testing.assert_array_equal(masks[3], touch)
+
+
+def chain_scene(joints: list[tuple[int, int]], active: list[bool], num_shapes: int) -> Scene:
+    """Only the fields that connectivity looks at."""
+    empty = dict.fromkeys((field.name for field in dataclasses.fields(Scene)), None)
+    ends = np.array(joints, np.int32)
+    scene = Scene(**empty)
+    return dataclasses.replace(
+        scene,
+        shape_active=jnp.ones((1, num_shapes), bool),
+        joint_active=jnp.array([active]),
+        joint_a=jnp.array([ends[:, 0]]),
+        joint_b=jnp.array([ends[:, 1]]),
+    )
+
+
+def test_a_chain_through_all_shapes_connects_all_of_them() -> None:
+    # 16 shapes in a chain of 15 joints: the longest that size L could hold if it had the joints.
+    scene = chain_scene([(i, i + 1) for i in range(15)], [True] * 15, 16)
+    one, any_number = jax.jit(connections)(scene)
+    distance = np.abs(np.arange(16)[:, None] - np.arange(16))
+    np.testing.assert_array_equal(one[0], distance <= 1)
+    assert any_number.all()
+
+
+def test_an_inactive_joint_cuts_a_chain() -> None:
+    scene = chain_scene([(0, 1), (1, 2), (2, 3)], [True, False, True], 4)
+    _, any_number = connections(scene)
+    group = np.array([0, 0, 1, 1])
+    np.testing.assert_array_equal(any_number[0], group[:, None] == group)
+
+
+def test_connections_agree_with_a_search_on_random_graphs() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        joints = [tuple(rng.choice(9, 2, replace=False)) for _ in range(6)]
+        active = list(rng.random(6) < 0.8)
+        _, any_number = connections(chain_scene(joints, active, 9))
+        group = np.arange(9)  # joined groups take the smaller of their names until nothing changes
+        for _ in range(9):
+            for (a, b), is_active in zip(joints, active):
+                if is_active:
+                    group[[a, b]] = min(group[a], group[b])
+        np.testing.assert_array_equal(any_number[0], group[:, None] == group)
+
+
+def test_observe_adds_a_time_axis_to_what_is_static() -> None:
+    levels = batch(small_level(joint=MOTOR_JOINT), small_level(thruster=THRUSTER, box=(2.0, 2.0)))
+    moving = dynamic_obs(
+        levels.position, levels.angle, levels.velocity, levels.angular_velocity, jnp.zeros((2, 7, 1), jnp.uint32)
+    )
+    rollout = DynamicObs(bodies=jnp.stack([moving.bodies] * 3), touching=jnp.stack([moving.touching] * 3))
+    once, over_time = observe(static_obs(levels), moving), observe(static_obs(levels), rollout)
+    for single, repeated in zip(jax.tree.leaves(once), jax.tree.leaves(over_time)):
+        np.testing.assert_array_equal(repeated, np.stack([single] * 3))
+
+
+def test_roles_are_one_hot() -> None:
+    level = small_level(disc_2=(4.0, 4.0), roles={BOX: Role.GREEN, DISC_1: Role.BLUE, DISC_2: Role.RED})
+    obs = observe_start(batch(level))
+    np.testing.assert_array_equal(obs.polygons[0, 0, 8:12], [1, 0, 0, 0])
+    np.testing.assert_array_equal(obs.polygons[0, BOX, 8:12], [0, 1, 0, 0])
+    np.testing.assert_array_equal(obs.circles[0, :, 8:12], [[0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+def test_flat_observation_is_the_concatenation() -> None:
+    obs = observe_start(batch(small_level(joint=MOTOR_JOINT, thruster=THRUSTER)))
+    flat = flatten(obs)
+    assert flat.shape == (1, flat_size(SIZES["s"])) == (1, 5 * 27 + 2 * 19 + 22 + 8 + 3 * 7)
+    np.testing.assert_array_equal(flat[0, : 5 * 27], obs.polygons.reshape(-1))
+    ends = flat[0, -21:].reshape(3, 7)
+    np.testing.assert_array_equal(ends.argmax(axis=1), [BOX, DISC_1, BOX])
+
+
+@pytest.mark.parametrize("size", ["s", "m", "l"])
+def test_dynamic_observation_is_as_small_as_documented(size: str) -> None:
+    capacity = SIZES[size]
+    assert (28 + 4 * capacity.touch_words) * capacity.shapes == {"s": 224, "m": 288, "l": 512}[size]
