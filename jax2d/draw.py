@@ -1,0 +1,267 @@
+"""Pictures of a world, without a display, a window system or a GPU: numpy in, RGB pixels out.
+
+Every primitive is convex, so each is filled from its signed distance in pixels (negative inside):
+coverage = clip(0.5 - distance, 0, 1), which gives smooth edges. Nothing here knows the task: a shape is
+painted `palette[roles[shape]]`, fixed shapes darker, and a world without roles is grey.
+
+    image = draw(scene, state, roles=roles)          # uint8 [height, width, 3]
+    write_png("world.png", image)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import os
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from jax2d.scene import Scene
+
+Colour = tuple[int, int, int]
+Box = tuple[float, float, float, float]  # lowest x, lowest y, highest x, highest y, in m
+
+ROLE_PALETTE: tuple[Colour, ...] = (
+    (176, 178, 186),  # no role
+    (70, 178, 98),  # green
+    (58, 118, 224),  # blue
+    (224, 68, 64),  # red
+)
+MOTOR_PALETTE: tuple[Colour, ...] = ((240, 150, 40), (150, 90, 210), (30, 160, 170), (210, 80, 150))
+THRUSTER_PALETTE: tuple[Colour, ...] = ((255, 140, 20), (200, 60, 200))
+BACKGROUND: Colour = (250, 250, 248)
+INK: Colour = (52, 54, 62)
+FLAME_CORE: Colour = (255, 236, 140)
+FIXED_SHADE = 0.62  # fixed shapes are this much darker than movable ones of the same role
+OUTLINE_SHADE = 0.6
+
+DEFAULT_VIEW: Box = (-0.12, -0.12, 5.12, 5.12)  # the 5 x 5 m box with a rim of its walls
+THRUSTER_LENGTH_M = 0.16
+JOINT_RADIUS_M = 0.06
+
+
+def shape_colours(scene: Scene, roles: Any = None, palette: Sequence[Colour] = ROLE_PALETTE) -> np.ndarray:
+    """Colour of every shape: that of its role, darker when the shape is fixed. [n, 3] uint8."""
+    num_shapes = np.asarray(scene.shape_active).shape[0]
+    roles = np.zeros(num_shapes, int) if roles is None else np.asarray(roles).astype(int)
+    if roles.shape != (num_shapes,) or roles.min() < 0 or roles.max() >= len(palette):
+        raise ValueError(
+            f"roles has shape {roles.shape} and values {roles.min()}..{roles.max()}; "
+            f"give one role in 0..{len(palette) - 1} for each of the {num_shapes} shapes"
+        )
+    is_fixed = np.asarray(scene.inverse_mass) == 0
+    shade = np.where(is_fixed, FIXED_SHADE, 1.0)[:, None]
+    return (np.asarray(palette, float)[roles] * shade).astype(np.uint8)
+
+
+def rotate(vector: np.ndarray, angle: Any) -> np.ndarray:
+    """Turns `[..., 2]` vectors counter-clockwise by angles (rad) that broadcast against `[...]`."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def joint_positions(scene: Scene, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Where each joint holds its body a, world frame. position [..., n, 2], angle [..., n] -> [..., J, 2] m."""
+    body = np.asarray(scene.joint_a)
+    return position[..., body, :] + rotate(np.asarray(scene.joint_anchor_a), angle[..., body])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Canvas:
+    """A picture in the making: float colours, and the map from metres to pixels (y up to rows down)."""
+
+    pixels: np.ndarray  # [height, width, 3] 0..255
+    view: Box
+    scale: float  # pixels per metre
+
+    @staticmethod
+    def blank(view: Box, scale: float) -> _Canvas:
+        width, height = (round((view[2 + axis] - view[axis]) * scale) for axis in (0, 1))
+        if width < 1 or height < 1:
+            raise ValueError(f"view {view} at {scale} pixels a metre has no pixels; make either larger")
+        return _Canvas(np.tile(np.asarray(BACKGROUND, float), (height, width, 1)), view, scale)
+
+    def to_pixels(self, point: np.ndarray) -> np.ndarray:
+        """World metres to (column, row), pixel centres at halves."""
+        return np.stack([(point[..., 0] - self.view[0]), (self.view[3] - point[..., 1])], axis=-1) * self.scale
+
+    def fill(
+        self,
+        distance: Callable[[np.ndarray], np.ndarray],
+        low: np.ndarray,
+        high: np.ndarray,
+        colour: Sequence[float],
+        *,
+        outline: Sequence[float] | None = None,
+        outline_width: float = 1.6,
+        opacity: float = 1.0,
+    ) -> None:
+        """Paints where `distance(points [h, w, 2])` < 0, looking at the box low..high only (all in pixels)."""
+        if not (np.isfinite(low).all() and np.isfinite(high).all()):
+            return  # a world that has diverged has nowhere to be painted
+        height, width = self.pixels.shape[:2]
+        first = np.clip(np.floor(low).astype(int) - 1, 0, [width, height])
+        last = np.clip(np.ceil(high).astype(int) + 1, 0, [width, height])
+        if (first >= last).any():
+            return
+        columns, rows = np.meshgrid(np.arange(first[0], last[0]) + 0.5, np.arange(first[1], last[1]) + 0.5)
+        signed = distance(np.stack([columns, rows], axis=-1))
+        target = self.pixels[first[1] : last[1], first[0] : last[0]]
+        paint = np.asarray(colour, float)
+        if outline is not None:
+            edge = np.clip(signed + outline_width + 0.5, 0.0, 1.0)[..., None]
+            paint = paint * (1 - edge) + np.asarray(outline, float) * edge
+        cover = opacity * np.clip(0.5 - signed, 0.0, 1.0)[..., None]
+        target[...] = target * (1 - cover) + paint * cover
+
+    def polygon(self, vertices: np.ndarray, colour: Sequence[float], **kwargs: Any) -> None:
+        """A convex polygon, counter-clockwise in the world (metres)."""
+        corners = self.to_pixels(vertices)
+        edges = np.roll(corners, -1, axis=0) - corners
+        lengths = np.linalg.norm(edges, axis=-1)
+        corners, edges = corners[lengths > 0], edges[lengths > 0]  # unused vertex slots repeat the last vertex
+        if len(corners) < 3:
+            return
+        # Rows run down, so a world counter-clockwise loop is clockwise here: outward is to the right of an edge.
+        outward = np.stack([-edges[:, 1], edges[:, 0]], axis=-1) / lengths[lengths > 0][:, None]
+
+        def distance(points: np.ndarray) -> np.ndarray:
+            return np.max([(points - corner) @ normal for corner, normal in zip(corners, outward, strict=True)], axis=0)
+
+        self.fill(distance, corners.min(0), corners.max(0), colour, **kwargs)
+
+    def disc(self, centre: np.ndarray, radius: float, colour: Sequence[float], **kwargs: Any) -> None:
+        """A disc; centre and radius in metres."""
+        middle, reach = self.to_pixels(centre), radius * self.scale
+        self.fill(
+            lambda p: np.linalg.norm(p - middle, axis=-1) - reach, middle - reach, middle + reach, colour, **kwargs
+        )
+
+    def line(self, a: np.ndarray, b: np.ndarray, colour: Sequence[float], width: float, **kwargs: Any) -> None:
+        """A line with round ends; ends in metres, width in pixels."""
+        start, along = self.to_pixels(a), self.to_pixels(b) - self.to_pixels(a)
+        squared = max(float(along @ along), 1e-12)
+
+        def distance(points: np.ndarray) -> np.ndarray:
+            share = np.clip((points - start) @ along / squared, 0.0, 1.0)[..., None]
+            return np.linalg.norm(points - start - share * along, axis=-1) - width / 2
+
+        ends = np.stack([start, start + along])
+        self.fill(distance, ends.min(0) - width, ends.max(0) + width, colour, **kwargs)
+
+
+def draw(
+    scene: Scene,
+    state: Any,
+    roles: Any = None,
+    *,
+    palette: Sequence[Colour] = ROLE_PALETTE,
+    thrust: Any = None,
+    view: Box = DEFAULT_VIEW,
+    pixels_per_metre: float = 100.0,
+    trail: np.ndarray | None = None,
+) -> np.ndarray:
+    """Draws one world. Returns uint8 [height, width, 3].
+
+    Args:
+      scene: one world (no leading axis).
+      state: anything with `position` [n, 2] and `angle` [n]: a State, or a level at its start.
+      roles: [n] index into `palette`; None paints all shapes as role 0.
+      thrust: [T] 0..1, how much each thruster fires; None draws no flames.
+      view: the part of the world to show, m.
+      trail: [k, 2] m, a path to draw below the shapes (where something has been).
+    """
+    scene = _as_numpy(scene)
+    position, angle = np.asarray(state.position, float), np.asarray(state.angle, float)
+    if position.ndim != 2:
+        raise ValueError(f"draw shows one world; position has shape {position.shape}: select one with index_worlds")
+    canvas = _Canvas.blank(view, pixels_per_metre)
+    colours = shape_colours(scene, roles, palette).astype(float)
+    _draw_shapes(canvas, scene, position, angle, colours)
+    if trail is not None:
+        for k, (a, b) in enumerate(itertools.pairwise(trail)):
+            canvas.line(np.asarray(a, float), np.asarray(b, float), INK, 2.0, opacity=0.15 + 0.45 * k / len(trail))
+    _draw_thrusters(canvas, scene, position, angle, thrust)
+    _draw_joints(canvas, scene, position, angle)
+    return np.rint(canvas.pixels).astype(np.uint8)
+
+
+def _as_numpy(scene: Scene) -> Scene:
+    fields = {f.name: np.asarray(getattr(scene, f.name)) for f in dataclasses.fields(scene)}
+    return dataclasses.replace(scene, **fields)
+
+
+def _draw_shapes(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray, colours: np.ndarray) -> None:
+    num_polygons = scene.vertices.shape[0]
+    # Fixed shapes first: what moves stays visible where a wall and a body overlap.
+    for i in sorted(np.flatnonzero(scene.shape_active), key=lambda i: scene.inverse_mass[i] > 0):
+        outline = colours[i] * OUTLINE_SHADE
+        if i < num_polygons:
+            body = scene.vertices[i, : scene.num_vertices[i]]
+            canvas.polygon(position[i] + rotate(body, angle[i]), colours[i], outline=outline)
+        else:
+            radius = float(scene.radius[i - num_polygons])
+            canvas.disc(position[i], radius, colours[i], outline=outline)
+            rim = position[i] + rotate(np.array([radius * 0.9, 0.0]), angle[i])
+            canvas.line(position[i], rim, outline, 1.6)  # a spoke: how far it has rolled
+
+
+def thruster_outline(scene: Scene, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nozzle [3, 2] and flame [3, 2] of thruster k in the frame of its body, m: the push is from base to tip."""
+    at, angle = np.asarray(scene.thruster_position, float)[k], float(np.asarray(scene.thruster_angle)[k])
+    half = 0.35 * THRUSTER_LENGTH_M
+    nozzle = np.array([[0.0, -half], [THRUSTER_LENGTH_M, 0.0], [0.0, half]])
+    flame = np.array([[0.0, half], [-1.7 * THRUSTER_LENGTH_M, 0.0], [0.0, -half]])
+    return at + rotate(nozzle, angle), at + rotate(flame, angle)
+
+
+def _draw_thrusters(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray, thrust: Any) -> None:
+    for k in np.flatnonzero(scene.thruster_active):
+        body = scene.thruster_body[k]
+        nozzle, flame = (position[body] + rotate(part, angle[body]) for part in thruster_outline(scene, k))
+        fire = 0.0 if thrust is None else float(np.asarray(thrust)[k])
+        if fire > 0:
+            base = (flame[0] + flame[2]) / 2
+            canvas.polygon(base + (flame - base) * fire, THRUSTER_PALETTE[0])
+            canvas.polygon(base + (flame - base) * 0.5 * fire, FLAME_CORE)
+        canvas.polygon(nozzle, INK)
+
+
+def _draw_joints(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray) -> None:
+    places = joint_positions(scene, position, angle)
+    for k in np.flatnonzero(scene.joint_active):
+        if scene.joint_is_fixed[k]:  # a weld: a small cross
+            for turn in (0.25 * np.pi, 0.75 * np.pi):
+                arm = rotate(np.array([JOINT_RADIUS_M, 0.0]), turn)
+                canvas.line(places[k] - arm, places[k] + arm, INK, 2.4)
+        else:  # a hinge: a disc, coloured at the middle when a motor drives it
+            canvas.disc(places[k], JOINT_RADIUS_M, (255, 255, 255), outline=INK)
+            if scene.motor_on[k]:
+                canvas.disc(places[k], JOINT_RADIUS_M * 0.5, MOTOR_PALETTE[0])
+
+
+def encode_png(image: np.ndarray) -> bytes:
+    """PNG bytes of a uint8 [height, width, 3] picture."""
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+        raise ValueError(f"a picture is uint8 [height, width, 3]; got {image.dtype} {list(image.shape)}")
+    height, width = image.shape[:2]
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # first byte of a row: filter 0, none
+    rows[:, 1:] = image.reshape(height, -1)
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    data = zlib.compress(rows.tobytes(), 9)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def write_png(path: str | os.PathLike[str], image: np.ndarray) -> None:
+    """Writes a uint8 [height, width, 3] picture as PNG."""
+    with open(path, "wb") as file:
+        file.write(encode_png(image))

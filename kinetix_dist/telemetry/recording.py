@@ -1,0 +1,98 @@
+"""Rollout: one attempt at one level, as numpy. What is recorded, replayed, drawn.
+
+A rollout of `T` steps has `T + 1` states. Step `k` (0-based) leads from state `k` to state `k + 1`: it has
+`actions[k]`, the motor and thruster commands they turned into, and `reward[k]`. This file knows no level
+format: a rollout carries the level's JSON text, and whatever decoded it (see evaluation/recordings.py).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Protocol
+
+import numpy as np
+
+from jax2d.scene import Scene
+
+
+class RecordedLevel(Protocol):
+    """What replaying needs to know of a level: what exists and who plays which role."""
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def shape_role(self) -> Any:  # [n] int
+        ...
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Rollout:
+    """One attempt of `T` steps at a level of `n` shapes, `J` joints, `K` thrusters, `A` action dimensions."""
+
+    level: RecordedLevel
+    level_json: str  # the level in the level file format: a recording needs no other file
+    level_name: str
+    position: np.ndarray  # [T + 1, n, 2] float32 m, centre of mass
+    angle: np.ndarray  # [T + 1, n] float32 rad
+    velocity: np.ndarray  # [T + 1, n, 2] float32 m/s
+    angular_velocity: np.ndarray  # [T + 1, n] float32 rad/s
+    actions: np.ndarray  # [T, A] float32, as the policy chose them
+    motor: np.ndarray  # [T, J] float32, -1..1, share of each motor's target speed
+    thruster: np.ndarray  # [T, K] float32, 0..1, share of each thruster's power
+    reward: np.ndarray  # [T] float32
+    solved: bool
+    failed: bool  # green touched red; neither solved nor failed: out of time
+    policy_version: int  # policy updates before this rollout; -1 for no policy (random actions)
+    seed: int
+    step_seconds: float  # simulated time of one step
+    is_complete: bool = True  # False: the end is missing, because the file it was read from is cut or damaged
+
+    def __post_init__(self) -> None:
+        steps, shapes = self.num_steps, self.num_shapes
+        expected = {
+            "position": (steps + 1, shapes, 2),
+            "angle": (steps + 1, shapes),
+            "velocity": (steps + 1, shapes, 2),
+            "angular_velocity": (steps + 1, shapes),
+            "actions": (steps, *self.actions.shape[1:2]),
+            "motor": (steps, *np.shape(self.level.scene.joint_active)),
+            "thruster": (steps, *np.shape(self.level.scene.thruster_active)),
+            "reward": (steps,),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"Rollout.{name} has shape {getattr(self, name).shape}; this level needs {shape}")
+
+    @property
+    def num_steps(self) -> int:
+        return self.reward.shape[0]
+
+    @property
+    def num_shapes(self) -> int:
+        return np.shape(self.level.scene.shape_active)[0]
+
+    @property
+    def outcome(self) -> str:
+        """ "solved", "failed", "out of time", or "cut" when the end was not recorded."""
+        if not self.is_complete:
+            return "cut"
+        return "solved" if self.solved else "failed" if self.failed else "out of time"
+
+    @property
+    def seconds(self) -> np.ndarray:
+        """[T + 1] simulated time of each state, s."""
+        return np.arange(self.num_steps + 1) * self.step_seconds
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What was read from one file: its rollouts, and what was wrong with the file (one line each)."""
+
+    path: str
+    rollouts: tuple[Rollout, ...]
+    problems: tuple[str, ...] = ()
+
+
+class RecordingError(ValueError):
+    """A file that is no recording, or one that cannot be read at all."""
