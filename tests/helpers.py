@@ -9,7 +9,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 def public_levels_directory() -> Path | None:
-    """The public Kinetix levels (s/, m/, l/ of JSON files) if they are here: $KINETIX_LEVELS, or beside the checkout."""
+    """The public Kinetix levels (s/, m/, l/ of JSON files) where they are: $KINETIX_LEVELS or beside the checkout."""
     candidates = [os.environ.get("KINETIX_LEVELS"), REPOSITORY.parent / "shared" / "kinetix_levels"]
     for candidate in candidates:
         if candidate and (Path(candidate) / "s").is_dir():

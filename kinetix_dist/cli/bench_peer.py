@@ -1,0 +1,120 @@
+"""The published jax2d in a process of its own: the other end of bench/peers/jax2d_published.py.
+
+Both engines are packages called jax2d, so the peer has its own environment. Its Python is, in this order,
+$KINETIX_PEER_PYTHON (with $KINETIX_PEER_PYTHONPATH as its PYTHONPATH: for machines where the packages are only
+unpacked), or bench/.peers/jax2d, which bench/peers/setup.sh makes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.cli.errors import UserError
+
+PUBLISHED_PRESET = "paper"  # the one solver it has
+PUBLISHED_BACKEND = "xla"
+
+
+class PeerError(Exception):
+    """The published engine could not do what was asked, in its own words."""
+
+
+class Peer:
+    """The process. Requests and answers are one JSON line each; used as a context, which ends the process."""
+
+    def __init__(self, checkout: Path) -> None:
+        script = checkout / "bench" / "peers" / "jax2d_published.py"
+        if not script.is_file():
+            raise UserError(f"--peers needs {script}, which is in the repository; run from a checkout")
+        python = os.environ.get("KINETIX_PEER_PYTHON") or str(
+            checkout / "bench" / ".peers" / "jax2d" / "bin" / "python"
+        )
+        if not Path(python).is_file():
+            raise UserError(f"--peers: {python} does not exist; run `bash bench/peers/setup.sh` first")
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        if path := os.environ.get("KINETIX_PEER_PYTHONPATH"):
+            environment["PYTHONPATH"] = path
+        # Two processes share the device in turns: neither may take all its memory.
+        environment.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+        self._messages = tempfile.TemporaryFile("w+")
+        self._process = subprocess.Popen(
+            [python, str(script)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._messages,
+            text=True,
+            env=environment,
+        )
+        try:
+            self.description = self.ask("describe")
+        except PeerError as error:
+            self.close()
+            raise UserError(f"--peers: {error}") from error
+
+    def __enter__(self) -> Peer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the process; it stops by itself when its input is closed."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        try:
+            self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._messages.close()
+
+    def ask(self, request: str, **arguments: Any) -> dict[str, Any]:
+        """Sends a request and waits for its answer; raises `PeerError` when it failed or the process ended."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            self._process.stdin.write(json.dumps({"do": request} | arguments) + "\n")
+            self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        if not line:
+            self._messages.seek(0)
+            said = self._messages.read().strip().splitlines() or ["no message"]
+            raise PeerError(f"the published engine's process ended: {said[-1]}")
+        answer = json.loads(line)
+        if not answer.pop("ok"):
+            raise PeerError(answer["error"])
+        return answer
+
+    def prepare(self, size: str, files: list[Path], worlds: int, steps: int, seed: int) -> PublishedEngine:
+        """Compiles for these worlds and runs once."""
+        self.ask("prepare", levels=[str(file) for file in files], worlds=worlds, steps=steps, seed=seed)
+        record = {
+            "engine": "published",
+            "backend": PUBLISHED_BACKEND,
+            "preset": PUBLISHED_PRESET,
+            "size": size,
+            "worlds": worlds,
+            "device": self.description["device"],
+        }
+        return PublishedEngine(peer=self, record=record)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PublishedEngine:
+    """A `Runner` in the other process."""
+
+    peer: Peer
+    record: dict[str, Any]
+
+    def restart(self) -> None:
+        self.peer.ask("restart")
+
+    def run(self) -> float:
+        return self.peer.ask("run")["seconds"]
