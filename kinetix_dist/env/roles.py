@@ -1,12 +1,5 @@
-"""Roles a shape can play in the task: make green touch blue, and keep it off red."""
+"""Roles a shape can play in the task, defined with the levels that assign them."""
 
-import enum
+from kinetix_dist.level.roles import Role
 
-
-class Role(enum.IntEnum):
-    """Role of a shape; the numbers are those of the public Kinetix level files."""
-
-    NONE = 0
-    GREEN = 1
-    BLUE = 2  # the goal
-    RED = 3  # touching it with green ends the episode with -1
+__all__ = ["Role"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 
 import jax
+
 from jax2d.scene import Array, Capacity, Scene
 
 NUM_MOTOR_COLOURS = 4

@@ -1,0 +1,110 @@
+"""What follows from a level's geometry: centres of mass, masses, inertias and who may touch whom.
+
+One source of truth for files, importers, the generator and mutators: they say what the shapes are, these functions
+say the rest. Everything here is pure and traceable, for one level; `jax.vmap` gives a batch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array
+from jax2d.shapes import circle_mass_properties, polygon_mass_properties
+from kinetix_dist.level.level import Level
+from kinetix_dist.level.walls import COLLIDES_WITH_ALL
+
+
+def touch_permissions(
+    *,
+    shape_active: Array,
+    is_fixed: Array,
+    collision_mode: Array,
+    joint_active: Array,
+    joint_a: Array,
+    joint_b: Array,
+) -> Array:
+    """`[n, n]` bool: may shapes i and j collide?
+
+    Not with themselves, not when inactive, not when both are fixed, not through mode 0 (unless the other is 2), and
+    not within one body: shapes joined directly *or through others* never collide, as in the public levels (the two
+    wheels of a car, the links of an arm).
+    """
+    num_shapes, num_joints = shape_active.shape[0], joint_active.shape[0]
+    index = jnp.arange(num_shapes)
+    ends_a = (joint_a[:, None] == index) & joint_active[:, None]
+    ends_b = (joint_b[:, None] == index) & joint_active[:, None]
+    joined = (ends_a[:, :, None] & ends_b[:, None, :]).any(axis=0)
+    connected = joined | joined.T | jnp.eye(num_shapes, dtype=bool)
+    for _ in range(max(num_joints - 1, 0).bit_length()):  # each squaring doubles the length of paths followed
+        connected = (connected[:, :, None] & connected[None, :, :]).any(axis=1)
+    either_all = (collision_mode[:, None] == COLLIDES_WITH_ALL) | (collision_mode[None, :] == COLLIDES_WITH_ALL)
+    both_solid = collision_mode[:, None] * collision_mode[None, :] > 0
+    both_active = shape_active[:, None] & shape_active[None, :]
+    both_fixed = is_fixed[:, None] & is_fixed[None, :]
+    return both_active & ~both_fixed & (either_all | both_solid) & ~connected
+
+
+def centre_on_mass(level: Level) -> Level:
+    """Moves the origin of each polygon's frame to its area centroid; the world looks the same afterwards.
+
+    Shifts position, vertices, joint anchors and thruster positions.
+    """
+    scene = level.scene
+    num_polygons, num_circles = scene.num_vertices.shape[0], scene.radius.shape[0]
+    _, centroid, _ = jax.vmap(polygon_mass_properties)(scene.vertices, scene.num_vertices, jnp.ones(num_polygons))
+    shift = jnp.concatenate([centroid, jnp.zeros((num_circles, 2))])  # [n, 2] m, body frame
+    cos, sin = jnp.cos(level.angle), jnp.sin(level.angle)
+    shift_world = jnp.stack([cos * shift[:, 0] - sin * shift[:, 1], sin * shift[:, 0] + cos * shift[:, 1]], axis=-1)
+    moved = dataclasses.replace(
+        scene,
+        vertices=scene.vertices - centroid[:, None, :],
+        joint_anchor_a=scene.joint_anchor_a - shift[scene.joint_a],
+        joint_anchor_b=scene.joint_anchor_b - shift[scene.joint_b],
+        thruster_position=scene.thruster_position - shift[scene.thruster_body],
+    )
+    return dataclasses.replace(level, scene=moved, position=level.position + shift_world)
+
+
+def derive(level: Level, is_fixed: Array) -> Level:
+    """Fills in inverse masses, inverse inertias and `can_touch`; vertices must be about the centre of mass.
+
+    `is_fixed` [n] bool: shapes that never move, with zero inverse mass and inertia. Inactive shapes get zeros too.
+    """
+    scene = level.scene
+    num_polygons = scene.num_vertices.shape[0]
+    polygon_mass, _, polygon_inertia = jax.vmap(polygon_mass_properties)(
+        scene.vertices, scene.num_vertices, scene.density[:num_polygons]
+    )
+    circle_mass, circle_inertia = circle_mass_properties(scene.radius, scene.density[num_polygons:])
+    mass = jnp.concatenate([polygon_mass, circle_mass])
+    inertia = jnp.concatenate([polygon_inertia, circle_inertia])
+    moves = scene.shape_active & ~is_fixed & (mass > 0.0)
+    can_touch = touch_permissions(
+        shape_active=scene.shape_active,
+        is_fixed=is_fixed,
+        collision_mode=level.collision_mode,
+        joint_active=scene.joint_active,
+        joint_a=scene.joint_a,
+        joint_b=scene.joint_b,
+    )
+    derived = dataclasses.replace(
+        scene,
+        inverse_mass=jnp.where(moves, 1.0 / jnp.where(moves, mass, 1.0), 0.0),
+        inverse_inertia=jnp.where(moves, 1.0 / jnp.where(moves, inertia, 1.0), 0.0),
+        can_touch=can_touch,
+    )
+    return dataclasses.replace(level, scene=derived)
+
+
+@jax.jit
+def _centre_and_derive(level: Level, is_fixed: Array) -> Level:
+    return derive(centre_on_mass(level), is_fixed)
+
+
+def complete(level: Level, is_fixed: np.ndarray) -> Level:
+    """`derive(centre_on_mass(level))` on numpy arrays, for levels that come from files."""
+    return jax.tree.map(np.asarray, _centre_and_derive(level, is_fixed))

@@ -1,0 +1,149 @@
+"""Random levels, drawn on the device inside jit (paper, section 4, "Environment Generator").
+
+    walls -> green and blue -> a forced control -> more shapes -> thrusters -> swap green and blue -> permute slots
+
+A level grows one shape at a time: each addition draws several proposals (`proposals.py`) and keeps the one with the
+fewest overlaps. Free and joined shapes are one code path and additions are steps of one `lax.scan`, so the program is
+as small for L as for S and compiles in seconds. Everything is for one level; `generate_levels` is the batch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array, Capacity
+from kinetix_dist.level.derive import derive
+from kinetix_dist.level.draft import Draft, Thrusters, draft_to_level, empty_draft, first_free, read_slot, write_slot
+from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
+from kinetix_dist.level.permute import permute_slots
+from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose
+from kinetix_dist.level.roles import Role
+
+__all__ = ["GeneratorConfig", "generate_level", "generate_levels"]
+
+_NUM_FIRST = 3  # green, blue, and the shape that a forced motor needs
+_NUM_THRUSTER_DRAWS = 9
+
+
+def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
+    """One random level. Exactly one green and one blue, at least one motor or thruster. Consumes `key`."""
+    _check_capacity(capacity)
+    keys = jax.random.split(key, 6)
+    control = jax.random.randint(keys[0], (), 0, 3)  # 0: motor, 1: thruster, 2: both
+    force_motor, force_thruster = control != 1, control != 0
+
+    draft = _paint_floor(keys[1], empty_draft(capacity), config)
+    draft = _add_shapes(keys[2], draft, force_motor, capacity, config)
+    draft = _add_thrusters(keys[3], draft, force_thruster, config)
+    draft = _swap_green_and_blue(keys[4], draft)
+    draft = permute_slots(keys[5], draft, capacity.polygons)
+    return derive(*draft_to_level(draft, capacity))
+
+
+@functools.partial(jax.jit, static_argnames=("num_levels", "capacity", "config"))
+def generate_levels(key: Array, num_levels: int, capacity: Capacity, config: GeneratorConfig) -> Level:
+    """A batch, `[num_levels, ...]` on every field. Level i depends on `key` and i alone, not on `num_levels`."""
+    keys = jax.vmap(functools.partial(jax.random.fold_in, key))(jnp.arange(num_levels))
+    return jax.vmap(lambda one: generate_level(one, capacity, config))(keys)
+
+
+def _check_capacity(capacity: Capacity) -> None:
+    free = capacity.shapes - NUM_WALLS
+    if capacity.polygons <= NUM_WALLS or free < _NUM_FIRST or capacity.joints < 1 or capacity.thrusters < 1:
+        raise ValueError(
+            f"the generator needs room for {_NUM_FIRST} shapes besides the walls (one a polygon), 1 joint and 1 "
+            f"thruster; capacity has {capacity.polygons} polygons with {NUM_WALLS} walls, {capacity.circles} circles, "
+            f"{capacity.joints} joints and {capacity.thrusters} thrusters"
+        )
+
+
+def _paint_floor(key: Array, draft: Draft, config: GeneratorConfig) -> Draft:
+    draw = jax.random.uniform(key)
+    is_blue = draw < config.floor_blue_chance
+    is_red = ~is_blue & (draw < config.floor_blue_chance + config.floor_red_chance)
+    role = jnp.where(is_blue, Role.BLUE, jnp.where(is_red, Role.RED, Role.NONE)).astype(jnp.int32)
+    shapes = draft.shapes
+    return dataclasses.replace(draft, shapes=dataclasses.replace(shapes, role=shapes.role.at[0].set(role)))
+
+
+def _add_shapes(key: Array, draft: Draft, force_motor: Array, capacity: Capacity, config: GeneratorConfig) -> Draft:
+    """Green and blue, the forced motor's shape or a free one, then whatever chance says."""
+    num_steps = capacity.shapes - NUM_WALLS
+    allow_fixed = num_steps > _NUM_FIRST if config.allow_fixed is None else config.allow_fixed
+    coin_key, scan_key = jax.random.split(key)
+    # One of green and blue can move, whatever happens: the first if the floor is the goal.
+    first_moves = jax.random.bernoulli(coin_key) | (draft.shapes.role[0] == Role.BLUE)
+
+    def addition(draft: Draft, step_and_key: tuple[Array, Array]) -> tuple[Draft, None]:
+        step, step_key = step_and_key
+        kind_key, draw_key = jax.random.split(step_key)
+        kind = jax.random.uniform(kind_key)
+        is_chance = step >= _NUM_FIRST
+        wants_motor = (step == _NUM_FIRST - 1) & force_motor
+        is_joined = wants_motor | (is_chance & (kind < config.joined_shape_chance))
+        is_wanted = ~is_chance | (kind < config.joined_shape_chance + config.free_shape_chance)
+        must_move = ((step == 0) & first_moves) | ((step == 1) & ~first_moves)
+        request = Request(
+            is_joined=is_joined, force_motor=wants_motor, may_be_fixed=allow_fixed & ~must_move, step=step
+        )
+        draws = jax.random.uniform(draw_key, (config.num_proposals, NUM_DRAWS))
+        proposals = jax.vmap(lambda draw: propose(draft, request, draw, capacity.polygons, config))(draws)
+        return add_best(draft, proposals, is_joined, is_wanted), None
+
+    steps = jnp.arange(num_steps, dtype=jnp.int32)
+    draft, _ = jax.lax.scan(addition, draft, (steps, jax.random.split(scan_key, num_steps)))
+    return draft
+
+
+def _add_thrusters(key: Array, draft: Draft, force_thruster: Array, config: GeneratorConfig) -> Draft:
+    """The forced one on one of the first shapes, then one more at most for each slot but the first."""
+    num_thrusters = draft.thrusters.active.shape[0]
+    draws = jax.random.uniform(key, (num_thrusters, _NUM_THRUSTER_DRAWS))
+
+    def addition(draft: Draft, step_and_draw: tuple[Array, Array]) -> tuple[Draft, None]:
+        step, draw = step_and_draw
+        is_wanted = jnp.where(step == 0, force_thruster, draw[0] < config.thruster_chance)
+        shapes = draft.shapes
+        may_carry = shapes.active & ~shapes.is_fixed & ((step > 0) | (shapes.added_at < _NUM_FIRST))
+        body = pick(may_carry.astype(jnp.float32), draw[1])
+        shape = read_slot(shapes, body)
+        position = point_inside(shape, draw[2:4])
+        outwards = jnp.arctan2(position[1], position[0]) + jnp.where(draw[4] < 0.5, math.pi, 0.0)
+        angle = jnp.where(draw[5] < config.thruster_aligned_chance, outwards, 2.0 * math.pi * draw[6])
+        thruster = Thrusters(
+            active=jnp.array(True),
+            body=body,
+            position=position,
+            angle=angle,
+            power=_mass(shape) * config.thruster_power_factor * (0.5 + 1.5 * draw[7]),
+            colour=jnp.floor(draw[8] * NUM_THRUSTER_COLOURS).astype(jnp.int32),
+        )
+        slot = first_free(draft.thrusters.active)
+        thrusters = write_slot(draft.thrusters, slot, thruster, is_wanted & may_carry.any())
+        return dataclasses.replace(draft, thrusters=thrusters), None
+
+    draft, _ = jax.lax.scan(addition, draft, (jnp.arange(num_thrusters), draws))
+    return draft
+
+
+def _mass(shape: object) -> Array:
+    """kg, at density 1."""
+    corners = shape.vertices
+    following = jnp.roll(corners, -1, axis=0)
+    area = 0.5 * jnp.sum(corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0])
+    return area + math.pi * shape.radius**2
+
+
+def _swap_green_and_blue(key: Array, draft: Draft) -> Draft:
+    """Removes the bias of green to the left and of green being added first, unless the floor plays a role."""
+    shapes = draft.shapes
+    swap = jax.random.bernoulli(key) & (shapes.role[0] == Role.NONE)
+    is_either = (shapes.role == Role.GREEN) | (shapes.role == Role.BLUE)
+    role = jnp.where(swap & is_either, Role.GREEN + Role.BLUE - shapes.role, shapes.role)
+    return dataclasses.replace(draft, shapes=dataclasses.replace(shapes, role=role))
