@@ -121,6 +121,7 @@ class Touching:
     at_end: Array  # [n, words] uint32, after the last physics step of the call
     during: Array  # [n, words] uint32, in any physics step of the call
     overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
+    limited: Array  # [] int32, times a speed limit of the settings acted in this call
 
 
 def touch_matrix(bits: Array, num_shapes: int) -> Array:

@@ -1,0 +1,23 @@
+"""jax2d: simulates thousands to a million small 2D rigid-body worlds at once, on CPU and CUDA, from JAX."""
+
+from jax2d.engine import Engine
+from jax2d.scene import Capacity, Controls, Scene, State, Touching, index_worlds, stack_worlds, touch_matrix
+from jax2d.settings import PRESETS, Settings, preset
+from jax2d.shapes import circle_mass_properties, polygon_mass_properties
+
+__all__ = [
+    "PRESETS",
+    "Capacity",
+    "Controls",
+    "Engine",
+    "Scene",
+    "Settings",
+    "State",
+    "Touching",
+    "circle_mass_properties",
+    "index_worlds",
+    "polygon_mass_properties",
+    "preset",
+    "stack_worlds",
+    "touch_matrix",
+]

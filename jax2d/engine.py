@@ -1,0 +1,129 @@
+"""The engine: steps worlds of one capacity with one solver on one backend.
+
+    engine = Engine(capacity, settings=preset("standard"))
+    state = engine.initial_state(scene, position, angle, velocity, angular_velocity)
+    state, touching = engine.step(scene, state, controls)            # convenient: any batch or a single world
+    packed, touching = engine.step_packed(packed_scene, packed, controls, num_steps=2)  # hot loop
+
+`step` converts between Scene and State and the backend's own tables on every call; loops convert once
+with `pack_scene` and `pack_state`, and read positions with `bodies`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
+from jax2d.settings import Settings, preset
+
+JOINT_IMPULSES = 5  # point x, point y, angle or motor, lower limit, upper limit
+
+
+class Engine:
+    """Steps batches of worlds. Building one compiles nothing; the first step does (a few seconds, then cached)."""
+
+    def __init__(self, capacity: Capacity, *, settings: Settings | None = None, backend: str = "warp"):
+        if backend != "warp":
+            raise ValueError(f"unknown engine backend {backend!r}; known backends: warp")
+        from jax2d.warp.ffi import WarpBackend
+
+        self.capacity = capacity
+        self.settings = settings if settings is not None else preset("standard")
+        self.backend = WarpBackend(capacity, self.settings)
+
+    # Single worlds and batches
+
+    def initial_state(
+        self,
+        scene: Scene,
+        position: Array,
+        angle: Array | None = None,
+        velocity: Array | None = None,
+        angular_velocity: Array | None = None,
+    ) -> State:
+        """A state without remembered impulses. Omitted parts are zero. Batched as `position` is."""
+        position = jnp.asarray(position, jnp.float32)
+        batch = position.shape[:-2]
+        shapes = (*batch, self.capacity.shapes)
+        if position.shape != (*shapes, 2):
+            raise ValueError(f"position has shape {position.shape}; this engine's scenes need [..., {shapes[-1]}, 2]")
+
+        def given(x: Array | None, shape: tuple[int, ...]) -> jax.Array:
+            return jnp.zeros(shape, jnp.float32) if x is None else jnp.asarray(x, jnp.float32).reshape(shape)
+
+        slots = self.backend.num_contact_slots
+        return State(
+            position=position,
+            angle=given(angle, shapes),
+            velocity=given(velocity, (*shapes, 2)),
+            angular_velocity=given(angular_velocity, shapes),
+            joint_impulse=jnp.zeros((*batch, self.capacity.joints, JOINT_IMPULSES), jnp.float32),
+            contact_key=jnp.full((*batch, slots), -1, jnp.int32),
+            contact_impulse=jnp.zeros((*batch, slots, 2), jnp.float32),
+        )
+
+    def no_controls(self, *batch: int) -> Controls:
+        """Controls that do nothing, for a batch of the given shape."""
+        return Controls(
+            motor=jnp.zeros((*batch, self.capacity.joints)), thruster=jnp.zeros((*batch, self.capacity.thrusters))
+        )
+
+    def step(
+        self, scene: Scene, state: State, controls: Controls | None = None, num_steps: int = 1
+    ) -> tuple[State, Touching]:
+        """Steps one world or a batch (leading axis on every field) by `num_steps` steps of `settings.dt`."""
+        single = jnp.ndim(state.position) == 2
+        if controls is None:
+            controls = self.no_controls(*jnp.shape(state.position)[:-2])
+        self._check(scene, state, controls)
+        if single:
+            scene, state, controls = jax.tree.map(lambda x: jnp.asarray(x)[None], (scene, state, controls))
+        packed, touching = self.step_packed(self.pack_scene(scene), self.pack_state(state), controls, num_steps)
+        state = self.unpack_state(packed)
+        if single:
+            state, touching = jax.tree.map(lambda x: x[0], (state, touching))
+        return state, touching
+
+    # Hot loops
+
+    def pack_scene(self, scene: Scene) -> Any:
+        """The backend's tables of a batch of scenes; every leaf has the world axis last."""
+        return self.backend.pack_scene(scene)
+
+    def pack_state(self, state: State) -> Any:
+        return self.backend.pack_state(state)
+
+    def unpack_state(self, packed: Any) -> State:
+        return self.backend.unpack_state(packed)
+
+    def bodies(self, packed: Any) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n]) of a packed state."""
+        return self.backend.bodies(packed)
+
+    def step_packed(
+        self, scene: Any, state: Any, controls: Controls, num_steps: int = 1
+    ) -> tuple[Any, Touching]:
+        """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T]."""
+        return self.backend.step_packed(scene, state, controls, num_steps)
+
+    def _check(self, scene: Scene, state: State, controls: Controls) -> None:
+        c = self.capacity
+        batch = jnp.shape(state.position)[:-2]
+        if len(batch) > 1:
+            raise ValueError(f"state has batch shape {batch}; fold batches into one leading world axis")
+        for name, array, shape in (
+            ("state.position", state.position, (c.shapes, 2)),
+            ("state.velocity", state.velocity, (c.shapes, 2)),
+            ("scene.vertices", scene.vertices, (c.polygons, c.vertices, 2)),
+            ("scene.radius", scene.radius, (c.circles,)),
+            ("scene.joint_a", scene.joint_a, (c.joints,)),
+            ("scene.thruster_body", scene.thruster_body, (c.thrusters,)),
+            ("controls.motor", controls.motor, (c.joints,)),
+            ("controls.thruster", controls.thruster, (c.thrusters,)),
+        ):
+            if jnp.shape(array) != (*batch, *shape):
+                raise ValueError(
+                    f"{name} has shape {jnp.shape(array)}; this engine ({c}) needs {(*batch, *shape)}"
+                )

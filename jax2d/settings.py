@@ -1,0 +1,108 @@
+"""Solver settings and the named presets of them. A preset is a point on the accuracy-time curve.
+
+`paper` is the sequential-impulse solver of the Kinetix paper's appendix, kept for comparison; `standard`
+is soft-step sub-stepping as in Box2D v3 and is the default. Formulas stand in docs/engine.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Literal
+
+Solver = Literal["soft_step", "sequential_impulses"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver` and
+    `friction_mixing` are compiled in."""
+
+    solver: Solver = "soft_step"
+    dt: float = 1 / 60  # s, one physics step
+    substeps: int = 4  # soft_step: sub-steps of dt / substeps; sequential_impulses: solver iterations
+
+    # What the units of a level mean
+    base_friction: float = 0.4 * math.sqrt(2.0)  # times the mixed coefficient; equal bodies rub as in `paper`
+    friction_mixing: Literal["geometric_mean", "root_sum_square"] = "geometric_mean"
+    base_motor_speed: float = 6.0  # rad/s at motor_speed 1
+    base_motor_power: float = 900.0  # rad/s^2 that a motor of power 1 gives to its two bodies alone
+    base_thruster_power: float = 10.0  # N at thruster_power 1
+
+    # Limits: they act on nothing ordinary; whenever one acts, Touching.limited counts it
+    max_speed: float = 100.0  # m/s
+    max_angular_speed: float = 50.0  # rad/s, 0.83 rad a step at 60 Hz
+
+    # soft_step
+    contact_hertz: float = 30.0  # stiffness of contacts, at most contact_hertz_share / h
+    contact_hertz_share: float = 0.125
+    contact_damping_ratio: float = 10.0
+    joint_hertz: float = 60.0
+    joint_hertz_share: float = 0.25
+    joint_damping_ratio: float = 2.0
+    push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
+    speculative_distance: float = 0.02  # m, contacts are prepared from here on (4 x Box2D's linear slop)
+    restitution_threshold: float = 1.0  # m/s, slower impacts do not bounce, so that stacks come to rest
+
+    # sequential_impulses (published constants)
+    slop: float = 0.01  # m, penetration left alone
+    collision_correction: float = 0.2  # share of the penetration beyond slop undone a step
+    joint_velocity_correction: float = 2.0  # 1/s
+    joint_position_correction: float = 0.7
+    joint_stiffness: float = 0.6
+    fixed_angle_rate: float = 2.0  # 1/s
+    limit_angle_rate: float = 5.0  # 1/s
+    motor_decay: float = 0.1  # s/rad, rho in p tanh((w - sA) rho)
+    motor_fade_angle: float = 0.1  # rad before a limit within which a motor weakens
+
+    def __post_init__(self) -> None:
+        if self.solver not in ("soft_step", "sequential_impulses"):
+            raise ValueError(f"Settings.solver is {self.solver!r}; use 'soft_step' or 'sequential_impulses'")
+        if self.friction_mixing not in ("geometric_mean", "root_sum_square"):
+            raise ValueError(
+                f"Settings.friction_mixing is {self.friction_mixing!r}; use 'geometric_mean' or 'root_sum_square'"
+            )
+        if not (math.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"Settings.dt is {self.dt}; a step must take a positive time in seconds")
+        if self.substeps < 1:
+            raise ValueError(f"Settings.substeps is {self.substeps}; at least 1 is needed")
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"Settings.{field.name} is {value}; it must be finite and not negative")
+
+    @property
+    def substep_seconds(self) -> float:
+        """h: what constraints are solved over."""
+        return self.dt / self.substeps if self.solver == "soft_step" else self.dt
+
+    def replace(self, **changes: object) -> Settings:
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+
+def softness(hertz: float, damping_ratio: float, h: float) -> tuple[float, float, float]:
+    """(bias rate 1/s, mass scale, impulse scale) of a soft constraint solved over h seconds.
+
+    omega = 2 pi f, a1 = 2 zeta + h omega, a2 = h omega a1: omega / a1, a2 / (1 + a2), 1 / (1 + a2).
+    """
+    if hertz == 0.0:
+        return 0.0, 1.0, 0.0
+    omega = 2.0 * math.pi * hertz
+    a1 = 2.0 * damping_ratio + h * omega
+    a2 = h * omega * a1
+    return omega / a1, a2 / (1.0 + a2), 1.0 / (1.0 + a2)
+
+
+PRESETS: dict[str, Settings] = {
+    "standard": Settings(),
+    "paper": Settings(
+        solver="sequential_impulses", substeps=10, base_friction=0.4, friction_mixing="root_sum_square"
+    ),
+}
+
+
+def preset(name: str) -> Settings:
+    """The named settings; raises ValueError with the known names for any other."""
+    if name not in PRESETS:
+        raise ValueError(f"unknown preset {name!r}; known presets: {', '.join(sorted(PRESETS))}")
+    return PRESETS[name]

@@ -1,0 +1,216 @@
+"""The kernel as a JAX function: packs Scene and State into worlds-last tables and calls it through XLA's FFI.
+
+Works inside jit, scan and shard_map on CPU and CUDA. Batches are explicit (leading world axis on every
+field of Scene and State); under `vmap` fold the mapped axis into the worlds instead.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import warp as wp
+from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
+from jax2d.settings import Settings, softness
+from jax2d.warp.kernel import make_kernel
+from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout, contact_slots
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PackedScene:
+    """Scene tables of the kernel, worlds last."""
+
+    floats: Array  # [rows, num_worlds] float32
+    ints: Array  # [rows, num_worlds] int32
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PackedState:
+    """State tables of the kernel, worlds last."""
+
+    bodies: Array  # [6 n, num_worlds] float32: position, angle, velocity, angular velocity
+    impulses: Array  # [5 J + 2 K, num_worlds] float32
+    keys: Array  # [K, num_worlds] int32
+
+
+def solver_parameters(settings: Settings) -> np.ndarray:
+    """The run-time numbers of a settings object in the order of layout.PARAMS, float32."""
+    h = settings.substep_seconds
+    contact = softness(
+        min(settings.contact_hertz, settings.contact_hertz_share / h), settings.contact_damping_ratio, h
+    )
+    # Fixed bodies do not yield, so contacts with them are twice as stiff.
+    fixed = softness(
+        2 * min(settings.contact_hertz, settings.contact_hertz_share / h), settings.contact_damping_ratio, h
+    )
+    joint = softness(min(settings.joint_hertz, settings.joint_hertz_share / h), settings.joint_damping_ratio, h)
+    values: dict[str, float] = {
+        name.upper(): value
+        for name, value in dataclasses.asdict(settings).items()
+        if name.upper() in PARAMS and not isinstance(value, str)
+    }
+    values |= {"H": h, "MAX_OMEGA": settings.max_angular_speed}
+    for prefix, triple in (("CONTACT", contact), ("FIXED", fixed), ("JOINT", joint)):
+        values |= dict(zip((f"{prefix}_BIAS_RATE", f"{prefix}_MASS_SCALE", f"{prefix}_IMPULSE_SCALE"), triple))
+    return np.array([values[name] for name in PARAMS], np.float32)
+
+
+def _worlds_last(x: Array, dtype: Any) -> jax.Array:
+    """[num_worlds, ...] -> [rows, num_worlds]."""
+    x = jnp.asarray(x)
+    return x.reshape(x.shape[0], -1).astype(dtype).T
+
+
+def _worlds_first(rows: Array, *shape: int) -> jax.Array:
+    return rows.T.reshape(rows.shape[1], *shape)
+
+
+class WarpBackend:
+    """Steps batches of worlds of one capacity with one kernel launch a call."""
+
+    def __init__(self, capacity: Capacity, settings: Settings):
+        self.capacity = capacity
+        self.settings = settings
+        self.num_contact_slots = contact_slots(capacity)
+        self.rows = Layout(capacity).rows()
+        self.parameters = solver_parameters(settings)
+        wp.init()
+        self._kernel = make_kernel(capacity, settings.solver, settings.friction_mixing)
+        self._call = _jax_call(capacity, settings.solver, settings.friction_mixing)
+
+    def pack_scene(self, scene: Scene) -> PackedScene:
+        """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
+        c = self.capacity
+        active = jnp.asarray(scene.shape_active)
+        floats = jnp.concatenate(
+            [
+                _worlds_last(field, jnp.float32)
+                for field in (
+                    jnp.where(active, scene.inverse_mass, 0.0),
+                    jnp.where(active, scene.inverse_inertia, 0.0),
+                    scene.friction,
+                    scene.restitution,
+                    scene.vertices,
+                    scene.radius,
+                    scene.joint_anchor_a,
+                    scene.joint_anchor_b,
+                    scene.joint_rest_angle,
+                    scene.motor_speed,
+                    scene.motor_power,
+                    scene.lower_limit,
+                    scene.upper_limit,
+                    scene.thruster_position,
+                    scene.thruster_angle,
+                    scene.thruster_power,
+                    scene.gravity,
+                )
+            ]
+        )
+        worlds = active.shape[0]
+        movable = active & (jnp.asarray(scene.inverse_mass) + jnp.asarray(scene.inverse_inertia) > 0)
+        meets = jnp.asarray(scene.can_touch) & active[:, :, None] & active[:, None, :]
+        meets &= movable[:, :, None] | movable[:, None, :]
+        meets &= np.triu(np.ones((c.shapes, c.shapes), bool), 1)  # each pair once, at its lower index
+        flags = (
+            jnp.asarray(scene.joint_active) * JOINT_FLAGS["JOINT_ACTIVE"]
+            + jnp.asarray(scene.joint_is_fixed) * JOINT_FLAGS["JOINT_FIXED"]
+            + jnp.asarray(scene.motor_on) * JOINT_FLAGS["JOINT_MOTOR"]
+            + jnp.asarray(scene.has_limits) * JOINT_FLAGS["JOINT_LIMITED"]
+        )
+        joints = flags + (jnp.asarray(scene.joint_a) << 8) + (jnp.asarray(scene.joint_b) << 20)
+        owners = jnp.where(jnp.asarray(scene.thruster_active), scene.thruster_body, -1)
+        ints = jnp.concatenate(
+            [
+                _worlds_last(jax.lax.bitcast_convert_type(_bits(meets, c.touch_words), jnp.int32), jnp.int32),
+                _worlds_last(scene.num_vertices, jnp.int32),
+                _worlds_last(joints, jnp.int32),
+                _worlds_last(owners, jnp.int32),
+            ]
+        )
+        assert floats.shape == (self.rows["SCENE"]["ROWS"], worlds), floats.shape
+        return PackedScene(floats=floats, ints=ints)
+
+    def pack_state(self, state: State) -> PackedState:
+        bodies = [state.position, state.angle, state.velocity, state.angular_velocity]
+        return PackedState(
+            bodies=jnp.concatenate([_worlds_last(x, jnp.float32) for x in bodies]),
+            impulses=jnp.concatenate(
+                [_worlds_last(x, jnp.float32) for x in (state.joint_impulse, state.contact_impulse)]
+            ),
+            keys=_worlds_last(state.contact_key, jnp.int32),
+        )
+
+    def bodies(self, packed: PackedState) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n])."""
+        n, rows = self.capacity.shapes, packed.bodies
+        return (
+            _worlds_first(rows[: 2 * n], n, 2),
+            _worlds_first(rows[2 * n : 3 * n], n),
+            _worlds_first(rows[3 * n : 5 * n], n, 2),
+            _worlds_first(rows[5 * n :], n),
+        )
+
+    def unpack_state(self, packed: PackedState) -> State:
+        position, angle, velocity, angular_velocity = self.bodies(packed)
+        joint_rows = 5 * self.capacity.joints
+        return State(
+            position=position,
+            angle=angle,
+            velocity=velocity,
+            angular_velocity=angular_velocity,
+            joint_impulse=_worlds_first(packed.impulses[:joint_rows], self.capacity.joints, 5),
+            contact_key=packed.keys.T,
+            contact_impulse=_worlds_first(packed.impulses[joint_rows:], self.num_contact_slots, 2),
+        )
+
+    def step_packed(
+        self, scene: PackedScene, state: PackedState, controls: Controls, num_steps: int
+    ) -> tuple[PackedState, Touching]:
+        c, rows = self.capacity, self.rows["OUT"]
+        worlds = state.bodies.shape[1]
+        control_rows = [_worlds_last(x, jnp.float32) for x in (controls.motor, controls.thruster) if x.shape[-1]]
+        control_table = jnp.concatenate(control_rows) if control_rows else jnp.zeros((1, worlds), jnp.float32)
+        bodies, impulses, keys, out = self._call(
+            scene.floats,
+            scene.ints,
+            control_table,
+            jnp.asarray(self.parameters),
+            state.bodies,
+            state.impulses,
+            state.keys,
+            num_steps,
+            launch_dims=worlds,
+            output_dims={"out_table": (rows["ROWS"], worlds)},
+        )
+        bits = jax.lax.bitcast_convert_type(out, jnp.uint32)
+        height = c.shapes * c.touch_words
+        touching = Touching(
+            at_end=_worlds_first(bits[rows["AT_END"] : rows["AT_END"] + height], c.shapes, c.touch_words),
+            during=_worlds_first(bits[rows["DURING"] : rows["DURING"] + height], c.shapes, c.touch_words),
+            overflow=out[rows["OVERFLOW"]],
+            limited=out[rows["LIMITED"]],
+        )
+        return PackedState(bodies=bodies, impulses=impulses, keys=keys), touching
+
+
+@functools.cache
+def _jax_call(capacity: Capacity, solver: str, friction_mixing: str) -> Any:
+    return wp.jax_kernel(
+        make_kernel(capacity, solver, friction_mixing),
+        num_outputs=4,
+        in_out_argnames=["state_table", "impulse_table", "key_table"],
+        block_dim=64,
+    )
+
+
+def _bits(matrix: jax.Array, words: int) -> jax.Array:
+    """[..., n] bool -> [..., words] uint32, bit j % 32 of word j // 32."""
+    padded = jnp.zeros((*matrix.shape[:-1], words * 32), bool).at[..., : matrix.shape[-1]].set(matrix)
+    weights = np.uint32(1) << np.arange(32, dtype=np.uint32)
+    return (padded.reshape(*matrix.shape[:-1], words, 32).astype(jnp.uint32) * weights).sum(-1, dtype=jnp.uint32)

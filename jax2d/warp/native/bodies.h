@@ -1,0 +1,96 @@
+// Bodies of one world while it is stepped: mass, velocity, and position as a delta from the start of
+// the step, so that nothing is lost far from the origin.
+
+struct Bodies {
+  Vec2 position[NUM_SHAPES];  // at the start of the step
+  real angle[NUM_SHAPES];
+  Vec2 velocity[NUM_SHAPES];
+  real omega[NUM_SHAPES];
+  Vec2 delta[NUM_SHAPES];     // moved since the start of the step
+  real turn[NUM_SHAPES];      // turned since the start of the step
+  Rotation rotation[NUM_SHAPES];
+  real inverse_mass[NUM_SHAPES];
+  real inverse_inertia[NUM_SHAPES];
+  int limited;                // times a speed limit acted
+
+  KFN bool is_dynamic(int i) const { return inverse_mass[i] > real(0) || inverse_inertia[i] > real(0); }
+
+  KFN void load(const Column& scene, const Column& state) {
+    limited = 0;
+    for (int i = 0; i < NUM_SHAPES; ++i) {
+      position[i] = state.get2(STATE_POSITION + 2 * i);
+      angle[i] = state.get(STATE_ANGLE + i);
+      velocity[i] = state.get2(STATE_VELOCITY + 2 * i);
+      omega[i] = state.get(STATE_OMEGA + i);
+      inverse_mass[i] = scene.get(SCENE_INVERSE_MASS + i);
+      inverse_inertia[i] = scene.get(SCENE_INVERSE_INERTIA + i);
+    }
+  }
+
+  KFN void store(const Column& state) const {
+    for (int i = 0; i < NUM_SHAPES; ++i) {
+      state.set2(STATE_POSITION + 2 * i, position[i]);
+      state.set(STATE_ANGLE + i, angle[i]);
+      state.set2(STATE_VELOCITY + 2 * i, velocity[i]);
+      state.set(STATE_OMEGA + i, omega[i]);
+    }
+  }
+
+  KFN void begin_step() {
+    for (int i = 0; i < NUM_SHAPES; ++i) {
+      delta[i] = {real(0), real(0)};
+      turn[i] = real(0);
+      rotation[i] = {cosf(angle[i]), sinf(angle[i])};
+    }
+  }
+
+  KFN void end_step() {
+    for (int i = 0; i < NUM_SHAPES; ++i) {
+      position[i] = position[i] + delta[i];
+      angle[i] += turn[i];
+    }
+  }
+
+  // Semi-implicit Euler: velocity from gravity.
+  KFN void apply_gravity(Vec2 gravity, real dt) {
+    for (int i = 0; i < NUM_SHAPES; ++i)
+      if (inverse_mass[i] > real(0)) velocity[i] = velocity[i] + gravity * dt;
+  }
+
+  // Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted.
+  KFN void move(real dt, real max_speed, real max_omega) {
+    for (int i = 0; i < NUM_SHAPES; ++i) {
+      if (!is_dynamic(i)) continue;
+      real speed_squared = velocity[i].dot(velocity[i]);
+      if (speed_squared > max_speed * max_speed) {
+        velocity[i] = velocity[i] * (max_speed / sqrtf(speed_squared));
+        ++limited;
+      }
+      if (omega[i] > max_omega || omega[i] < -max_omega) {
+        omega[i] = Math::clamp(omega[i], -max_omega, max_omega);
+        ++limited;
+      }
+      delta[i] = delta[i] + velocity[i] * dt;
+      real angle_step = omega[i] * dt;
+      turn[i] += angle_step;
+      rotation[i] = rotation[i].turned(angle_step);
+    }
+  }
+
+  KFN Vec2 velocity_at(int i, Vec2 arm) const { return velocity[i] + arm.left() * omega[i]; }
+
+  KFN void push(int i, Vec2 arm, Vec2 impulse) {
+    velocity[i] = velocity[i] + impulse * inverse_mass[i];
+    omega[i] += inverse_inertia[i] * arm.cross(impulse);
+  }
+
+  KFN void push_pair(int a, Vec2 arm_a, int b, Vec2 arm_b, Vec2 impulse_on_b) {
+    push(a, arm_a, -impulse_on_b);
+    push(b, arm_b, impulse_on_b);
+  }
+
+  KFN void twist_pair(int a, int b, real impulse_on_b) {
+    omega[a] -= inverse_inertia[a] * impulse_on_b;
+    omega[b] += inverse_inertia[b] * impulse_on_b;
+  }
+};

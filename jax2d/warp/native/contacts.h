@@ -1,0 +1,229 @@
+// The contacts of one world in one step: found, matched with the impulses of the step before, solved.
+//
+// Soft contacts follow the soft-step solver of Box2D v3 (Solver2D study); see docs/engine.md for the
+// equations. Hard contacts (preset paper) follow the appendix of the Kinetix paper.
+
+struct Contact {
+  int a, b, key;
+  Vec2 normal;
+  Vec2 arm_a, arm_b;         // from the centres of mass, at the start of the step
+  real separation;           // at the start of the step
+  real mass_normal, mass_tangent;
+  real impulse_normal, impulse_tangent;
+  real friction, restitution;
+  real approach;             // relative normal speed before solving, negative when approaching
+  real most_impulse;         // largest normal impulse in this step
+  bool against_fixed;
+};
+
+struct Softness {
+  real bias_rate, mass_scale, impulse_scale;
+};
+
+struct Contacts {
+  Contact list[NUM_CONTACTS + 1];
+  int count, overflow;
+
+  KFN static int key_of(int a, int b, int feature) { return (a << 22) | (b << 12) | feature; }
+
+  // Searches all pairs that may touch, in slot order, so that keys ascend and old impulses are found by
+  // one walk over the old list. `reach` is the distance at which a contact is prepared.
+  KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
+                const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
+                bool ahead) {
+    count = 0;
+    overflow = 0;
+    int old_slot = 0;
+    for (int a = 0; a < NUM_SHAPES; ++a) {
+      for (int word = a / 32; word < TOUCH_WORDS; ++word) {
+        unsigned int partners = (unsigned int)(ints.get(INTS_PARTNERS + a * TOUCH_WORDS + word));
+        while (partners != 0u) {  // only partners b > a are stored
+          int b = word * 32 + Math::lowest_bit(partners);
+          partners &= partners - 1u;
+          Vec2 d = bodies.position[b] - bodies.position[a];
+          real margin = reach;
+          if (ahead) margin += fast_margin(bodies, geometry, a, b, dt);
+          if (!geometry.bounds_overlap(a, b, d, margin)) continue;
+          Manifold m = geometry.collide(a, b, d, margin);
+          if (m.count == 0) continue;
+          real friction = mix_friction(scene.get(SCENE_FRICTION + a), scene.get(SCENE_FRICTION + b), params);
+          real restitution = Math::min(scene.get(SCENE_RESTITUTION + a), scene.get(SCENE_RESTITUTION + b));
+          int pair_key = key_of(a, b, 0);
+          while (old_slot < NUM_CONTACTS) {  // keys of earlier pairs are behind us for good
+            int key = old_keys.get(old_slot);
+            if (key < 0 || key >= pair_key) break;
+            ++old_slot;
+          }
+          for (int p = 0; p < m.count; ++p) {
+            if (count == NUM_CONTACTS) {
+              ++overflow;
+              continue;
+            }
+            Contact& c = list[count++];
+            c.a = a;
+            c.b = b;
+            c.key = pair_key | m.points[p].feature;
+            c.normal = m.normal;
+            c.arm_a = m.points[p].point;
+            c.arm_b = m.points[p].point - d;
+            c.separation = m.points[p].separation;
+            c.friction = friction;
+            c.restitution = restitution;
+            c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
+            c.mass_normal = pair_mass(bodies, c, m.normal);
+            c.mass_tangent = pair_mass(bodies, c, m.normal.right());
+            c.impulse_normal = real(0);
+            c.impulse_tangent = real(0);
+            c.most_impulse = real(0);
+            for (int s = old_slot; s < NUM_CONTACTS; ++s) {
+              int key = old_keys.get(s);
+              if (key < 0 || (key >> 12) != (pair_key >> 12)) break;
+              if (key == c.key) {
+                c.impulse_normal = old_impulses.get(IMPULSE_CONTACT + 2 * s);
+                c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT + 2 * s + 1);
+                break;
+              }
+            }
+            c.approach = c.normal.dot(relative_velocity(bodies, c));
+          }
+        }
+      }
+    }
+  }
+
+  // How much farther than `reach` a contact is prepared for a body that could step over what is in its way.
+  KFN static real fast_margin(const Bodies& bodies, const Geometry& geometry, int a, int b, real dt) {
+    Vec2 relative = bodies.velocity[b] - bodies.velocity[a];
+    real spin_a = bodies.omega[a] < real(0) ? -bodies.omega[a] : bodies.omega[a];
+    real spin_b = bodies.omega[b] < real(0) ? -bodies.omega[b] : bodies.omega[b];
+    real motion = (relative.length() + spin_a * (geometry.extent[a] - geometry.core[a]) +
+                   spin_b * (geometry.extent[b] - geometry.core[b])) * dt;
+    real safe = real(0.5) * Math::min(geometry.core[a], geometry.core[b]);
+    return motion > safe ? motion : real(0);
+  }
+
+  KFN static real mix_friction(real a, real b, const Column& params) {
+    real base = params.get(PARAM_BASE_FRICTION);
+    return base * (FRICTION_ROOT_SUM_SQUARE ? sqrtf(a * a + b * b) : sqrtf(a * b));
+  }
+
+  KFN static Vec2 relative_velocity(const Bodies& bodies, const Contact& c) {
+    return bodies.velocity_at(c.b, c.arm_b) - bodies.velocity_at(c.a, c.arm_a);
+  }
+
+  KFN static real pair_mass(const Bodies& bodies, const Contact& c, Vec2 direction) {
+    real ra = c.arm_a.cross(direction), rb = c.arm_b.cross(direction);
+    return Math::inverse_or_zero(bodies.inverse_mass[c.a] + bodies.inverse_mass[c.b] +
+                                 bodies.inverse_inertia[c.a] * ra * ra + bodies.inverse_inertia[c.b] * rb * rb);
+  }
+
+  KFN void warm_start(Bodies& bodies) {
+    for (int i = 0; i < count; ++i) {
+      const Contact& c = list[i];
+      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+    }
+  }
+
+  KFN static real current_separation(const Bodies& bodies, const Contact& c) {
+    // Anchors move and turn with their bodies; the normal stays as it was at the start of the step.
+    Vec2 moved = bodies.delta[c.b] - bodies.delta[c.a];
+    real ta = bodies.turn[c.a], tb = bodies.turn[c.b];
+    Vec2 arm_a = c.arm_a.left() * sinf_small(ta) - c.arm_a * one_minus_cos_small(ta);
+    Vec2 arm_b = c.arm_b.left() * sinf_small(tb) - c.arm_b * one_minus_cos_small(tb);
+    return c.separation + (moved + arm_b - arm_a).dot(c.normal);
+  }
+  // Within a step bodies turn by less than a radian: series with errors below 1e-5.
+  KFN static real sinf_small(real t) {
+    real t2 = t * t;
+    return t * (real(1) - t2 * (real(0.16666667) - t2 * real(0.0083333333)));
+  }
+  KFN static real one_minus_cos_small(real t) {
+    real t2 = t * t;
+    return t2 * (real(0.5) - t2 * (real(0.041666667) - t2 * real(0.0013888889)));
+  }
+
+  // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
+  // back the velocity that the push added, and applies friction.
+  KFN void solve_soft(Bodies& bodies, const Softness& dynamic_soft, const Softness& fixed_soft, real inverse_h,
+                      real push_out_speed, bool use_bias) {
+    for (int i = 0; i < count; ++i) {
+      Contact& c = list[i];
+      real separation = current_separation(bodies, c);
+      real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
+      if (separation > real(0)) {
+        bias = separation * inverse_h;  // speculative: may close the gap, not more
+      } else if (use_bias) {
+        const Softness& soft = c.against_fixed ? fixed_soft : dynamic_soft;
+        mass_scale = soft.mass_scale;
+        impulse_scale = soft.impulse_scale;
+        bias = Math::max(mass_scale * soft.bias_rate * separation, -push_out_speed);
+      }
+      real vn = c.normal.dot(relative_velocity(bodies, c));
+      real impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
+      real total = Math::max(c.impulse_normal + impulse, real(0));
+      impulse = total - c.impulse_normal;
+      c.impulse_normal = total;
+      c.most_impulse = Math::max(c.most_impulse, total);
+      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
+      if (!use_bias) solve_friction(bodies, c);
+    }
+  }
+
+  KFN static void solve_friction(Bodies& bodies, Contact& c) {
+    if (c.friction == real(0)) return;
+    Vec2 tangent = c.normal.right();
+    real vt = tangent.dot(relative_velocity(bodies, c));
+    real most = c.friction * c.impulse_normal;
+    real total = Math::clamp(c.impulse_tangent - c.mass_tangent * vt, -most, most);
+    real impulse = total - c.impulse_tangent;
+    c.impulse_tangent = total;
+    bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, tangent * impulse);
+  }
+
+  // Restitution once, after all sub-steps: the speed wanted is -e times that before the step.
+  KFN void apply_restitution(Bodies& bodies, real threshold) {
+    for (int i = 0; i < count; ++i) {
+      Contact& c = list[i];
+      if (c.restitution == real(0) || c.approach > -threshold || c.most_impulse == real(0)) continue;
+      real vn = c.normal.dot(relative_velocity(bodies, c));
+      real total = Math::max(c.impulse_normal - c.mass_normal * (vn + c.restitution * c.approach), real(0));
+      real impulse = total - c.impulse_normal;
+      c.impulse_normal = total;
+      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
+    }
+  }
+
+  // One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and
+  // penetration bias in the numerator, accumulated impulse kept non-negative, friction by Coulomb's law.
+  KFN void solve_hard(Bodies& bodies, real correction_rate, real slop) {
+    for (int i = 0; i < count; ++i) {
+      Contact& c = list[i];
+      real bias = correction_rate * Math::max(-c.separation - slop, real(0));
+      real vn = c.normal.dot(relative_velocity(bodies, c));
+      real wanted = c.restitution * c.approach;
+      real total = Math::max(c.impulse_normal + c.mass_normal * (-vn + bias - wanted), real(0));
+      real impulse = total - c.impulse_normal;
+      c.impulse_normal = total;
+      c.most_impulse = Math::max(c.most_impulse, total);
+      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
+      solve_friction(bodies, c);
+    }
+  }
+
+  // Stores impulses for warm starting; slots in use before and free now are marked free.
+  KFN void store(const IntColumn& keys, const Column& impulses) const {
+    for (int s = 0; s < NUM_CONTACTS; ++s) {
+      if (s < count) {
+        keys.set(s, list[s].key);
+        impulses.set(IMPULSE_CONTACT + 2 * s, list[s].impulse_normal);
+        impulses.set(IMPULSE_CONTACT + 2 * s + 1, list[s].impulse_tangent);
+      } else if (keys.get(s) >= 0) {
+        keys.set(s, -1);
+        impulses.set(IMPULSE_CONTACT + 2 * s, real(0));
+        impulses.set(IMPULSE_CONTACT + 2 * s + 1, real(0));
+      } else {
+        break;  // used slots are always the first ones
+      }
+    }
+  }
+};

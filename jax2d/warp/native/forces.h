@@ -1,0 +1,29 @@
+// Thrusters: forces that an agent applies to bodies.
+
+struct Thrusters {
+  Vec2 local_position[NUM_THRUSTERS + 1], local_force[NUM_THRUSTERS + 1];
+  int body[NUM_THRUSTERS + 1];
+  int count;
+
+  KFN void load(const Column& scene, const IntColumn& ints, const Column& controls, const Column& params) {
+    count = 0;
+    for (int t = 0; t < NUM_THRUSTERS; ++t) {
+      real control = controls.get(NUM_JOINTS + t);
+      int owner = ints.get(INTS_THRUSTERS + t);  // -1: empty slot
+      if (owner < 0 || control == real(0)) continue;
+      body[count] = owner;
+      local_position[count] = scene.get2(SCENE_THRUSTER_POSITION + 2 * t);
+      real angle = scene.get(SCENE_THRUSTER_ANGLE + t);
+      real force = control * scene.get(SCENE_THRUSTER_POWER + t) * params.get(PARAM_BASE_THRUSTER_POWER);
+      local_force[count] = {force * cosf(angle), force * sinf(angle)};
+      ++count;
+    }
+  }
+
+  KFN void apply(Bodies& bodies, real dt) const {
+    for (int k = 0; k < count; ++k) {
+      Rotation q = bodies.rotation[body[k]];
+      bodies.push(body[k], q.apply(local_position[k]), q.apply(local_force[k]) * dt);
+    }
+  }
+};

@@ -1,0 +1,181 @@
+// Joints of one world: motor, limits, the relative angle of fixed joints, and the common point.
+//
+// Body b is held to body a. Angles are angle_b - angle_a - rest angle. Soft joints follow the soft-step
+// solver, hard joints the appendix of the Kinetix paper; see docs/engine.md.
+
+struct Joint {
+  int a, b, index, flags;
+  Vec2 local_a, local_b;
+  Vec2 arm_a, arm_b;      // current, world orientation
+  Vec2 centre_gap;        // centre of b from centre of a at the start of the step
+  real start_angle;       // at the start of the step
+  real axial_mass;
+  real motor_target, motor_most;  // rad/s; largest impulse of one sub-step, N m s
+  real lower, upper;
+  Vec2 impulse;
+  real twist, impulse_lower, impulse_upper;  // twist: of the motor, or of a fixed joint's angle
+};
+
+struct Joints {
+  Joint list[NUM_JOINTS + 1];
+  int count;
+
+  KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& impulses) {
+    count = 0;
+    for (int j = 0; j < NUM_JOINTS; ++j) {
+      int packed = ints.get(INTS_JOINTS + j);
+      if ((packed & JOINT_ACTIVE) == 0) continue;
+      Joint& joint = list[count];
+      joint.index = j;
+      joint.flags = packed;
+      joint.a = (packed >> 8) & 0xfff;
+      joint.b = (packed >> 20) & 0x7ff;
+      if (!bodies.is_dynamic(joint.a) && !bodies.is_dynamic(joint.b)) continue;  // nothing to hold
+      ++count;
+      joint.local_a = scene.get2(SCENE_ANCHOR_A + 2 * j);
+      joint.local_b = scene.get2(SCENE_ANCHOR_B + 2 * j);
+      joint.lower = scene.get(SCENE_LOWER + j);
+      joint.upper = scene.get(SCENE_UPPER + j);
+      joint.impulse = impulses.get2(IMPULSE_JOINT + 5 * j);
+      joint.twist = impulses.get(IMPULSE_JOINT + 5 * j + 2);
+      joint.impulse_lower = impulses.get(IMPULSE_JOINT + 5 * j + 3);
+      joint.impulse_upper = impulses.get(IMPULSE_JOINT + 5 * j + 4);
+      joint.axial_mass =
+          Math::inverse_or_zero(bodies.inverse_inertia[joint.a] + bodies.inverse_inertia[joint.b]);
+    }
+  }
+
+  KFN void store(const Column& impulses) const {
+    for (int k = 0; k < count; ++k) {
+      const Joint& joint = list[k];
+      impulses.set2(IMPULSE_JOINT + 5 * joint.index, joint.impulse);
+      impulses.set(IMPULSE_JOINT + 5 * joint.index + 2, joint.twist);
+      impulses.set(IMPULSE_JOINT + 5 * joint.index + 3, joint.impulse_lower);
+      impulses.set(IMPULSE_JOINT + 5 * joint.index + 4, joint.impulse_upper);
+    }
+  }
+
+  KFN void prepare(const Bodies& bodies, const Column& scene, const Column& controls, const Column& params, real h) {
+    for (int k = 0; k < count; ++k) {
+      Joint& joint = list[k];
+      joint.centre_gap = bodies.position[joint.b] - bodies.position[joint.a];
+      joint.start_angle = bodies.angle[joint.b] - bodies.angle[joint.a] - scene.get(SCENE_REST_ANGLE + joint.index);
+      turn_arms(bodies, joint);
+      real control = controls.get(joint.index);
+      bool driven = (joint.flags & JOINT_MOTOR) != 0 && (joint.flags & JOINT_FIXED) == 0 && control != real(0);
+      if (!driven) joint.flags &= ~JOINT_MOTOR;
+      joint.motor_target = control * scene.get(SCENE_MOTOR_SPEED + joint.index) * params.get(PARAM_BASE_MOTOR_SPEED);
+      // The power is the angular acceleration that the motor can give to the pair of bodies alone.
+      joint.motor_most = h * params.get(PARAM_BASE_MOTOR_POWER) * scene.get(SCENE_MOTOR_POWER + joint.index) *
+                         joint.axial_mass;
+      if (!driven && (joint.flags & JOINT_FIXED) == 0) joint.twist = real(0);
+    }
+  }
+
+  KFN static void turn_arms(const Bodies& bodies, Joint& joint) {
+    joint.arm_a = bodies.rotation[joint.a].apply(joint.local_a);
+    joint.arm_b = bodies.rotation[joint.b].apply(joint.local_b);
+  }
+
+  KFN void warm_start(Bodies& bodies) {
+    for (int k = 0; k < count; ++k) {
+      Joint& joint = list[k];
+      turn_arms(bodies, joint);
+      bodies.push_pair(joint.a, joint.arm_a, joint.b, joint.arm_b, joint.impulse);
+      bodies.twist_pair(joint.a, joint.b, joint.twist + joint.impulse_lower - joint.impulse_upper);
+    }
+  }
+
+  KFN static real current_angle(const Bodies& bodies, const Joint& joint) {
+    return joint.start_angle + bodies.turn[joint.b] - bodies.turn[joint.a];
+  }
+
+  KFN void solve_soft(Bodies& bodies, const Softness& soft, real inverse_h, bool use_bias) {
+    for (int k = 0; k < count; ++k) {
+      Joint& joint = list[k];
+      if (joint.flags & JOINT_FIXED) {
+        solve_angle(bodies, joint, soft, use_bias);
+      } else {
+        if (joint.flags & JOINT_MOTOR) solve_motor(bodies, joint);
+        if (joint.flags & JOINT_LIMITED) solve_limits(bodies, joint, soft, inverse_h, use_bias);
+      }
+      solve_point(bodies, joint, soft, use_bias);
+    }
+  }
+
+  // Velocity constraint with a bounded torque: dt changes neither its target nor its strength.
+  KFN static void solve_motor(Bodies& bodies, Joint& joint) {
+    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+    real total = Math::clamp(joint.twist - joint.axial_mass * (speed - joint.motor_target), -joint.motor_most,
+                             joint.motor_most);
+    real twist = total - joint.twist;
+    joint.twist = total;
+    bodies.twist_pair(joint.a, joint.b, twist);
+  }
+
+  KFN static void solve_angle(Bodies& bodies, Joint& joint, const Softness& soft, bool use_bias) {
+    real bias = use_bias ? soft.bias_rate * current_angle(bodies, joint) : real(0);
+    real mass_scale = use_bias ? soft.mass_scale : real(1);
+    real impulse_scale = use_bias ? soft.impulse_scale : real(0);
+    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+    real twist = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * joint.twist;
+    joint.twist += twist;
+    bodies.twist_pair(joint.a, joint.b, twist);
+  }
+
+  KFN static void solve_limits(Bodies& bodies, Joint& joint, const Softness& soft, real inverse_h, bool use_bias) {
+    real angle = current_angle(bodies, joint);
+    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+    real lower = limit_impulse(joint, angle - joint.lower, speed, joint.impulse_lower, soft, inverse_h, use_bias);
+    bodies.twist_pair(joint.a, joint.b, lower);
+    speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+    real upper = limit_impulse(joint, joint.upper - angle, -speed, joint.impulse_upper, soft, inverse_h, use_bias);
+    bodies.twist_pair(joint.a, joint.b, -upper);
+  }
+
+  // One-sided: room is what is left before the limit, speed that at which room grows.
+  KFN static real limit_impulse(const Joint& joint, real room, real speed, real& accumulated, const Softness& soft,
+                                real inverse_h, bool use_bias) {
+    real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
+    if (room > real(0)) {
+      bias = room * inverse_h;
+    } else if (use_bias) {
+      bias = soft.bias_rate * room;
+      mass_scale = soft.mass_scale;
+      impulse_scale = soft.impulse_scale;
+    }
+    real impulse = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * accumulated;
+    real total = Math::max(accumulated + impulse, real(0));
+    impulse = total - accumulated;
+    accumulated = total;
+    return impulse;
+  }
+
+  KFN static void solve_point(Bodies& bodies, Joint& joint, const Softness& soft, bool use_bias) {
+    turn_arms(bodies, joint);
+    Vec2 wrong = bodies.velocity_at(joint.b, joint.arm_b) - bodies.velocity_at(joint.a, joint.arm_a);
+    real mass_scale = real(1), impulse_scale = real(0);
+    if (use_bias) {
+      Vec2 gap = joint.centre_gap + (bodies.delta[joint.b] - bodies.delta[joint.a]) + (joint.arm_b - joint.arm_a);
+      wrong = wrong + gap * soft.bias_rate;
+      mass_scale = soft.mass_scale;
+      impulse_scale = soft.impulse_scale;
+    }
+    Vec2 impulse = -(point_mass_times(bodies, joint, wrong) * mass_scale) - joint.impulse * impulse_scale;
+    joint.impulse = joint.impulse + impulse;
+    bodies.push_pair(joint.a, joint.arm_a, joint.b, joint.arm_b, impulse);
+  }
+
+  // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.
+  KFN static Vec2 point_mass_times(const Bodies& bodies, const Joint& joint, Vec2 v) {
+    real mass = bodies.inverse_mass[joint.a] + bodies.inverse_mass[joint.b];
+    real ia = bodies.inverse_inertia[joint.a], ib = bodies.inverse_inertia[joint.b];
+    Vec2 ra = joint.arm_a, rb = joint.arm_b;
+    real k11 = mass + ia * ra.y * ra.y + ib * rb.y * rb.y;
+    real k12 = -ia * ra.x * ra.y - ib * rb.x * rb.y;
+    real k22 = mass + ia * ra.x * ra.x + ib * rb.x * rb.x;
+    real determinant = k11 * k22 - k12 * k12;
+    real inverse = determinant != real(0) ? real(1) / determinant : real(0);
+    return {inverse * (k22 * v.x - k12 * v.y), inverse * (k11 * v.y - k12 * v.x)};
+  }
+};

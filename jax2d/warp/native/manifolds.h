@@ -1,0 +1,224 @@
+// Contact manifolds: where and along which normal two convex shapes meet. C = (pB - pA) . n >= 0
+//
+// Everything is computed relative to the centre of mass of shape a, so that worlds far from the origin
+// keep their precision. Normals point from a to b; a separation below zero is a penetration depth.
+
+struct ContactPoint {
+  Vec2 point;       // midway between the surfaces, relative to the centre of mass of a
+  real separation;  // m
+  int feature;      // which vertex on which edge: matches the point between steps
+};
+
+struct Manifold {
+  Vec2 normal;
+  int count;
+  ContactPoint points[2];
+};
+
+// World-oriented corners and outward edge normals of all polygons, with bounds, for one step.
+struct Geometry {
+  Vec2 corner[NUM_CORNERS];  // relative to the centre of mass
+  Vec2 normal[NUM_CORNERS];  // of the edge from corner k to its successor
+  int corners[NUM_POLYGONS + 1];
+  real radius[NUM_CIRCLES + 1];
+  Vec2 lower[NUM_SHAPES], upper[NUM_SHAPES];  // axis-aligned bounds relative to the centre of mass
+  real core[NUM_SHAPES];    // least distance from centre to surface: what a fast body may not step over
+  real extent[NUM_SHAPES];  // largest distance from centre to surface
+
+  KFN int successor(int polygon, int k) const { return k + 1 < corners[polygon] ? k + 1 : 0; }
+
+  KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies) {
+    for (int p = 0; p < NUM_POLYGONS; ++p) {
+      corners[p] = ints.get(INTS_NUM_VERTICES + p);
+      Rotation q = bodies.rotation[p];
+      Vec2 lo = {real(1e30), real(1e30)}, hi = {real(-1e30), real(-1e30)};
+      real far_squared = real(0);
+      for (int k = 0; k < corners[p]; ++k) {
+        Vec2 v = q.apply(scene.get2(SCENE_VERTICES + 2 * (p * MAX_VERTICES + k)));
+        corner[p * MAX_VERTICES + k] = v;
+        lo = {Math::min(lo.x, v.x), Math::min(lo.y, v.y)};
+        hi = {Math::max(hi.x, v.x), Math::max(hi.y, v.y)};
+        far_squared = Math::max(far_squared, v.dot(v));
+      }
+      real nearest = real(1e30);
+      for (int k = 0; k < corners[p]; ++k) {
+        Vec2 v = corner[p * MAX_VERTICES + k];
+        Vec2 n = (corner[p * MAX_VERTICES + successor(p, k)] - v).right();
+        n = n * Math::inverse_or_zero(n.length());
+        normal[p * MAX_VERTICES + k] = n;
+        nearest = Math::min(nearest, n.dot(v));
+      }
+      lower[p] = lo;
+      upper[p] = hi;
+      core[p] = nearest;
+      extent[p] = sqrtf(far_squared);
+    }
+    for (int c = 0; c < NUM_CIRCLES; ++c) {
+      real r = scene.get(SCENE_RADIUS + c);
+      radius[c] = r;
+      lower[NUM_POLYGONS + c] = {-r, -r};
+      upper[NUM_POLYGONS + c] = {r, r};
+      core[NUM_POLYGONS + c] = r;
+      extent[NUM_POLYGONS + c] = r;
+    }
+  }
+
+  KFN bool bounds_overlap(int a, int b, Vec2 d, real margin) const {
+    return lower[b].x + d.x <= upper[a].x + margin && upper[b].x + d.x >= lower[a].x - margin &&
+           lower[b].y + d.y <= upper[a].y + margin && upper[b].y + d.y >= lower[a].y - margin;
+  }
+
+  // d: centre of b relative to centre of a. Points farther apart than margin are left out.
+  KFN Manifold collide(int a, int b, Vec2 d, real margin) const {
+    if (b < NUM_POLYGONS) return polygon_polygon(a, b, d, margin);
+    if (a < NUM_POLYGONS) return polygon_circle(a, b - NUM_POLYGONS, d, margin);
+    return circle_circle(a - NUM_POLYGONS, b - NUM_POLYGONS, d, margin);
+  }
+
+  KFN Manifold circle_circle(int a, int b, Vec2 d, real margin) const {
+    Manifold m;
+    m.count = 0;
+    real distance = d.length();
+    real separation = distance - radius[a] - radius[b];
+    if (separation > margin) return m;
+    // Coincident centres have no direction of their own: any fixed one separates them.
+    m.normal = distance > real(1e-9) ? d * (real(1) / distance) : Vec2{real(0), real(1)};
+    m.count = 1;
+    m.points[0] = {m.normal * (radius[a] + real(0.5) * separation), separation, 0};
+    return m;
+  }
+
+  KFN Manifold polygon_circle(int polygon, int circle, Vec2 centre, real margin) const {
+    Manifold m;
+    m.count = 0;
+    const Vec2* v = corner + polygon * MAX_VERTICES;
+    const Vec2* n = normal + polygon * MAX_VERTICES;
+    int face = 0;
+    real face_distance = real(-1e30);
+    for (int k = 0; k < corners[polygon]; ++k) {
+      real s = n[k].dot(centre - v[k]);
+      if (s > face_distance) {
+        face_distance = s;
+        face = k;
+      }
+    }
+    real r = radius[circle];
+    if (face_distance - r > margin) return m;
+    Vec2 from = v[face], to = v[successor(polygon, face)];
+    Vec2 closest = {real(0), real(0)};
+    bool at_corner = false;
+    if (face_distance > real(1e-7)) {  // outside: the closest feature may be a corner of the face
+      if ((centre - from).dot(to - from) < real(0)) {
+        closest = from;
+        at_corner = true;
+      } else if ((centre - to).dot(from - to) < real(0)) {
+        closest = to;
+        at_corner = true;
+      }
+    }
+    real distance = face_distance;
+    m.normal = n[face];
+    if (at_corner) {
+      Vec2 away = centre - closest;
+      distance = away.length();
+      if (distance - r > margin) return m;
+      m.normal = away * (real(1) / distance);  // distance >= face_distance > 0
+    }
+    real separation = distance - r;
+    m.count = 1;
+    m.points[0] = {centre - m.normal * (r + real(0.5) * separation), separation, 0};
+    return m;
+  }
+
+  // Largest over the edges of one polygon of the least distance of the other's corners to that edge.
+  KFN real deepest_axis(int one, Vec2 one_at, int other, Vec2 other_at, int& edge) const {
+    real best = real(-1e30);
+    edge = 0;
+    for (int k = 0; k < corners[one]; ++k) {
+      Vec2 n = normal[one * MAX_VERTICES + k];
+      Vec2 origin = corner[one * MAX_VERTICES + k] + one_at - other_at;
+      real least = real(1e30);
+      for (int j = 0; j < corners[other]; ++j)
+        least = Math::min(least, n.dot(corner[other * MAX_VERTICES + j] - origin));
+      if (least > best) {
+        best = least;
+        edge = k;
+      }
+    }
+    return best;
+  }
+
+  KFN Manifold polygon_polygon(int a, int b, Vec2 d, real margin) const {
+    Manifold m;
+    m.count = 0;
+    Vec2 zero = {real(0), real(0)};
+    int edge_a, edge_b;
+    real depth_a = deepest_axis(a, zero, b, d, edge_a);
+    if (depth_a > margin) return m;
+    real depth_b = deepest_axis(b, d, a, zero, edge_b);
+    if (depth_b > margin) return m;
+
+    // The reference face is a's unless b's is clearly better: no flicker between near-equal axes.
+    bool flipped = depth_b > depth_a + real(0.0005);
+    int ref = flipped ? b : a, inc = flipped ? a : b;
+    Vec2 ref_at = flipped ? d : zero, inc_at = flipped ? zero : d;
+    int edge = flipped ? edge_b : edge_a;
+    Vec2 n = normal[ref * MAX_VERTICES + edge];
+    Vec2 r1 = corner[ref * MAX_VERTICES + edge] + ref_at;
+    Vec2 r2 = corner[ref * MAX_VERTICES + successor(ref, edge)] + ref_at;
+
+    // The incident edge is the one that faces the reference face most.
+    int incident = 0;
+    real most_opposed = real(1e30);
+    for (int k = 0; k < corners[inc]; ++k) {
+      real along = n.dot(normal[inc * MAX_VERTICES + k]);
+      if (along < most_opposed) {
+        most_opposed = along;
+        incident = k;
+      }
+    }
+    int incident_end = successor(inc, incident);
+    // Edges run counter-clockwise, so the incident edge runs against the reference edge.
+    Vec2 upper_end = corner[inc * MAX_VERTICES + incident] + inc_at;
+    Vec2 lower_end = corner[inc * MAX_VERTICES + incident_end] + inc_at;
+    Vec2 along = n.left();  // from r1 to r2
+    real length = (r2 - r1).dot(along);
+    real u_upper = (upper_end - r1).dot(along), u_lower = (lower_end - r1).dot(along);
+
+    m.normal = flipped ? -n : n;
+    int base = (flipped ? 64 : 0) + edge * 8;
+    if (u_upper < real(0) || u_lower > length) {
+      // Nothing of the incident edge is over the reference face: corner against corner.
+      Vec2 ref_corner = u_upper < real(0) ? r1 : r2;
+      Vec2 inc_corner = u_upper < real(0) ? upper_end : lower_end;
+      Vec2 gap = inc_corner - ref_corner;
+      real distance = gap.length();
+      real face_separation = n.dot(gap);
+      if (face_separation > real(0)) {
+        if (distance > margin) return m;
+        n = gap * (real(1) / distance);
+        m.normal = flipped ? -n : n;
+        m.count = 1;
+        m.points[0] = {(ref_corner + inc_corner) * real(0.5), distance, 128 + base + (u_upper < real(0) ? 0 : 1)};
+      } else {
+        m.count = 1;
+        m.points[0] = {inc_corner - n * (real(0.5) * face_separation), face_separation,
+                       256 + base + (u_upper < real(0) ? 0 : 1)};
+      }
+      return m;
+    }
+
+    // Clip the incident edge to the sides of the reference face; depth follows the clipped point.
+    real span = u_upper - u_lower;
+    Vec2 lower_point = lower_end, upper_point = upper_end;
+    if (u_lower < real(0) && span > real(1e-9))
+      lower_point = lower_end + (upper_end - lower_end) * (-u_lower / span);
+    if (u_upper > length && span > real(1e-9))
+      upper_point = lower_end + (upper_end - lower_end) * ((length - u_lower) / span);
+    real s_lower = n.dot(lower_point - r1), s_upper = n.dot(upper_point - r1);
+    int feature = base + incident * 512;
+    if (s_lower <= margin) m.points[m.count++] = {lower_point - n * (real(0.5) * s_lower), s_lower, feature};
+    if (s_upper <= margin) m.points[m.count++] = {upper_point - n * (real(0.5) * s_upper), s_upper, feature + 1};
+    return m;
+  }
+};

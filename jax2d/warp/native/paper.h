@@ -1,0 +1,73 @@
+// The joint and motor rules of the Kinetix paper (appendices Joints, Motors), for preset paper.
+
+struct PaperJoints {
+  Joints& joints;
+
+  // j = p tanh((w_b - w_a - s A) rho), weaker within PARAM_MOTOR_FADE_ANGLE of a limit it runs into.
+  KFN void apply_motors(Bodies& bodies, const Column& scene, const Column& controls, const Column& params) {
+    for (int k = 0; k < joints.count; ++k) {
+      Joint& joint = joints.list[k];
+      if (!(joint.flags & JOINT_MOTOR)) continue;
+      real power = joint.motor_most;
+      if (joint.flags & JOINT_LIMITED) {
+        real fade = params.get(PARAM_MOTOR_FADE_ANGLE);
+        real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower + fade, joint.upper - fade);
+        bool into_limit = beyond * controls.get(joint.index) > real(0);
+        if (into_limit) power *= Math::max(real(0), real(1) - fabsf(beyond) / fade);
+      }
+      real excess = bodies.omega[joint.b] - bodies.omega[joint.a] - joint.motor_target;
+      bodies.twist_pair(joint.a, joint.b, -power * tanhf(excess * params.get(PARAM_MOTOR_DECAY)));
+    }
+  }
+
+  KFN void warm_start(Bodies& bodies) {
+    for (int k = 0; k < joints.count; ++k) {
+      Joint& joint = joints.list[k];
+      bodies.push_pair(joint.a, joint.arm_a, joint.b, joint.arm_b, joint.impulse);
+      if (joint.flags & JOINT_FIXED) bodies.twist_pair(joint.a, joint.b, joint.twist);
+      joint.impulse_lower = joint.impulse_upper = real(0);
+    }
+  }
+
+  // One iteration over all joints: point (impulse along the relative velocity, velocity and positional
+  // correction), then the angle of fixed joints, or limits where they are exceeded.
+  KFN void solve(Bodies& bodies, const Column& params) {
+    for (int k = 0; k < joints.count; ++k) {
+      Joint& joint = joints.list[k];
+      int a = joint.a, b = joint.b;
+      Vec2 gap = joint.centre_gap + (bodies.delta[b] - bodies.delta[a]) + (joint.arm_b - joint.arm_a);
+      real ma = bodies.inverse_mass[a], mb = bodies.inverse_mass[b];
+      // The joint sits between the anchors, nearer to the heavier body's.
+      Vec2 at_a = ma == real(0) ? joint.arm_a : joint.arm_a + gap * (ma / (ma + mb));
+      Vec2 at_b = ma == real(0) ? joint.arm_b - gap : joint.arm_b - gap * (mb / (ma + mb));
+      Vec2 relative = bodies.velocity_at(b, at_b) - bodies.velocity_at(a, at_a);
+      real speed = relative.length();
+      Vec2 direction = speed > real(0) ? relative * (real(1) / speed) : Vec2{real(0), real(0)};
+      real ca = joint.arm_a.cross(direction), cb = joint.arm_b.cross(direction);
+      real effective = ma + mb + ca * ca * bodies.inverse_inertia[a] + cb * cb * bodies.inverse_inertia[b];
+      Vec2 impulse = (relative + gap * params.get(PARAM_JOINT_VELOCITY_CORRECTION)) *
+                     (-params.get(PARAM_JOINT_STIFFNESS) * Math::inverse_or_zero(effective));
+      bodies.push_pair(a, joint.arm_a, b, joint.arm_b, impulse);
+      joint.impulse = joint.impulse + impulse;
+
+      solve_twist(bodies, joint, params);
+
+      Vec2 correction = gap * (params.get(PARAM_JOINT_POSITION_CORRECTION) / (ma + mb));
+      bodies.delta[a] = bodies.delta[a] + correction * ma;
+      bodies.delta[b] = bodies.delta[b] - correction * mb;
+    }
+  }
+
+  KFN static void solve_twist(Bodies& bodies, Joint& joint, const Column& params) {
+    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+    if (joint.flags & JOINT_FIXED) {
+      real twist = -joint.axial_mass * (speed + joint.start_angle * params.get(PARAM_FIXED_ANGLE_RATE));
+      joint.twist += twist;
+      bodies.twist_pair(joint.a, joint.b, twist);
+    } else if (joint.flags & JOINT_LIMITED) {
+      real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower, joint.upper);
+      if (beyond * speed > real(0))  // not while it already returns
+        bodies.twist_pair(joint.a, joint.b, -joint.axial_mass * (speed + beyond * params.get(PARAM_LIMIT_ANGLE_RATE)));
+    }
+  }
+};

@@ -1,0 +1,112 @@
+// One world, PARAM-many physics steps: read, step, write. Read this file first.
+
+struct World {
+  const Column& scene;
+  const IntColumn& ints;
+  const Column& controls;
+  const Column& params;
+  const Column& state;
+  const Column& impulses;
+  const IntColumn& keys;
+  Bodies bodies;
+  Geometry geometry;
+  Contacts contacts;
+  Joints joints;
+  Thrusters thrusters;
+  unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];
+  unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
+  int overflow;
+
+  KFN void run(int num_steps, const IntColumn& out) {
+    bodies.load(scene, state);
+    thrusters.load(scene, ints, controls, params);
+    overflow = 0;
+    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_ever[i] = 0u;
+    for (int step = 0; step < num_steps; ++step) {
+      bodies.begin_step();
+      joints.load(bodies, scene, ints, impulses);
+      if (SOFT_STEP)
+        soft_step();
+      else
+        paper_step();
+      bodies.end_step();
+      joints.store(impulses);
+      contacts.store(keys, impulses);
+      overflow += contacts.overflow;
+      note_touching();
+    }
+    bodies.store(state);
+    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) {
+      out.set(OUT_AT_END + i, (int)(touching_now[i]));
+      out.set(OUT_DURING + i, (int)(touching_ever[i]));
+    }
+    out.set(OUT_OVERFLOW, overflow);
+    out.set(OUT_LIMITED, bodies.limited);
+  }
+
+  // Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h.
+  KFN void soft_step() {
+    real dt = params.get(PARAM_DT), h = params.get(PARAM_H);
+    int substeps = (int)(params.get(PARAM_SUBSTEPS));
+    real inverse_h = real(1) / h;
+    Vec2 gravity = scene.get2(SCENE_GRAVITY);
+    Softness contact_soft = {params.get(PARAM_CONTACT_BIAS_RATE), params.get(PARAM_CONTACT_MASS_SCALE),
+                             params.get(PARAM_CONTACT_IMPULSE_SCALE)};
+    Softness fixed_soft = {params.get(PARAM_FIXED_BIAS_RATE), params.get(PARAM_FIXED_MASS_SCALE),
+                           params.get(PARAM_FIXED_IMPULSE_SCALE)};
+    Softness joint_soft = {params.get(PARAM_JOINT_BIAS_RATE), params.get(PARAM_JOINT_MASS_SCALE),
+                           params.get(PARAM_JOINT_IMPULSE_SCALE)};
+    real push_out_speed = params.get(PARAM_PUSH_OUT_SPEED);
+
+    geometry.build(scene, ints, bodies);
+    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, params.get(PARAM_SPECULATIVE_DISTANCE), dt,
+                  true);
+    joints.prepare(bodies, scene, controls, params, h);
+    for (int substep = 0; substep < substeps; ++substep) {
+      bodies.apply_gravity(gravity, h);
+      thrusters.apply(bodies, h);
+      joints.warm_start(bodies);
+      contacts.warm_start(bodies);
+      // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
+      joints.solve_soft(bodies, joint_soft, inverse_h, true);
+      contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, true);
+      bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
+      joints.solve_soft(bodies, joint_soft, inverse_h, false);
+      contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, false);
+    }
+    contacts.apply_restitution(bodies, params.get(PARAM_RESTITUTION_THRESHOLD));
+  }
+
+  // The main loop of the paper's appendix (algorithm 1), constraints solved one after another.
+  KFN void paper_step() {
+    real dt = params.get(PARAM_DT);
+    int iterations = (int)(params.get(PARAM_SUBSTEPS));
+    bodies.apply_gravity(scene.get2(SCENE_GRAVITY), dt);
+    geometry.build(scene, ints, bodies);
+    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, real(0), dt, false);
+    joints.prepare(bodies, scene, controls, params, dt);
+    PaperJoints paper = {joints};
+    paper.apply_motors(bodies, scene, controls, params);
+    thrusters.apply(bodies, dt);
+    contacts.warm_start(bodies);
+    paper.warm_start(bodies);
+    real correction_rate = params.get(PARAM_COLLISION_CORRECTION) / dt, slop = params.get(PARAM_SLOP);
+    for (int iteration = 0; iteration < iterations; ++iteration) {
+      paper.solve(bodies, params);
+      contacts.solve_hard(bodies, correction_rate, slop);
+    }
+    bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
+  }
+
+  // Shapes touch when their contact carried an impulse in the step or they overlap.
+  KFN void note_touching() {
+    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = 0u;
+    for (int k = 0; k < contacts.count; ++k) {
+      const Contact& c = contacts.list[k];
+      if (c.most_impulse <= real(0) && c.separation > real(0)) continue;
+      touching_now[c.a * TOUCH_WORDS + c.b / 32] |= 1u << (c.b % 32);
+      touching_now[c.b * TOUCH_WORDS + c.a / 32] |= 1u << (c.a % 32);
+    }
+    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_ever[i] |= touching_now[i];
+  }
+};

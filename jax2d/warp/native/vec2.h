@@ -1,0 +1,65 @@
+// Plane vectors and small helpers.
+//
+// The files of this folder are concatenated in the order given in ../source.py into the body of one
+// native function, so everything here is a local struct: no templates, no static data. Constants in
+// capitals (NUM_SHAPES, PARAM_DT, ...) are generated there from the capacity and from ../layout.py.
+
+typedef float real;
+#define KFN CUDA_CALLABLE inline
+
+struct Vec2 {
+  real x, y;
+  KFN Vec2 operator+(Vec2 o) const { return {x + o.x, y + o.y}; }
+  KFN Vec2 operator-(Vec2 o) const { return {x - o.x, y - o.y}; }
+  KFN Vec2 operator-() const { return {-x, -y}; }
+  KFN Vec2 operator*(real s) const { return {x * s, y * s}; }
+  KFN real dot(Vec2 o) const { return x * o.x + y * o.y; }
+  KFN real cross(Vec2 o) const { return x * o.y - y * o.x; }
+  KFN Vec2 left() const { return {-y, x}; }   // rotated by +90 degrees: omega x r = r.left() * omega
+  KFN Vec2 right() const { return {y, -x}; }  // rotated by -90 degrees
+  KFN real length() const { return sqrtf(x * x + y * y); }
+};
+
+struct Rotation {
+  real c, s;
+  KFN Vec2 apply(Vec2 v) const { return {c * v.x - s * v.y, s * v.x + c * v.y}; }
+  // Turned by a small angle: third-order series, then normalised (error 3e-6 rad at 0.2 rad).
+  KFN Rotation turned(real angle) const {
+    real half = real(0.5) * angle * angle;
+    real dc = real(1) - half, ds = angle * (real(1) - half * real(0.33333334));
+    real nc = c * dc - s * ds, ns = s * dc + c * ds;
+    real inverse_length = real(1) / sqrtf(nc * nc + ns * ns);
+    return {nc * inverse_length, ns * inverse_length};
+  }
+};
+
+struct Math {
+  static KFN real min(real a, real b) { return a < b ? a : b; }
+  static KFN real max(real a, real b) { return a > b ? a : b; }
+  static KFN real clamp(real v, real lo, real hi) { return v < lo ? lo : (v > hi ? hi : v); }
+  static KFN real inverse_or_zero(real v) { return v > real(0) ? real(1) / v : real(0); }
+  static KFN int lowest_bit(unsigned int word) {
+#if defined(__CUDA_ARCH__)
+    return __ffs((int)word) - 1;
+#else
+    return __builtin_ctz(word);
+#endif
+  }
+};
+
+// A table of [field, world] floats or ints of which this thread reads and writes one world.
+struct Column {
+  float* data;
+  size_t stride;  // distance between two fields
+  KFN real get(int field) const { return data[size_t(field) * stride]; }
+  KFN Vec2 get2(int field) const { return {get(field), get(field + 1)}; }
+  KFN void set(int field, real value) const { data[size_t(field) * stride] = value; }
+  KFN void set2(int field, Vec2 value) const { set(field, value.x); set(field + 1, value.y); }
+};
+
+struct IntColumn {
+  int* data;
+  size_t stride;
+  KFN int get(int field) const { return data[size_t(field) * stride]; }
+  KFN void set(int field, int value) const { data[size_t(field) * stride] = value; }
+};
