@@ -71,7 +71,7 @@ def goal_distance(position: Array, masks: RoleMasks) -> Array:
 
 
 def judge(touching: Array, masks: RoleMasks, *, is_finite: Array, is_last_step: Array) -> Outcome:
-    """Outcome of a step. touching [W, n, words] uint32: who touched whom during it; is_finite, is_last_step [W] bool."""
+    """Outcome of a step. touching [W, n, words] uint32: who touched whom in it; is_finite, is_last_step [W] bool."""
     touched = jnp.where(masks.is_green[:, :, None], touching, jnp.uint32(0))
     touched_blue = ((touched & masks.blue_bits[:, None, :]) != 0).any(axis=(1, 2))
     touched_red = ((touched & masks.red_bits[:, None, :]) != 0).any(axis=(1, 2))

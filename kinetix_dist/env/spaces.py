@@ -2,7 +2,7 @@
 
 Three spaces, each with the same few methods, chosen by `EnvConfig.action_space`:
 
-    multi_discrete  [W, 6] int32    four motor colours {0 off, 1 forward, 2 backward}, two thruster colours {0 off, 1 on}
+    multi_discrete  [W, 6] int32    four motor colours {0 off, 1 forward, 2 backward}, two thruster colours {0, 1 on}
     continuous      [W, 6] float32  four motor colours -1..1, two thruster colours 0..1
     discrete        [W]    int32    one of 11: motor colour forward (0-3), backward (4-7), nothing (8), thruster (9, 10)
 """
@@ -78,9 +78,8 @@ class ActionSpace:
         """
         expected = self.shape(num_worlds)
         if tuple(np.shape(actions)) != expected:
-            raise ValueError(
-                f"actions have shape {tuple(np.shape(actions))}; {self.name} actions of {num_worlds} worlds have {expected}"
-            )
+            found = tuple(np.shape(actions))
+            raise ValueError(f"actions have shape {found}; {self.name} actions of {num_worlds} worlds have {expected}")
         dtype = actions.dtype if hasattr(actions, "dtype") else np.asarray(actions).dtype
         kind = jnp.integer if self.is_integer else jnp.floating
         if not jnp.issubdtype(dtype, kind):

@@ -28,7 +28,7 @@ def small_level(
     joint: dict[str, Any] | None = None,
     thruster: dict[str, Any] | None = None,
 ) -> Level:
-    """One level of size S. `disc_2` is absent unless placed; `joint` and `thruster` give fields of `Level` and `Scene`."""
+    """One level of size S. `disc_2` is absent unless placed; `joint`, `thruster` give fields of `Level` and `Scene`."""
     capacity = SIZES["s"]
     n, reach = capacity.shapes, WORLD_SIZE_M
     active = np.ones(n, bool)

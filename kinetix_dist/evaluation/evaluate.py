@@ -1,0 +1,203 @@
+"""Solve rates: every level is tried several times, and the first episode of each attempt counts.
+
+    levels x attempts -> worlds, in chunks of bounded size -> first finished episode of each world -> rates
+
+An attempt ends at its first `done`; whatever its world does after that is ignored, so that quick failures weigh as
+much as long successes. Keys are folded with level and attempt: results do not depend on the chunk size.
+The physics is deterministic, so attempts on a level differ by the policy's samples only. Intervals are Wilson's at
+95 % and take attempts as independent; over a whole set they speak of these levels, not of all that might be drawn.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array, index_worlds
+from kinetix_dist.env.environment import Environment, EnvState, PreparedLevels, StepInfo
+from kinetix_dist.env.observations.entities import DynamicObs, observe
+from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.policies import Policy
+from kinetix_dist.level.level import Level
+
+MAX_WORLDS = 4096  # worlds at once: enough to fill a GPU, and under 1 GB of memory at size L
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Episodes:
+    """How the first episode of each world went. [W] on every field."""
+
+    finished: Array  # bool
+    solved: Array  # bool
+    failed: Array  # bool
+    timed_out: Array  # bool
+    unstable: Array  # bool
+    episode_return: Array  # float32, undiscounted, dense reward included
+    episode_length: Array  # int32, environment steps
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SolveRate:
+    """A share of solved attempts with its 95 % interval, and how the others ended."""
+
+    name: str
+    rate: float
+    attempts: int
+    low: float
+    high: float
+    solved: int
+    failed: int
+    timed_out: int
+    unstable: int
+    mean_return: float
+    mean_length: float  # environment steps
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SolveRates:
+    """Of a set of levels: all attempts together, and each level."""
+
+    total: SolveRate
+    levels: tuple[SolveRate, ...]
+
+    @property
+    def rate(self) -> float:
+        return self.total.rate
+
+    @property
+    def attempts(self) -> int:
+        return self.total.attempts
+
+    @property
+    def low(self) -> float:
+        return self.total.low
+
+    @property
+    def high(self) -> float:
+        return self.total.high
+
+    def to_dict(self, *, per_level: bool = True) -> dict[str, Any]:
+        """For JSON: {"rate", "attempts", "low", "high", ..., "levels": [{"name", "rate", ...}, ...]}."""
+        content = dataclasses.asdict(self.total)
+        del content["name"]
+        if per_level:
+            content["levels"] = [dataclasses.asdict(level) for level in self.levels]
+        return content
+
+
+def evaluate(
+    env: Environment,
+    policy: Policy,
+    params: Any,
+    levels: Level,
+    *,
+    attempts: int,
+    key: Array,
+    names: Sequence[str] | None = None,
+    max_worlds: int = MAX_WORLDS,
+) -> SolveRates:
+    """Tries every level of a batch ([L, ...]) `attempts` times.
+
+    policy: see `policies.py`; params: what it takes (None for the baselines). names: of the levels, for the table.
+    The key is consumed. Compiles once for each (env, policy, number of worlds at once).
+    """
+    num_levels = int(np.shape(levels.angle)[0])
+    if attempts < 1:
+        raise ValueError(f"attempts is {attempts}; at least 1 is needed")
+    if num_levels == 0:
+        raise ValueError("there are no levels to evaluate on")
+    if max_worlds < 1:
+        raise ValueError(f"max_worlds is {max_worlds}; at least 1 is needed")
+    names = [f"level_{i}" for i in range(num_levels)] if names is None else list(names)
+    if len(names) != num_levels:
+        raise ValueError(f"{len(names)} names were given for {num_levels} levels")
+    total = num_levels * attempts
+    chunk_size = min(max_worlds, total)
+    chunks = []
+    for start in range(0, total, chunk_size):
+        # The last chunk repeats its last attempt to keep its size; those are cut off below.
+        index = jnp.minimum(jnp.arange(start, start + chunk_size), total - 1)
+        chunks.append(jax.device_get(_attempt_chunk(env, policy, params, levels, key, index, index // attempts)))
+    episodes = jax.tree.map(lambda *parts: np.concatenate(parts)[:total].reshape(num_levels, attempts), *chunks)
+    return SolveRates(
+        total=_solve_rate("all", episodes),
+        levels=tuple(_solve_rate(name, index_worlds(episodes, i)) for i, name in enumerate(names)),
+    )
+
+
+def first_episodes(env: Environment, policy: Policy, params: Any, prepared: PreparedLevels, keys: Array) -> Episodes:
+    """Plays until every world has finished one episode. keys [W]. Pure; `env` and `policy` are static under jit."""
+    env_state, obs = env.reset(prepared)
+    zeros = jnp.zeros_like(env_state.distance)
+    no = zeros.astype(bool)
+    episodes = Episodes(
+        finished=no,
+        solved=no,
+        failed=no,
+        timed_out=no,
+        unstable=no,
+        episode_return=zeros,
+        episode_length=zeros.astype(jnp.int32),
+    )
+
+    def some_play_on(carry: tuple[Array, EnvState, DynamicObs, Episodes]) -> Array:
+        return ~carry[3].finished.all()
+
+    def play(carry: tuple[Array, EnvState, DynamicObs, Episodes]) -> tuple[Array, EnvState, DynamicObs, Episodes]:
+        step, env_state, obs, episodes = carry
+        step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
+        actions = policy(params, observe(prepared.static_obs, obs), step_keys)
+        env_state, obs, _, done, info = env.step(prepared, env_state, actions)
+        return step + 1, env_state, obs, _record_first(episodes, done, info)
+
+    # Ends after `max_steps` at the latest: a time limit finishes whatever is left.
+    return jax.lax.while_loop(some_play_on, play, (jnp.int32(0), env_state, obs, episodes))[3]
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _attempt_chunk(
+    env: Environment, policy: Policy, params: Any, levels: Level, key: Array, index: Array, level_index: Array
+) -> Episodes:
+    """Attempts `index` [W], each on level `level_index` [W]."""
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, index)
+    chosen = jax.tree.map(lambda x: jnp.asarray(x)[level_index], levels)
+    return first_episodes(env, policy, params, env.prepare(chosen), keys)
+
+
+def _record_first(episodes: Episodes, done: Array, info: StepInfo) -> Episodes:
+    """Adds the episodes that end now, but for worlds that have finished one before."""
+    is_first = done & ~episodes.finished
+    return Episodes(
+        finished=episodes.finished | done,
+        solved=episodes.solved | (info.solved & is_first),
+        failed=episodes.failed | (info.failed & is_first),
+        timed_out=episodes.timed_out | (info.timed_out & is_first),
+        unstable=episodes.unstable | (info.unstable & is_first),
+        episode_return=jnp.where(is_first, info.episode_return, episodes.episode_return),
+        episode_length=jnp.where(is_first, info.episode_length, episodes.episode_length),
+    )
+
+
+def _solve_rate(name: str, episodes: Episodes) -> SolveRate:
+    solved, attempts = int(episodes.solved.sum()), int(episodes.solved.size)
+    low, high = wilson_interval(solved, attempts)
+    return SolveRate(
+        name=name,
+        rate=solved / attempts,
+        attempts=attempts,
+        low=low,
+        high=high,
+        solved=solved,
+        failed=int(episodes.failed.sum()),
+        timed_out=int(episodes.timed_out.sum()),
+        unstable=int(episodes.unstable.sum()),
+        mean_return=float(episodes.episode_return.mean()),
+        mean_length=float(episodes.episode_length.mean()),
+    )
