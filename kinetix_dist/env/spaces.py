@@ -66,7 +66,7 @@ class ActionSpace:
 
     def in_range(self, actions: Array) -> Array:
         """bool, the shape of `actions`: which numbers the space allows. NaN is out of range."""
-        low, high = jnp.asarray(self.low, self.dtype), jnp.asarray(self.high, self.dtype)
+        low, high = np.asarray(self.low, self.dtype), np.asarray(self.high, self.dtype)
         if self.is_flat:
             low, high = low[0], high[0]
         return (actions >= low) & (actions <= high)
@@ -87,7 +87,7 @@ class ActionSpace:
             raise ValueError(f"actions have type {dtype}; {self.name} actions are {wanted}")
         if isinstance(actions, jax.core.Tracer):
             return
-        allowed = np.asarray(self.in_range(jnp.asarray(actions)))
+        allowed = self.in_range(np.asarray(actions))
         if not allowed.all():
             index = tuple(int(i) for i in np.argwhere(~allowed)[0])
             dimension = 0 if self.is_flat else index[-1]

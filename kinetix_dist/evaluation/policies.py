@@ -11,12 +11,12 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.env.actions import noop_actions
 from kinetix_dist.env.observations.entities import EntityObs
 from kinetix_dist.env.spaces import ActionSpace
+from kinetix_dist.models import heads
 
 Policy = Callable[[Any, EntityObs, Array], Array]
 
@@ -50,11 +50,7 @@ class NetworkPolicy:
 
     def __call__(self, params: Any, obs: EntityObs, keys: Array) -> Array:
         logits, _ = self.module.apply(params, obs)
-
-        def sample(key: Array, *heads: Array) -> Array:
-            head_keys = jax.random.split(key, len(heads))
-            return jnp.stack([jax.random.categorical(k, head) for k, head in zip(head_keys, heads)])
-
         if self.greedy:
-            return jnp.stack([head.argmax(axis=-1) for head in logits], axis=-1).astype(jnp.int32)
-        return jax.vmap(sample)(keys, *[head.astype(jnp.float32) for head in logits]).astype(jnp.int32)
+            return heads.mode(logits)
+        uniforms = jax.vmap(lambda key: jax.random.uniform(key, (len(logits),)))(keys)
+        return heads.sample(logits, uniforms)[0]
