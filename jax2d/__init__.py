@@ -1,5 +1,6 @@
 """jax2d: simulates thousands to a million small 2D rigid-body worlds at once, on CPU and CUDA, from JAX."""
 
+from jax2d.builder import BuiltWorld, SceneBuilder, SceneError, SceneFullError
 from jax2d.engine import Engine
 from jax2d.scene import Capacity, Controls, Scene, State, Touching, index_worlds, stack_worlds, touch_matrix
 from jax2d.settings import PRESETS, Settings, preset
@@ -7,10 +8,14 @@ from jax2d.shapes import circle_mass_properties, polygon_mass_properties
 
 __all__ = [
     "PRESETS",
+    "BuiltWorld",
     "Capacity",
     "Controls",
     "Engine",
     "Scene",
+    "SceneBuilder",
+    "SceneError",
+    "SceneFullError",
     "Settings",
     "State",
     "Touching",

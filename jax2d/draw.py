@@ -164,7 +164,7 @@ def draw(
     thrust: Any = None,
     view: Box = DEFAULT_VIEW,
     pixels_per_metre: float = 100.0,
-    trail: np.ndarray | None = None,
+    trails: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
     """Draws one world. Returns uint8 [height, width, 3].
 
@@ -174,7 +174,7 @@ def draw(
       roles: [n] index into `palette`; None paints all shapes as role 0.
       thrust: [T] 0..1, how much each thruster fires; None draws no flames.
       view: the part of the world to show, m.
-      trail: [k, 2] m, a path to draw below the shapes (where something has been).
+      trails: paths [k, 2] m to draw over the shapes, fading in (where something has been).
     """
     scene = _as_numpy(scene)
     position, angle = np.asarray(state.position, float), np.asarray(state.angle, float)
@@ -183,9 +183,9 @@ def draw(
     canvas = _Canvas.blank(view, pixels_per_metre)
     colours = shape_colours(scene, roles, palette).astype(float)
     _draw_shapes(canvas, scene, position, angle, colours)
-    if trail is not None:
-        for k, (a, b) in enumerate(itertools.pairwise(trail)):
-            canvas.line(np.asarray(a, float), np.asarray(b, float), INK, 2.0, opacity=0.15 + 0.45 * k / len(trail))
+    for trail in trails:
+        for k, (a, b) in enumerate(itertools.pairwise(np.asarray(trail, float))):
+            canvas.line(a, b, INK, 2.0, opacity=0.15 + 0.45 * k / len(trail))
     _draw_thrusters(canvas, scene, position, angle, thrust)
     _draw_joints(canvas, scene, position, angle)
     return np.rint(canvas.pixels).astype(np.uint8)

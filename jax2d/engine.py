@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+
 from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
 from jax2d.settings import Settings, preset
 
@@ -102,9 +103,7 @@ class Engine:
         """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n]) of a packed state."""
         return self.backend.bodies(packed)
 
-    def step_packed(
-        self, scene: Any, state: Any, controls: Controls, num_steps: int = 1
-    ) -> tuple[Any, Touching]:
+    def step_packed(self, scene: Any, state: Any, controls: Controls, num_steps: int = 1) -> tuple[Any, Touching]:
         """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T]."""
         return self.backend.step_packed(scene, state, controls, num_steps)
 
@@ -124,6 +123,4 @@ class Engine:
             ("controls.thruster", controls.thruster, (c.thrusters,)),
         ):
             if jnp.shape(array) != (*batch, *shape):
-                raise ValueError(
-                    f"{name} has shape {jnp.shape(array)}; this engine ({c}) needs {(*batch, *shape)}"
-                )
+                raise ValueError(f"{name} has shape {jnp.shape(array)}; this engine ({c}) needs {(*batch, *shape)}")

@@ -95,9 +95,7 @@ def softness(hertz: float, damping_ratio: float, h: float) -> tuple[float, float
 
 PRESETS: dict[str, Settings] = {
     "standard": Settings(),
-    "paper": Settings(
-        solver="sequential_impulses", substeps=10, base_friction=0.4, friction_mixing="root_sum_square"
-    ),
+    "paper": Settings(solver="sequential_impulses", substeps=10, base_friction=0.4, friction_mixing="root_sum_square"),
 }
 
 

@@ -7,6 +7,7 @@ centroid. Everything here works on numpy and on traced jax arrays alike.
 from __future__ import annotations
 
 import jax.numpy as jnp
+
 from jax2d.scene import Array
 
 

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import warp as wp
+
 from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
 from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
@@ -42,9 +43,7 @@ class PackedState:
 def solver_parameters(settings: Settings) -> np.ndarray:
     """The run-time numbers of a settings object in the order of layout.PARAMS, float32."""
     h = settings.substep_seconds
-    contact = softness(
-        min(settings.contact_hertz, settings.contact_hertz_share / h), settings.contact_damping_ratio, h
-    )
+    contact = softness(min(settings.contact_hertz, settings.contact_hertz_share / h), settings.contact_damping_ratio, h)
     # Fixed bodies do not yield, so contacts with them are twice as stiff.
     fixed = softness(
         2 * min(settings.contact_hertz, settings.contact_hertz_share / h), settings.contact_damping_ratio, h

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 
 import warp as wp
+
 from jax2d.scene import Capacity
 from jax2d.settings import Settings
 from jax2d.warp.source import kernel_source

@@ -1,7 +1,7 @@
 """Whether Warp works on this machine at all: one small kernel compiled for the CPU and run.
 
-Run as a program (`python -m jax2d.warp.self_check`) it prints its findings as JSON. `kinetix-dist doctor`
-does that in a process of its own, because a broken compiler may take the process with it.
+Run as a program (`python jax2d/warp/self_check.py`) it prints its findings as JSON. `kinetix-dist doctor` does
+that in a process of its own, because a broken compiler may take the process with it. Imports nothing but Warp.
 """
 
 import json

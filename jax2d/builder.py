@@ -1,0 +1,359 @@
+"""Builds one world by hand, with errors that name the remedy.
+
+    builder = SceneBuilder(Capacity(polygons=2, circles=1, joints=1, thrusters=0))
+    floor = builder.add_box(width=10, height=1, position=(0, -0.5), fixed=True)
+    box = builder.add_box(width=1, height=1, position=(0, 0.5))
+    ball = builder.add_circle(radius=0.2, position=(0, 1.2))
+    builder.add_revolute_joint(box, ball, at=(0, 1.0), motor_speed=1.0)
+    world = builder.build()
+    state = engine.initial_state(*world)
+
+Units: m, kg, s, rad; positions in the world frame. Functions that add a shape return its index.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from jax2d.scene import Capacity, Scene
+
+Point = Sequence[float]
+SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
+NO_LIMIT_RAD = 0.0  # limits of joints without limits are stored as zero and never read
+
+
+class SceneError(ValueError):
+    """A scene that cannot be built; the message says what is wrong and what to do."""
+
+
+class SceneFullError(SceneError):
+    """The capacity has no slot left for what is added."""
+
+
+class BuiltWorld(NamedTuple):
+    """One world, in the order in which Engine.initial_state takes it."""
+
+    scene: Scene
+    position: np.ndarray  # [n, 2] m
+    angle: np.ndarray  # [n] rad
+    velocity: np.ndarray  # [n, 2] m/s
+    angular_velocity: np.ndarray  # [n] rad/s
+
+
+class SceneBuilder:
+    """Adds shapes, joints and thrusters to an empty world of the given capacity."""
+
+    def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81)):
+        self.capacity = capacity
+        self._gravity = np.asarray(_finite("gravity", gravity, 2), np.float32)
+        n, p, j, t = capacity.shapes, capacity.polygons, capacity.joints, capacity.thrusters
+        unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5]], np.float32)
+        padded = np.concatenate([unit, np.repeat(unit[-1:], capacity.vertices - 3, 0)])
+        self._polygons = self._circles = self._joints = self._thrusters = 0
+        self._apart: set[tuple[int, int]] = set()
+        self._position = np.zeros((n, 2), np.float32)
+        self._angle = np.zeros(n, np.float32)
+        self._velocity = np.zeros((n, 2), np.float32)
+        self._angular_velocity = np.zeros(n, np.float32)
+        self._scene = {
+            "shape_active": np.zeros(n, bool),
+            "inverse_mass": np.zeros(n, np.float32),
+            "inverse_inertia": np.zeros(n, np.float32),
+            "density": np.ones(n, np.float32),
+            "friction": np.zeros(n, np.float32),
+            "restitution": np.zeros(n, np.float32),
+            "vertices": np.tile(padded, (p, 1, 1)).astype(np.float32),
+            "num_vertices": np.full(p, 3, np.int32),
+            "radius": np.full(capacity.circles, 0.5, np.float32),
+            "joint_active": np.zeros(j, bool),
+            "joint_a": np.zeros(j, np.int32),
+            "joint_b": np.zeros(j, np.int32),
+            "joint_anchor_a": np.zeros((j, 2), np.float32),
+            "joint_anchor_b": np.zeros((j, 2), np.float32),
+            "joint_is_fixed": np.zeros(j, bool),
+            "joint_rest_angle": np.zeros(j, np.float32),
+            "motor_on": np.zeros(j, bool),
+            "motor_speed": np.zeros(j, np.float32),
+            "motor_power": np.zeros(j, np.float32),
+            "has_limits": np.zeros(j, bool),
+            "lower_limit": np.full(j, NO_LIMIT_RAD, np.float32),
+            "upper_limit": np.full(j, NO_LIMIT_RAD, np.float32),
+            "thruster_active": np.zeros(t, bool),
+            "thruster_body": np.zeros(t, np.int32),
+            "thruster_position": np.zeros((t, 2), np.float32),
+            "thruster_angle": np.zeros(t, np.float32),
+            "thruster_power": np.zeros(t, np.float32),
+        }
+
+    # Shapes
+
+    def add_polygon(
+        self,
+        vertices: Sequence[Point],
+        *,
+        position: Point = (0.0, 0.0),
+        angle: float = 0.0,
+        density: float = 1.0,
+        friction: float = 1.0,
+        restitution: float = 0.0,
+        fixed: bool = False,
+        velocity: Point = (0.0, 0.0),
+        angular_velocity: float = 0.0,
+    ) -> int:
+        """A convex polygon. `vertices` run counter-clockwise about any origin, which comes to `position`;
+        the shape's position in a state is its centre of mass."""
+        corners = check_polygon(vertices, self.capacity.vertices)
+        index = self._take("polygons", self._polygons)
+        area, centroid, inertia = _polygon_integrals(corners)
+        padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
+        self._scene["vertices"][index] = padded - centroid
+        self._scene["num_vertices"][index] = len(corners)
+        self._polygons += 1
+        offset = _rotate(centroid, angle)
+        at = np.asarray(_finite("position", position, 2)) + offset
+        # The given velocity is that of the centre of mass.
+        self._set_shape(
+            index, area, inertia, at, angle, density, friction, restitution, fixed, velocity, angular_velocity
+        )
+        return index
+
+    def add_box(self, *, width: float, height: float, **options: object) -> int:
+        """A rectangle centred on `position`; options as for add_polygon."""
+        x, y = _positive("width", width) / 2, _positive("height", height) / 2
+        return self.add_polygon([(-x, -y), (x, -y), (x, y), (-x, y)], **options)  # type: ignore[arg-type]
+
+    def add_circle(
+        self,
+        *,
+        radius: float,
+        position: Point = (0.0, 0.0),
+        angle: float = 0.0,
+        density: float = 1.0,
+        friction: float = 1.0,
+        restitution: float = 0.0,
+        fixed: bool = False,
+        velocity: Point = (0.0, 0.0),
+        angular_velocity: float = 0.0,
+    ) -> int:
+        """A disc."""
+        radius = _positive("radius", radius)
+        index = self.capacity.polygons + self._take("circles", self._circles)
+        self._scene["radius"][self._circles] = radius
+        self._circles += 1
+        area = math.pi * radius**2
+        at = np.asarray(_finite("position", position, 2))
+        inertia = 0.5 * area * radius**2
+        self._set_shape(
+            index, area, inertia, at, angle, density, friction, restitution, fixed, velocity, angular_velocity
+        )
+        return index
+
+    def keep_apart(self, a: int, b: int) -> None:
+        """Lets two shapes pass through each other. Shapes that a joint connects do so already."""
+        self._apart.add((self._shape("a", a), self._shape("b", b)))
+
+    # Joints and thrusters
+
+    def add_revolute_joint(
+        self,
+        a: int,
+        b: int,
+        *,
+        at: Point,
+        motor_speed: float | None = None,
+        motor_power: float = 1.0,
+        limits: tuple[float, float] | None = None,
+    ) -> int:
+        """Holds a and b together at the world point `at`. With `motor_speed` (in units of
+        settings.base_motor_speed) a control drives b relative to a; `limits` bound angle_b - angle_a, counted
+        from how they stand now, in rad."""
+        index = self._add_joint(a, b, at)
+        if motor_speed is not None:
+            self._scene["motor_on"][index] = True
+            self._scene["motor_speed"][index] = _finite("motor_speed", [motor_speed], 1)[0]
+            self._scene["motor_power"][index] = _positive("motor_power", motor_power)
+        if limits is not None:
+            lower, upper = _finite("limits", limits, 2)
+            if lower > upper:
+                raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller angle first")
+            self._scene["has_limits"][index] = True
+            self._scene["lower_limit"][index], self._scene["upper_limit"][index] = lower, upper
+        return index
+
+    def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
+        """Welds a and b together as they stand."""
+        index = self._add_joint(a, b, at)
+        self._scene["joint_is_fixed"][index] = True
+        return index
+
+    def add_thruster(self, body: int, *, at: Point, angle: float, power: float = 1.0) -> int:
+        """A thruster at the world point `at` that pushes its body towards the world angle `angle`."""
+        body = self._shape("body", body)
+        index = self._take("thrusters", self._thrusters)
+        self._thrusters += 1
+        self._scene["thruster_active"][index] = True
+        self._scene["thruster_body"][index] = body
+        self._scene["thruster_position"][index] = self._to_local(body, at)
+        self._scene["thruster_angle"][index] = _finite("angle", [angle], 1)[0] - self._angle[body]
+        self._scene["thruster_power"][index] = _positive("power", power)
+        return index
+
+    def build(self) -> BuiltWorld:
+        """The scene and how it starts. The builder can be added to and built again."""
+        n = self.capacity.shapes
+        can_touch = ~np.eye(n, dtype=bool)
+        joined = [
+            (int(a), int(b))
+            for a, b, active in zip(
+                self._scene["joint_a"], self._scene["joint_b"], self._scene["joint_active"], strict=True
+            )
+            if active
+        ]
+        for a, b in [*joined, *self._apart]:
+            can_touch[a, b] = can_touch[b, a] = False
+        scene = Scene(
+            **{name: value.copy() for name, value in self._scene.items()}, can_touch=can_touch, gravity=self._gravity
+        )
+        starts = (self._position, self._angle, self._velocity, self._angular_velocity)
+        return BuiltWorld(scene, *(x.copy() for x in starts))
+
+    # Inside
+
+    def _take(self, kind: str, used: int) -> int:
+        room = getattr(self.capacity, kind)
+        if used == room:
+            raise SceneFullError(f"{used} of {room} {kind} used; build with Capacity({kind}={room + 1}) or more")
+        return used
+
+    def _set_shape(
+        self,
+        index: int,
+        area: float,
+        inertia: float,
+        position: np.ndarray,
+        angle: float,
+        density: float,
+        friction: float,
+        restitution: float,
+        fixed: bool,
+        velocity: Point,
+        angular_velocity: float,
+    ) -> None:
+        density = _positive("density", density)
+        for name, value, top in (("friction", friction, math.inf), ("restitution", restitution, 1.0)):
+            if not 0.0 <= value <= top:
+                raise SceneError(f"{name} is {value:g}; it must lie between 0 and {top:g}")
+        speed = _finite("velocity", velocity, 2)
+        spin = _finite("angular_velocity", [angular_velocity], 1)[0]
+        if fixed and (any(speed) or spin):
+            raise SceneError("a fixed shape cannot move: drop its velocity, or fixed=True")
+        self._scene["shape_active"][index] = True
+        self._scene["inverse_mass"][index] = 0.0 if fixed else 1.0 / (density * area)
+        self._scene["inverse_inertia"][index] = 0.0 if fixed else 1.0 / (density * inertia)
+        self._scene["density"][index] = density
+        self._scene["friction"][index] = friction
+        self._scene["restitution"][index] = restitution
+        self._position[index] = position
+        self._angle[index] = _finite("angle", [angle], 1)[0]
+        self._velocity[index] = speed
+        self._angular_velocity[index] = spin
+
+    def _add_joint(self, a: int, b: int, at: Point) -> int:
+        a, b = self._shape("a", a), self._shape("b", b)
+        if a == b:
+            raise SceneError(f"joint from shape {a} to itself; name two different shapes")
+        index = self._take("joints", self._joints)
+        self._joints += 1
+        self._scene["joint_active"][index] = True
+        self._scene["joint_a"][index], self._scene["joint_b"][index] = a, b
+        self._scene["joint_anchor_a"][index] = self._to_local(a, at)
+        self._scene["joint_anchor_b"][index] = self._to_local(b, at)
+        self._scene["joint_rest_angle"][index] = self._angle[b] - self._angle[a]
+        return index
+
+    def _shape(self, name: str, index: int) -> int:
+        if not 0 <= index < self.capacity.shapes or not self._scene["shape_active"][index]:
+            raise SceneError(
+                f"{name} is {index}, which is no shape of this scene; use what add_polygon or add_circle gave"
+            )
+        return int(index)
+
+    def _to_local(self, body: int, at: Point) -> np.ndarray:
+        return _rotate(np.asarray(_finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
+
+
+def check_polygon(vertices: Sequence[Point], most: int) -> np.ndarray:
+    """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
+    corners = np.asarray(vertices, np.float64)
+    if corners.ndim != 2 or corners.shape[1] != 2:
+        raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
+    if not np.isfinite(corners).all():
+        raise SceneError("vertices hold NaN or infinity; give finite coordinates in metres")
+    if not 3 <= len(corners) <= most:
+        raise SceneError(
+            f"{len(corners)} vertices; this capacity takes 3 to {most}, so split the shape or raise Capacity.vertices"
+        )
+    edges = np.roll(corners, -1, 0) - corners
+    lengths = np.hypot(edges[:, 0], edges[:, 1])
+    for i, length in enumerate(lengths):
+        if length <= 1e-6 * max(lengths.max(), 1e-30):
+            raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
+    area, _, _ = _polygon_integrals(corners)
+    turns = _cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
+    if abs(area) < SMALLEST_AREA_M2:
+        raise SceneError(f"the polygon has an area of {area:g} m^2; it needs at least {SMALLEST_AREA_M2:g}")
+    if area < 0 and (turns <= 1e-9).all():
+        raise SceneError("vertices run clockwise; list them counter-clockwise (reverse the list)")
+    if (turns < -1e-6).any() or area < 0 or _winding(edges) != 1:
+        bad = int(np.argmin(turns)) + 1
+        raise SceneError(
+            f"the polygon is not convex at vertex {bad % len(corners)}; split it into convex parts joined by fixed joints"
+        )
+    return corners
+
+
+def _winding(edges: np.ndarray) -> int:
+    """How often the outline turns around: 1 for a simple convex polygon, 2 for a pentagram."""
+    headings = np.arctan2(edges[:, 1], edges[:, 0])
+    turns = (np.diff(np.append(headings, headings[0])) + math.pi) % (2 * math.pi) - math.pi
+    return round(float(turns.sum()) / (2 * math.pi))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _polygon_integrals(corners: np.ndarray) -> tuple[float, np.ndarray, float]:
+    """(area, centroid, second moment of area about the centroid) in float64; area is negative when clockwise."""
+    local = corners - corners[0]
+    following = np.roll(local, -1, 0)
+    cross = _cross(local, following)
+    area = 0.5 * float(cross.sum())
+    if area == 0.0:
+        return 0.0, corners[0], 0.0
+    centroid = (cross[:, None] * (local + following)).sum(0) / (6.0 * area)
+    second = (local**2 + local * following + following**2).sum(-1)
+    inertia = float((cross * second).sum()) / 12.0 - area * float(centroid @ centroid)
+    return area, centroid + corners[0], inertia
+
+
+def _rotate(v: np.ndarray, angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])
+
+
+def _finite(name: str, values: Sequence[float], count: int) -> list[float]:
+    numbers = [float(v) for v in values]
+    if len(numbers) != count or not all(math.isfinite(v) for v in numbers):
+        raise SceneError(f"{name} is {numbers}; give {count} finite number{'s' * (count > 1)}")
+    return numbers
+
+
+def _positive(name: str, value: float) -> float:
+    if not (math.isfinite(value) and value > 0):
+        raise SceneError(f"{name} is {value:g}; it must be positive and finite")
+    return float(value)
