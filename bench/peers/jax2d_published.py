@@ -67,9 +67,12 @@ def main() -> int:
 
 def describe() -> dict[str, Any]:
     """Versions and device; raises ImportError where the jax2d found is another than the published one."""
-    version = importlib.metadata.version("jax2d")
+    try:
+        version = importlib.metadata.version("jax2d")
+    except importlib.metadata.PackageNotFoundError:
+        raise ImportError(f"no published jax2d in {sys.prefix}; run `bash bench/peers/setup.sh`") from None
     if version != WANTED_VERSION:
-        raise ImportError(f"jax2d {version} found, {WANTED_VERSION} wanted; run bench/peers/setup.sh")
+        raise ImportError(f"jax2d {version} found, {WANTED_VERSION} wanted; run `bash bench/peers/setup.sh`")
     import jax2d.engine
 
     if (Path(jax2d.__path__[0]) / "warp").is_dir():

@@ -42,7 +42,7 @@ class Peer:
             environment["PYTHONPATH"] = path
         # Two processes share the device in turns: neither may take all its memory.
         environment.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-        self._messages = tempfile.TemporaryFile("w+")
+        self._messages = tempfile.TemporaryFile("w+")  # noqa: SIM115  closed by close()
         self._process = subprocess.Popen(
             [python, str(script)],
             stdin=subprocess.PIPE,

@@ -6,11 +6,13 @@ JSON object as its last line; an exception ends the process with its message on 
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 from kinetix_dist.cli.errors import one_line
@@ -24,8 +26,13 @@ class ProbeError(Exception):
 
 def run_probe(name: str) -> dict[str, Any]:
     """Runs a probe in a new process and returns what it found; raises `ProbeError`."""
-    module = "jax2d.warp.self_check" if name == "warp" else __name__
-    command = [sys.executable, "-m", module] + ([] if name == "warp" else [name])
+    command = [sys.executable, "-m", __name__, name]
+    if name == "warp":
+        # By its path: importing the package jax2d would import jax, and a broken jax is another check's finding.
+        engine = importlib.util.find_spec("jax2d")
+        if engine is None or not engine.submodule_search_locations:
+            raise ProbeError("the package jax2d is not installed")
+        command = [sys.executable, "-P", str(Path(engine.submodule_search_locations[0], "warp", "self_check.py"))]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired as error:

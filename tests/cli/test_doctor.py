@@ -1,0 +1,67 @@
+"""doctor answers on this machine, and on machines where something is broken."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from kinetix_dist.cli.doctor import Args, diagnose
+from kinetix_dist.cli.main import main
+from tests.cli.test_main import run_command
+
+
+@pytest.fixture(scope="module")
+def report() -> dict:
+    done = run_command("doctor", "--json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout)
+
+
+def test_doctor_finds_that_training_can_run_here(report: dict) -> None:
+    assert report["can_train"] is True
+    assert not [check for check in report["checks"] if check["status"] == "error"]
+
+
+def test_doctor_reports_each_thing_that_training_depends_on(report: dict) -> None:
+    names = {check["name"] for check in report["checks"]}
+    assert {"python", "machine", "packages", "warp", "ray", "jax", "gpu", "disk", "ports"} <= names
+
+
+def test_doctor_compiles_a_kernel_and_names_the_devices(report: dict) -> None:
+    facts = {check["name"]: check["facts"] for check in report["checks"]}
+    assert facts["warp"]["compile_seconds"] >= 0.0
+    assert len(facts["jax"]["devices"]) >= 1
+
+
+def test_whatever_is_not_ok_comes_with_a_remedy(report: dict) -> None:
+    for check in report["checks"]:
+        assert check["status"] == "ok" or check["remedy"], check
+
+
+def test_a_broken_jax_costs_one_check_and_the_exit_status(tmp_path: Path) -> None:
+    (tmp_path / "jax.py").write_text("raise ImportError('libxla.so is broken')\n")
+    done = run_command("doctor", "--json", path=tmp_path)
+    assert done.returncode == 1
+    report = json.loads(done.stdout)
+    assert report["can_train"] is False
+    broken = [check for check in report["checks"] if check["status"] == "error"]
+    assert [check["name"] for check in broken] == ["jax"]
+    assert "libxla.so is broken" in broken[0]["detail"]
+
+
+def test_a_run_folder_that_cannot_be_written_is_an_error_that_names_it(tmp_path: Path) -> None:
+    file = tmp_path / "a_file"
+    file.touch()
+    checks = {check.name: check for check in diagnose(Args(run_dir=file / "runs"))}
+    assert checks["disk"].status == "error"
+    assert str(file) in checks["disk"].detail
+
+
+def test_a_gpu_that_is_asked_for_and_absent_fails(capsys: pytest.CaptureFixture[str], report: dict) -> None:
+    gpu = next(check for check in report["checks"] if check["name"] == "gpu")
+    if gpu["facts"].get("gpus"):
+        pytest.skip("this machine has a GPU")
+    assert main(["doctor", "--require-gpu"]) == 1
+    assert "ERROR    gpu" in capsys.readouterr().out

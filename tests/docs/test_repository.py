@@ -1,0 +1,121 @@
+"""What the repository promises whoever clones it: commands that exist, a lock that fits, no addresses in it."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from kinetix_dist.cli.main import COMMANDS, parse_args
+from tests.helpers import REPOSITORY
+
+README = (REPOSITORY / "README.md").read_text()
+MAKEFILE = (REPOSITORY / "Makefile").read_text()
+LOCK = (REPOSITORY / "requirements.lock").read_text()
+TEXT_SUFFIXES = {"", ".py", ".toml", ".lock", ".txt", ".md", ".yaml", ".yml", ".sh", ".sbatch", ".cfg"}
+DOCUMENTS = sorted([REPOSITORY / "README.md", *REPOSITORY.glob("docs/**/*.md"), *REPOSITORY.glob("cluster/**/*.md")])
+
+
+def shell_lines(text: str) -> list[str]:
+    """Commands in the fenced shell blocks of a Markdown text, without comments and continuation lines joined."""
+    blocks = re.findall(r"```(?:sh|bash|console)\n(.*?)```", text, re.DOTALL)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    return [line.split("  #")[0].strip() for line in lines if line.strip() and not line.strip().startswith("#")]
+
+
+def commands(program: str) -> list[tuple[str, str]]:
+    """(document, command line) of every use of a program in the documents."""
+    found = []
+    for document in DOCUMENTS:
+        for line in shell_lines(document.read_text()):
+            words = line.removeprefix("$ ").removeprefix(".venv/bin/")
+            if words.startswith(program + " "):
+                found.append((document.relative_to(REPOSITORY).as_posix(), words))
+    return found
+
+
+@pytest.mark.parametrize(("document", "line"), commands("kinetix-dist"))
+def test_every_documented_command_parses(document: str, line: str) -> None:
+    name, *arguments = shlex.split(line, comments=True)[1:]
+    assert name in COMMANDS, f"{document}: {line}"
+    module = importlib.import_module(COMMANDS[name][0])
+    parse = getattr(module, "parse", None)
+    if parse is not None:
+        parse(arguments)
+    else:
+        parse_args(module.Args, arguments, prog=f"kinetix-dist {name}")
+
+
+@pytest.mark.parametrize(("document", "line"), commands("make"))
+def test_every_documented_make_target_exists(document: str, line: str) -> None:
+    target = shlex.split(line, comments=True)[1]
+    assert re.search(rf"^{target}:", MAKEFILE, re.MULTILINE), f"{document}: {line}"
+
+
+def test_the_readme_names_the_two_commands() -> None:
+    assert {"make train", "make test"} <= {line for _, line in commands("make")}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: d.relative_to(REPOSITORY).as_posix())
+def test_links_to_files_lead_somewhere(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)", document.read_text()):
+        if "://" not in target:
+            assert (document.parent / target).exists(), f"{document.name} links to {target}"
+
+
+def test_continuous_integration_runs_make_test() -> None:
+    assert re.search(r"^exec make test$", (REPOSITORY / ".ci" / "run").read_text(), re.MULTILINE)
+
+
+def test_the_lock_has_hashes_and_no_addresses() -> None:
+    assert "://" not in LOCK
+    pins = re.findall(r"^([a-z0-9][a-z0-9._-]*)==", LOCK, re.MULTILINE)
+    assert pins
+    for entry in re.split(r"\n(?=[a-z0-9])", LOCK.strip()):
+        assert "--hash=sha256:" in entry, entry.splitlines()[0]
+
+
+def test_the_lock_satisfies_pyproject() -> None:
+    """Renew it with `make lock` where this fails."""
+    from packaging.requirements import Requirement
+    from packaging.version import Version
+
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    wanted = project["dependencies"] + project["optional-dependencies"]["dev"]
+    locked: dict[str, list[Version]] = {}
+    for name, version in re.findall(r"^([a-z0-9][a-z0-9._-]*)==(\S+)", LOCK, re.MULTILINE):
+        locked.setdefault(name, []).append(Version(version))
+    for requirement in map(Requirement, wanted):
+        name = requirement.name.lower().replace("_", "-")
+        assert name in locked, f"{name} is not in requirements.lock"
+        for version in locked[name]:
+            assert requirement.specifier.contains(version), f"{name}: {version} is locked, {requirement} wanted"
+
+
+def test_no_file_names_a_package_registry() -> None:
+    """Whoever installs chooses the registry; a file that names one would override that choice."""
+    hosts = ["pypi" + ".org", "python" + "hosted.org", "conda" + ".anaconda", "registry." + "npmjs"]
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    if listed.returncode != 0:
+        pytest.skip("not a git checkout")
+    for name in filter(None, listed.stdout.split("\0")):
+        file = REPOSITORY / name
+        if file.is_file() and file.suffix in {
+            "",
+            ".py",
+            ".toml",
+            ".lock",
+            ".txt",
+            ".md",
+            ".yaml",
+            ".yml",
+            ".sh",
+            ".cfg",
+        }:
+            text = file.read_text(errors="ignore")
+            assert not [host for host in hosts if host in text], f"{name} names a package registry"
