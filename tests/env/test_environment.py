@@ -51,7 +51,9 @@ MEETS_RED = dataclasses.replace(
 )
 RESTS = small_level(box=(1.0, 1.0), disc_1=(4.0, 4.0))
 PUSHED = small_level(
-    box=(1.0, 1.0), disc_1=(4.0, 1.0), thruster={**THRUSTER, "thruster_position": (0.0, 0.0), "thruster_angle": 0.0}
+    box=(1.0, 1.0),
+    disc_1=(4.0, 1.0),
+    thruster={**THRUSTER, "thruster_position": (0.0, 0.0), "thruster_angle": 0.0, "thruster_power": 0.5},
 )
 
 
