@@ -1,0 +1,51 @@
+"""A rollout as one picture: moments from start to end side by side, with the paths of the green and blue shape.
+
+Made by jax2d's own rasteriser: no display, no GPU, no system package.
+"""
+
+from __future__ import annotations
+
+import os
+from types import SimpleNamespace
+
+import numpy as np
+
+from jax2d.draw import draw, write_png
+from jax2d.film_strip import film_strip
+from kinetix_dist.telemetry.recording import Rollout
+
+DEFAULT_MOMENTS = 5
+
+
+def rollout_picture(
+    rollout: Rollout, *, num_moments: int = DEFAULT_MOMENTS, pixels_per_metre: float = 60.0, columns: int | None = None
+) -> np.ndarray:
+    """uint8 [height, width, 3]. The first moment is the start, the last the end; a short rollout has fewer."""
+    if num_moments < 1:
+        raise ValueError(f"num_moments is {num_moments}; a picture shows at least 1")
+    moments = np.unique(np.rint(np.linspace(0, rollout.num_steps, num_moments)).astype(int))
+    images = [moment_picture(rollout, int(k), pixels_per_metre=pixels_per_metre) for k in moments]
+    captions = [f"{rollout.seconds[k]:.2f} s" for k in moments]
+    return film_strip(images, captions, columns=columns)
+
+
+def moment_picture(rollout: Rollout, state: int, *, pixels_per_metre: float = 100.0) -> np.ndarray:
+    """One state of a rollout, uint8 [height, width, 3]: flames of the step that led there, paths up to there."""
+    scene, roles = rollout.level.scene, np.asarray(rollout.level.shape_role)
+    moving = np.asarray(scene.shape_active) & (np.asarray(scene.inverse_mass) > 0)
+    followed = np.flatnonzero(moving & (roles > 0))
+    return draw(
+        scene,
+        SimpleNamespace(position=rollout.position[state], angle=rollout.angle[state]),
+        roles,
+        thrust=rollout.thruster[state - 1] if state > 0 else None,
+        trails=[rollout.position[: state + 1, i] for i in followed],
+        pixels_per_metre=pixels_per_metre,
+    )
+
+
+def write_rollout_picture(
+    path: str | os.PathLike[str], rollout: Rollout, *, num_moments: int = DEFAULT_MOMENTS
+) -> None:
+    """Writes `rollout_picture` as a PNG file."""
+    write_png(path, rollout_picture(rollout, num_moments=num_moments))

@@ -1,0 +1,298 @@
+"""Rollouts to rerun: a file (.rrd) with its layout inside, or a viewer that is running.
+
+Whole rollouts go in as columns (`send_columns`), made on demand from a recording. rerun has no filled 2D
+polygon, so shapes are meshes in 3D, seen by a `Pinhole` camera inside a 2D view:
+
+    /camera               the pinhole: LENS pixels focal length; a 2D view with this origin projects the rest
+    /world                metres to camera space: x right, y down, LENS away, so that 1 m is PIXELS_PER_METRE pixels
+    /world/shape_03       moves (Transform3D columns); below it, in its own frame, `fill`, `outline`, `joint_0`, ...
+    /reward /return /motor /thruster /actions     plots
+    /summary              what this rollout is
+
+Bodies are outside of /camera because rerun leaves out what is below a pinhole of the view's own origin.
+Every row carries two timelines: `step` and `time` (simulated seconds).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jax2d.draw import (
+    BACKGROUND,
+    DEFAULT_VIEW,
+    FLAME_CORE,
+    INK,
+    JOINT_RADIUS_M,
+    MOTOR_PALETTE,
+    OUTLINE_SHADE,
+    THRUSTER_PALETTE,
+    shape_colours,
+    thruster_outline,
+)
+from kinetix_dist.telemetry.recording import Rollout
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+APPLICATION = "kinetix-dist"
+LENS = 1000.0  # focal length, pixels, and distance: long, so that depth moves nothing by a pixel
+PIXELS_PER_METRE = 100.0
+CIRCLE_CORNERS = 48
+# Depths, camera units nearer than the plane of the shapes. Shapes are 0.05 apart so that they do not flicker.
+SHAPE_SPACING, OUTLINE_DEPTH, MARK_DEPTH = 0.05, 0.02, 2.0
+MOTOR_IDLE = (255, 255, 255)
+MOTOR_FORWARD, MOTOR_BACKWARD = MOTOR_PALETTE[0], MOTOR_PALETTE[1]
+
+
+def rollout_to_rrd(rollout: Rollout, path: str | os.PathLike[str]) -> None:
+    """Writes one rollout and its layout to an .rrd file, replacing a file of that name."""
+    import rerun as rr
+
+    if not Path(path).parent.is_dir():  # rerun itself would only log a warning
+        raise FileNotFoundError(f"{Path(path).parent} is no directory; create it or choose another place for the .rrd")
+    with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False) as stream:
+        stream.save(path, default_blueprint=rollout_blueprint(rollout))
+        log_rollout(stream, rollout)
+        stream.flush()
+        stream.disconnect()
+
+
+def rollout_to_viewer(rollout: Rollout, url: str = "rerun+http://127.0.0.1:9876/proxy") -> None:
+    """Shows one rollout in a rerun viewer that listens at `url` (`rerun --bind 127.0.0.1`)."""
+    import rerun as rr
+
+    with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout)) as stream:
+        stream.connect_grpc(url, default_blueprint=rollout_blueprint(rollout))
+        log_rollout(stream, rollout)
+        stream.flush()
+        stream.disconnect()
+
+
+def log_rollout(stream: rr.RecordingStream, rollout: Rollout) -> None:
+    """Logs everything but the layout."""
+    import rerun as rr
+
+    stream.send_recording_name(f"{rollout.level_name}: {rollout.outcome}")
+    stream.log("summary", rr.TextDocument(summary(rollout), media_type=rr.MediaType.MARKDOWN), static=True)
+    _log_camera(stream)
+    scene = rollout.level.scene
+    for i in np.flatnonzero(np.asarray(scene.shape_active)):
+        _log_shape(stream, rollout, int(i))
+    for k in np.flatnonzero(np.asarray(scene.joint_active)):
+        _log_joint(stream, rollout, int(k))
+    for k in np.flatnonzero(np.asarray(scene.thruster_active)):
+        _log_thruster(stream, rollout, int(k))
+    _log_plots(stream, rollout)
+
+
+def summary(rollout: Rollout) -> str:
+    """Markdown: what was tried, by whom, how it ended."""
+    policy = "random actions" if rollout.policy_version < 0 else f"policy after {rollout.policy_version} updates"
+    return (
+        f"**{rollout.level_name}**: {rollout.outcome} after {rollout.num_steps} steps "
+        f"({rollout.num_steps * rollout.step_seconds:.2f} s)\n\n{policy}, seed {rollout.seed}, "
+        f"return {rollout.reward.sum():.3f}\n\nMake green touch blue, keep it off red. Darker shapes are fixed."
+    )
+
+
+def rollout_blueprint(rollout: Rollout) -> rrb.Blueprint:
+    """The layout: the world on the left; summary and plots on the right; the time line below."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    low_x, low_y, high_x, high_y = DEFAULT_VIEW
+    size = (PIXELS_PER_METRE * (high_x - low_x), PIXELS_PER_METRE * (high_y - low_y))
+    world = rrb.Spatial2DView(
+        name="world",
+        origin="camera",
+        contents=["/camera", "/world/**"],
+        background=[*BACKGROUND, 255],
+        visual_bounds=rrb.VisualBounds2D(x_range=[0.0, size[0]], y_range=[0.0, size[1]]),
+    )
+    scene = rollout.level.scene
+    plots: list[Any] = [rrb.TimeSeriesView(name="reward", origin="/", contents=["/reward", "/return"])]
+    if np.asarray(scene.joint_active).any():
+        plots.append(rrb.TimeSeriesView(name="motors, share of target speed", origin="motor"))
+    if np.asarray(scene.thruster_active).any():
+        plots.append(rrb.TimeSeriesView(name="thrusters, share of power", origin="thruster"))
+    plots.append(rrb.TimeSeriesView(name="actions", origin="actions"))
+    text = rrb.TextDocumentView(name="rollout", origin="summary")
+    right = rrb.Vertical(text, *plots, row_shares=[1.2] + [1.0] * len(plots))
+    return rrb.Blueprint(
+        rrb.Horizontal(world, right, column_shares=[1.5, 1.0]),
+        rrb.BlueprintPanel(state=rr.blueprint.components.PanelState.Collapsed),
+        rrb.SelectionPanel(state=rr.blueprint.components.PanelState.Collapsed),
+        rrb.TimePanel(state=rr.blueprint.components.PanelState.Collapsed, timeline="time"),
+    )
+
+
+def _recording_id(rollout: Rollout) -> str:
+    return f"{rollout.level_name} v{rollout.policy_version} seed {rollout.seed}"
+
+
+def _times(rollout: Rollout, rows: slice) -> list[Any]:
+    """The two timelines of some of the states."""
+    import rerun as rr
+
+    steps = np.arange(rollout.num_steps + 1)[rows]
+    return [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("time", duration=rollout.seconds[rows])]
+
+
+def _log_camera(stream: rr.RecordingStream) -> None:
+    import rerun as rr
+
+    low_x, low_y, high_x, high_y = DEFAULT_VIEW
+    width, height = PIXELS_PER_METRE * (high_x - low_x), PIXELS_PER_METRE * (high_y - low_y)
+    stream.log("camera", rr.Pinhole(focal_length=LENS, width=width, height=height), static=True)
+    # Camera space: x right, y down, z away. At distance LENS one camera unit is one pixel.
+    middle = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2])
+    scale = np.array([PIXELS_PER_METRE, -PIXELS_PER_METRE])
+    stream.log(
+        "world",
+        rr.Transform3D(translation=[*(-middle * scale), LENS], mat3x3=np.diag([*scale, 1.0])),
+        static=True,
+    )
+
+
+def _shape_path(i: int) -> str:
+    return f"world/shape_{i:02d}"
+
+
+def _at_depth(points: np.ndarray, nearer: float) -> np.ndarray:
+    """[..., 2] m -> [..., 3], `nearer` camera units in front of the body's own plane."""
+    depth = np.full((*points.shape[:-1], 1), -nearer)
+    return np.concatenate([points, depth], axis=-1).astype(np.float32)
+
+
+def _log_shape(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
+    import rerun as rr
+
+    scene, path = rollout.level.scene, _shape_path(i)
+    num_polygons = np.asarray(scene.vertices).shape[0]
+    if i < num_polygons:
+        outline = np.asarray(scene.vertices)[i, : int(np.asarray(scene.num_vertices)[i])]
+        spokes = []
+    else:
+        radius = float(np.asarray(scene.radius)[i - num_polygons])
+        turn = np.linspace(0, 2 * np.pi, CIRCLE_CORNERS, endpoint=False)
+        outline = radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        spokes = [_at_depth(np.array([[0.0, 0.0], [0.9 * radius, 0.0]]), OUTLINE_DEPTH)]
+    colour = shape_colours(scene, rollout.level.shape_role)[i]
+    fan = np.stack([np.zeros(len(outline) - 2, int), np.arange(1, len(outline) - 1), np.arange(2, len(outline))], -1)
+    stream.log(
+        f"{path}/fill",
+        rr.Mesh3D(
+            vertex_positions=_at_depth(outline, 0.0),
+            triangle_indices=fan.astype(np.uint32),
+            vertex_colors=np.tile(colour, (len(outline), 1)),  # uint8: rerun reads floats as 0..1
+        ),
+        static=True,
+    )
+    ring = _at_depth(np.concatenate([outline, outline[:1]]), OUTLINE_DEPTH)
+    ink = (colour * OUTLINE_SHADE).astype(np.uint8)
+    stream.log(
+        f"{path}/outline",
+        rr.LineStrips3D([ring, *spokes], colors=[ink], radii=rr.Radius.ui_points(1.0)),
+        static=True,
+    )
+    # Fixed shapes lie behind the others, and every shape in a plane of its own.
+    is_fixed = np.asarray(scene.inverse_mass)[i] == 0
+    depth = (SHAPE_SPACING * rollout.num_shapes if is_fixed else 0.0) - SHAPE_SPACING * i
+    translation = np.concatenate(
+        [rollout.position[:, i], np.full((rollout.num_steps + 1, 1), depth, np.float32)], axis=-1
+    )
+    half = rollout.angle[:, i] / 2
+    quaternion = np.stack([np.zeros_like(half), np.zeros_like(half), np.sin(half), np.cos(half)], axis=-1)
+    if is_fixed:
+        stream.log(path, rr.Transform3D(translation=translation[0], quaternion=quaternion[0]), static=True)
+    else:
+        columns = rr.Transform3D.columns(translation=translation, quaternion=quaternion)
+        stream.send_columns(path, indexes=_times(rollout, slice(None)), columns=columns)
+
+
+def _log_joint(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
+    """A hinge is a disc, coloured while its motor drives forward or backward; a weld is a cross."""
+    import rerun as rr
+
+    scene = rollout.level.scene
+    path = f"{_shape_path(int(np.asarray(scene.joint_a)[k]))}/joint_{k}"
+    anchor = np.asarray(scene.joint_anchor_a, float)[k]
+    if np.asarray(scene.joint_is_fixed)[k]:
+        arms = JOINT_RADIUS_M * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]]) / np.sqrt(2)
+        strips = [_at_depth(anchor + arm, MARK_DEPTH) for arm in arms]
+        stream.log(path, rr.LineStrips3D(strips, colors=[INK], radii=rr.Radius.ui_points(1.5)), static=True)
+        return
+    place = _at_depth(anchor[None], MARK_DEPTH)
+    rim = rr.Points3D(place, colors=[INK], radii=rr.Radius.ui_points(6.0))
+    stream.log(f"{path}/rim", rim, static=True)
+    middle = rr.Points3D(_at_depth(anchor[None], MARK_DEPTH + 1.0), colors=[MOTOR_IDLE], radii=rr.Radius.ui_points(4.0))
+    if not np.asarray(scene.motor_on)[k]:
+        stream.log(f"{path}/motor", middle, static=True)
+        return
+    drive = rollout.motor[:, k, None]
+    colours = np.where(drive > 0, MOTOR_FORWARD, np.where(drive < 0, MOTOR_BACKWARD, MOTOR_IDLE)).astype(np.uint8)
+    stream.log(f"{path}/motor", rr.Points3D.from_fields(positions=place - [0, 0, 1.0], radii=[-4.0]), static=True)
+    columns = rr.Points3D.columns(colors=colours)
+    stream.send_columns(f"{path}/motor", indexes=_times(rollout, slice(None, -1)), columns=columns)
+
+
+def _log_thruster(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
+    """A nozzle that is always there and a flame, as long as the thruster's share of its power, while it fires."""
+    import rerun as rr
+
+    scene = rollout.level.scene
+    path = _shape_path(int(np.asarray(scene.thruster_body)[k]))
+    nozzle, flame = (_at_depth(part, MARK_DEPTH) for part in thruster_outline(scene, k))
+    stream.log(
+        f"{path}/thruster_{k}",
+        rr.Mesh3D(vertex_positions=nozzle, vertex_colors=np.tile(np.array(INK, np.uint8), (3, 1))),
+        static=True,
+    )
+    if rollout.num_steps == 0:
+        return
+    base = (flame[0] + flame[2]) / 2
+    for name, size, colour, nearer in (("flame", 1.0, THRUSTER_PALETTE[0], 0.0), ("core", 0.5, FLAME_CORE, 0.1)):
+        fire = rollout.thruster[:, k]
+        shown = base + (flame - base) * size * fire[fire > 0, None, None] - np.array([0.0, 0.0, nearer])
+        columns = rr.Mesh3D.columns(
+            vertex_positions=shown.reshape(-1, 3),
+            vertex_colors=np.tile(np.array(colour, np.uint8), (3 * len(shown), 1)),
+        )
+        lengths = np.where(fire > 0, 3, 0)  # no vertices: nothing drawn in that step
+        stream.send_columns(
+            f"{path}/{name}_{k}", indexes=_times(rollout, slice(None, -1)), columns=columns.partition(lengths=lengths)
+        )
+
+
+def _log_plots(stream: rr.RecordingStream, rollout: Rollout) -> None:
+    """Rewards stand at the state a step led to; commands at the state in which they were given."""
+    import rerun as rr
+
+    if rollout.num_steps == 0:
+        return
+    scene = rollout.level.scene
+    after, before = slice(1, None), slice(None, -1)
+    lines: list[tuple[str, str, np.ndarray, slice, Any]] = [
+        ("reward", "reward", rollout.reward, after, None),
+        ("return", "return so far", np.cumsum(rollout.reward), after, None),
+    ]
+    for k in np.flatnonzero(np.asarray(scene.joint_active)):
+        lines.append((f"motor/{k}", f"joint {k}", rollout.motor[:, k], before, MOTOR_PALETTE[k % len(MOTOR_PALETTE)]))
+    for k in np.flatnonzero(np.asarray(scene.thruster_active)):
+        colour = THRUSTER_PALETTE[k % len(THRUSTER_PALETTE)]
+        lines.append((f"thruster/{k}", f"thruster {k}", rollout.thruster[:, k], before, colour))
+    for k in range(rollout.actions.shape[1]):
+        lines.append((f"actions/{k}", f"action {k}", rollout.actions[:, k], before, None))
+    for path, name, values, rows, colour in lines:
+        style = rr.SeriesLines(
+            names=[name],
+            colors=None if colour is None else [colour],
+            interpolation_mode=rr.components.InterpolationMode.StepAfter if rows is before else None,
+        )
+        stream.log(path, style, static=True)
+        stream.send_columns(path, indexes=_times(rollout, rows), columns=rr.Scalars.columns(scalars=values))

@@ -1,0 +1,116 @@
+"""The rasteriser: areas, places, edges and errors of pictures of worlds."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jax2d.draw import BACKGROUND, ROLE_PALETTE, draw, encode_png
+from jax2d.film_strip import film_strip, text_mask
+from tests.telemetry.worlds import CAPACITY, START, rectangle, scene
+
+GREY = ROLE_PALETTE[0]
+
+
+def world(**active: bool):
+    """A scene with one grey shape: `polygon=True`, a 1 x 0.5 m rectangle, or a circle of 0.35 m radius."""
+    base = scene()
+    shape = 2 if active.get("polygon") else CAPACITY.polygons
+    only = np.arange(CAPACITY.shapes) == shape
+    quiet = {"joint_active": np.zeros(2, bool), "thruster_active": np.zeros(2, bool)}
+    return dataclasses.replace(base, shape_active=only, **quiet), shape
+
+
+def at(place: tuple[float, float], angle: float, shape: int) -> SimpleNamespace:
+    position, angles = START.copy(), np.zeros(CAPACITY.shapes)
+    position[shape], angles[shape] = place, angle
+    return SimpleNamespace(position=position, angle=angles)
+
+
+def painted_area(image: np.ndarray, scale: float) -> float:
+    """Area that is not background, m^2; pixels at an edge count by how much they differ from the background."""
+    background = np.asarray(BACKGROUND, float)
+    share = np.abs(image - background).sum(-1) / np.abs(np.asarray(GREY) * 0.6 - background).sum()
+    return float(np.clip(share, 0, 1).astype(bool).sum()) / scale**2
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, 2.0, -1.3])
+def test_a_rectangle_covers_its_area_at_any_angle(angle: float) -> None:
+    one, shape = world(polygon=True)
+    image = draw(one, at((2.5, 2.5), angle, shape))
+    # One row of half-covered pixels around the 3 m edge: at most 3 m x 0.01 m more.
+    assert painted_area(image, 100) == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_circle_covers_its_area() -> None:
+    one, shape = world()
+    image = draw(one, at((2.5, 2.5), 0.0, shape))
+    assert painted_area(image, 100) == pytest.approx(np.pi * 0.35**2, abs=2 * np.pi * 0.35 * 0.01)
+
+
+def test_a_shape_turns_counter_clockwise_and_y_is_up() -> None:
+    one, shape = world(polygon=True)
+    image = draw(one, at((1.0, 4.0), np.pi / 2, shape), view=(0, 0, 5, 5))
+    rows, columns = np.nonzero((image != BACKGROUND).any(-1))
+    assert (rows.min() + rows.max()) / 2 == pytest.approx(100, abs=1)  # y = 4 of 5 m
+    assert (columns.min() + columns.max()) / 2 == pytest.approx(100, abs=1)
+    assert rows.max() - rows.min() == pytest.approx(100, abs=2)  # 1 m wide, now upright
+    assert columns.max() - columns.min() == pytest.approx(50, abs=2)
+    triangle = dataclasses.replace(
+        one, vertices=one.vertices.copy(), num_vertices=np.where(np.arange(5) == 2, 3, one.num_vertices)
+    )
+    triangle.vertices[2] = [[0, 0], [1, 0], [0, 1], [0, 1]]
+    image = draw(triangle, at((2.0, 2.0), np.pi / 6, shape), view=(0, 0, 5, 5))
+    # (0.2, 0.05) lies inside; turned by 30 degrees counter-clockwise it is (0.148, 0.143).
+    assert tuple(image[500 - 214, 214]) == GREY
+    assert tuple(image[500 - 186, 214]) == BACKGROUND  # its mirror image below the corner
+
+
+def test_shapes_outside_of_the_view_or_not_finite_are_left_out() -> None:
+    one, shape = world(polygon=True)
+    for place in ((50.0, 2.0), (np.nan, 1.0), (1e30, 0.0)):
+        assert (draw(one, at(place, 0.0, shape)) == BACKGROUND).all()
+
+
+def test_a_batch_of_worlds_is_refused() -> None:
+    with pytest.raises(ValueError, match="one world"):
+        draw(scene(), SimpleNamespace(position=START[None], angle=np.zeros((1, CAPACITY.shapes))))
+
+
+def test_a_role_without_colour_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"0\.\.3"):
+        draw(scene(), at((1, 1), 0.0, 1), np.full(CAPACITY.shapes, 4))
+
+
+def test_png_keeps_every_pixel() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (7, 11, 3)).astype(np.uint8)
+    with Image.open(io.BytesIO(encode_png(image))) as png:
+        np.testing.assert_array_equal(np.asarray(png), image)
+    with pytest.raises(ValueError, match="float64"):
+        encode_png(image / 255.0)
+
+
+def test_a_strip_lays_pictures_out_in_rows() -> None:
+    images = [np.full((20, 60, 3), 40 * k, np.uint8) for k in range(5)]
+    strip = film_strip(images, ["0.5 s"] * 5, columns=3)
+    assert {int(value) for value in np.unique(strip)} >= {0, 40, 80, 120, 160}
+    assert strip.shape[0] < strip.shape[1]
+    with pytest.raises(ValueError, match="captions"):
+        film_strip(images, ["0.5 s"])
+
+
+def test_captions_have_digits_only() -> None:
+    assert text_mask("1.5 s").any()
+    with pytest.raises(ValueError, match="x"):
+        text_mask("x")
+
+
+def test_rectangles_of_the_test_world_are_counter_clockwise() -> None:
+    corners = np.array(rectangle(2, 1))
+    following = np.roll(corners, -1, axis=0)
+    assert (corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum() / 2 == pytest.approx(2.0)

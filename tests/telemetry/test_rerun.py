@@ -1,0 +1,80 @@
+"""The .rrd: read back with rerun's own reader; bodies are where the rollout says, at the time it says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd
+from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout
+
+
+@pytest.fixture(scope="module")
+def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rrd") / "a.rrd"
+    rollout_to_rrd(falling_rollout(20), path)
+    return path
+
+
+def column(path: Path, entity: str, component: str) -> list[Any]:
+    """All values of one component of one entity, in the order of the file."""
+    from rerun.chunk import RrdReader
+
+    values: list[Any] = []
+    for chunk in RrdReader(path).stream().to_chunks():
+        if chunk.entity_path == entity:
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if name == component or name.endswith(f":{component}"):
+                    array = batch.column(name)
+                    values += (array.cast("int64") if name == "time" else array).to_pylist()  # durations: in ns
+    return values
+
+
+def test_a_body_moves_as_recorded(rrd: Path) -> None:
+    rollout = falling_rollout(20)
+    translation = column(rrd, f"/world/shape_{GREY_TRIANGLE:02d}", "translation")
+    np.testing.assert_allclose(np.array(translation)[:, 0, :2], rollout.position[:, GREY_TRIANGLE], atol=1e-6)
+    quaternion = np.array(column(rrd, f"/world/shape_{GREY_TRIANGLE:02d}", "quaternion"))[:, 0]
+    # A turn by theta about z is (0, 0, sin(theta / 2), cos(theta / 2)); it turns by 1 rad/s.
+    np.testing.assert_allclose(2 * np.arctan2(quaternion[:, 2], quaternion[:, 3]), np.arange(21) / 30, atol=1e-6)
+
+
+def test_times_are_simulated_seconds(rrd: Path) -> None:
+    nanoseconds = column(rrd, f"/world/shape_{GREY_TRIANGLE:02d}", "time")
+    np.testing.assert_allclose(np.array(nanoseconds) * 1e-9, np.arange(21) / 30, atol=1e-6)
+
+
+def test_a_flame_shows_only_while_its_thruster_fires(rrd: Path) -> None:
+    flames = column(rrd, f"/world/shape_{GREEN_BOX:02d}/flame_0", "vertex_positions")
+    assert [len(vertices) for vertices in flames] == [0, 3] * 10
+
+
+def test_a_motor_is_coloured_while_it_drives(rrd: Path) -> None:
+    rollout = falling_rollout(20)
+    colours = np.array(column(rrd, "/world/shape_02/joint_0/motor", "colors"))[:, 0]
+    forward = int.from_bytes([*MOTOR_FORWARD, 255], "big")
+    np.testing.assert_array_equal(colours == forward, rollout.motor[:, 0] > 0)
+
+
+def test_rewards_and_actions_are_plotted(rrd: Path) -> None:
+    rollout = falling_rollout(20)
+    np.testing.assert_allclose(np.array(column(rrd, "/reward", "scalars"))[:, 0], rollout.reward, atol=1e-6)
+    np.testing.assert_allclose(np.array(column(rrd, "/return", "scalars"))[-1, 0], rollout.reward.sum(), atol=1e-5)
+    for k in range(6):
+        np.testing.assert_array_equal(np.array(column(rrd, f"/actions/{k}", "scalars"))[:, 0], rollout.actions[:, k])
+
+
+def test_the_layout_is_in_the_file(rrd: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    stores = RrdReader(rrd).blueprints()
+    assert len(stores) == 1
+
+
+def test_a_missing_folder_is_an_error_and_not_a_warning(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no directory"):
+        rollout_to_rrd(falling_rollout(3), tmp_path / "missing" / "a.rrd")
