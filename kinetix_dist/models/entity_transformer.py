@@ -1,0 +1,189 @@
+"""The paper's network: a gated transformer over shapes, with messages along joints and from thrusters.
+
+    encoders    polygons, circles, joints, thrusters: Dense + tanh each to [B, count, encoder_size]; one constant token
+                more ("dummy") that sees every shape
+    layer       x = gate1(x, relu(attention(norm(x))))         a quarter of the heads for each of the four masks
+                x = gate2(x, relu(Dense(norm(x))))
+                x[from] += Dense([x_from, x_to, joint])        for each joint and direction
+                x[owner] += Dense([x_owner, thruster])         for each thruster, from the same x
+    pooling     mean over the tokens that exist, the dummy included
+    towers      actor and critic, see towers.py
+
+What bounds it on a GPU is memory traffic between small operations, not arithmetic. So products of one input are
+one product (queries, keys and values; the gates, see gate.py), the scale and offset of a norm are folded into the
+product behind it, a joint's own share of its messages is computed once for all layers, and attention and messages
+are elementwise loops (attention.py, rows.py). Activations are [B, tokens, F] in `dtype`; parameters are float32.
+Observations enter in float32: bfloat16 would round positions in a 5 m box to centimetres.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+
+from jax2d.scene import Array
+from kinetix_dist.models.attention import attend, pack_mask
+from kinetix_dist.models.contraction import contract, linear
+from kinetix_dist.models.gate import gate
+from kinetix_dist.models.rows import add_rows, take_rows
+from kinetix_dist.models.towers import TANH_GAIN, Towers
+
+if TYPE_CHECKING:
+    from kinetix_dist.env.observations.entities import EntityObs
+
+NUM_MASKS = 4
+NORM_EPSILON = 1e-6
+lecun_normal = nn.initializers.lecun_normal
+zeros = nn.initializers.zeros
+ones = nn.initializers.ones
+
+
+class EntityTransformer(nn.Module):
+    """EntityObs of a batch of worlds -> (logits of each head [B, choices] float32, value [B] float32)."""
+
+    encoder_size: int
+    attention_features: int
+    num_heads: int
+    num_layers: int
+    hidden_size: int
+    hidden_layers: int
+    head_sizes: tuple[int, ...]
+    dtype: Any
+
+    @nn.compact
+    def __call__(self, obs: EntityObs) -> tuple[tuple[Array, ...], Array]:
+        # Encode: shapes become tokens, the dummy token is the last.
+        polygons = self._encode("polygon_encoder", obs.polygons)
+        circles = self._encode("circle_encoder", obs.circles)
+        joints = self._encode("joint_encoder", obs.joints)
+        thrusters = self._encode("thruster_encoder", obs.thrusters)
+        dummy = jnp.ones((polygons.shape[0], 1, self.encoder_size), self.dtype)
+        x = jnp.concatenate([polygons, circles, dummy], axis=1)
+        token_mask, mask_words = _token_masks(obs.shape_mask, obs.attention_masks)
+        # The share of a message that does not depend on the layer's tokens, for all layers at once.
+        joint_kernel, joint_terms = self._message_terms("joint_messages", joints, num_ends=2)
+        thruster_kernel, thruster_terms = self._message_terms("thruster_messages", thrusters, num_ends=1)
+        ends = jnp.stack([obs.joint_from, obs.joint_to], axis=-1).reshape(x.shape[0], -1)
+        for layer in range(self.num_layers):
+            x = self._attention(layer, x, mask_words)
+            x = self._feed_forward(layer, x)
+            # Messages along joints and from thrusters, both from the tokens before either is added.
+            from_joints = _messages(x, ends, joint_kernel[layer], joint_terms[layer], obs.joint_mask)
+            from_thrusters = _messages(
+                x, obs.thruster_owner, thruster_kernel[layer], thruster_terms[layer], obs.thruster_mask
+            )
+            x = add_rows(x, obs.joint_from, from_joints)
+            x = add_rows(x, obs.thruster_owner, from_thrusters)
+        embedding = _masked_mean(x, token_mask).astype(self.dtype)
+        return Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")(embedding)
+
+    def _encode(self, name: str, features: Array) -> Array:
+        dense = nn.Dense(self.encoder_size, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name=name)
+        return jnp.tanh(dense(features)).astype(self.dtype)
+
+    def _attention(self, layer: int, x: Array, mask_words: Array) -> Array:
+        size, features = self.encoder_size, self.attention_features
+        kernel = self.param(f"attention_{layer}_qkv_kernel", lecun_normal(), (size, 3 * features))
+        bias = self.param(f"attention_{layer}_qkv_bias", zeros, (3 * features,))
+        kernel, bias = self._fold_norm(f"attention_{layer}", kernel, bias)
+        # Features first: [3 features, B, n], so that attention runs over worlds and tokens.
+        qkv = contract("bni,if->fbn", normalise(x), kernel) + bias[:, None, None].astype(self.dtype)
+        heads_a_mask = self.num_heads // NUM_MASKS
+        out = attend(
+            qkv.reshape(3, NUM_MASKS, heads_a_mask, features // self.num_heads, *qkv.shape[1:]), mask_words
+        ).reshape(features, *qkv.shape[1:])
+        out_kernel = self.param(f"attention_{layer}_out_kernel", lecun_normal(), (features, size))
+        out_bias = self.param(f"attention_{layer}_out_bias", zeros, (size,))
+        update = contract("fbn,fo->bno", out, out_kernel) + out_bias.astype(self.dtype)
+        return self._gate(f"attention_{layer}", x, jax.nn.relu(update))
+
+    def _feed_forward(self, layer: int, x: Array) -> Array:
+        size = self.encoder_size
+        kernel = self.param(f"feed_forward_{layer}_kernel", lecun_normal(), (size, size))
+        bias = self.param(f"feed_forward_{layer}_bias", zeros, (size,))
+        kernel, bias = self._fold_norm(f"feed_forward_{layer}", kernel, bias)
+        update = linear(normalise(x), kernel) + bias.astype(self.dtype)
+        return self._gate(f"feed_forward_{layer}", x, jax.nn.relu(update))
+
+    def _fold_norm(self, name: str, kernel: Array, bias: Array) -> tuple[Array, Array]:
+        """Kernel and bias that act on `normalise(x)` as the given ones do on scale * normalise(x) + offset."""
+        scale = self.param(f"{name}_norm_scale", ones, (self.encoder_size,))
+        offset = self.param(f"{name}_norm_offset", zeros, (self.encoder_size,))
+        return scale[:, None] * kernel, bias + jnp.sum(offset[:, None] * kernel, axis=0)
+
+    def _gate(self, name: str, x: Array, update: Array) -> Array:
+        size = self.encoder_size
+        return gate(
+            x,
+            update,
+            self.param(f"{name}_gate_update_kernel", lecun_normal(), (size, 3 * size)),
+            self.param(f"{name}_gate_stream_kernel", lecun_normal(), (size, 2 * size)),
+            self.param(f"{name}_gate_reset_kernel", lecun_normal(), (size, size)),
+            self.param(f"{name}_gate_bias", zeros, (size,)),
+        )
+
+    def _message_terms(self, name: str, entities: Array, *, num_ends: int) -> tuple[Array, Array]:
+        """Kernels for the tokens at the ends [layers, ends E, E], and the entities' terms, [B, K, E] a layer."""
+        size, layers = self.encoder_size, self.num_layers
+        kernels = [
+            self.param(f"{name}_{layer}_kernel", lecun_normal(), ((num_ends + 1) * size, size))
+            for layer in range(layers)
+        ]
+        biases = [self.param(f"{name}_{layer}_bias", zeros, (size,)) for layer in range(layers)]
+        of_entity = jnp.concatenate([kernel[num_ends * size :] for kernel in kernels], axis=1)
+        terms = linear(entities, of_entity) + jnp.concatenate(biases).astype(self.dtype)
+        of_ends = jnp.stack([kernel[: num_ends * size] for kernel in kernels])
+        return of_ends, jnp.split(terms, layers, axis=-1)
+
+
+def _messages(x: Array, ends: Array, kernel: Array, terms: Array, mask: Array) -> Array:
+    """[B, K, E]: what each of K joints or thrusters tells, zero for those that do not exist. ends: [B, K x ends]."""
+    rows = take_rows(x, ends).reshape(*mask.shape, -1)
+    return (linear(rows, kernel) + terms) * mask[..., None].astype(x.dtype)
+
+
+def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Array]:
+    """Which tokens exist [B, n + 1], and whom each may look at, [4, B, n + 1] uint32 words; the dummy is the last."""
+    token_mask = jnp.pad(shape_mask, ((0, 0), (0, 1)), constant_values=True)
+    dummy_bit = jnp.uint32(1) << jnp.uint32(shape_mask.shape[1])
+    words = pack_mask(attention_masks) | jnp.where(shape_mask, dummy_bit, 0).astype(jnp.uint32)[:, None]
+    words = jnp.where(shape_mask[:, None], words, 0)
+    of_dummy = jnp.broadcast_to(pack_mask(token_mask)[:, None, None], (*words.shape[:2], 1))
+    return token_mask, jnp.moveaxis(jnp.concatenate([words, of_dummy], axis=-1), 1, 0)
+
+
+def _masked_mean(x: Array, mask: Array) -> Array:
+    """Mean in float32 over the tokens that exist, [B, F]; the dummy token always does."""
+    weight = mask.astype(jnp.float32) / jnp.sum(mask, axis=1, keepdims=True)
+    total = jnp.zeros((x.shape[0], x.shape[2]), jnp.float32)
+    for token in range(x.shape[1]):
+        total = total + weight[:, token, None] * x[:, token].astype(jnp.float32)
+    return total
+
+
+@jax.custom_vjp
+def normalise(x: Array) -> Array:
+    """Layer norm without scale and offset: zero mean and unit variance over the last axis, computed in float32."""
+    return _normalise_forward(x)[0]
+
+
+def _normalise_forward(x: Array) -> tuple[Array, tuple[Array, Array]]:
+    wide = x.astype(jnp.float32)
+    centred = wide - jnp.mean(wide, axis=-1, keepdims=True)
+    inverse_std = jax.lax.rsqrt(jnp.mean(centred * centred, axis=-1, keepdims=True) + NORM_EPSILON)
+    normal = (centred * inverse_std).astype(x.dtype)
+    return normal, (normal, inverse_std)
+
+
+def _normalise_backward(residuals: tuple[Array, Array], grad: Array) -> tuple[Array]:
+    normal, inverse_std = residuals[0].astype(jnp.float32), residuals[1]
+    wide = grad.astype(jnp.float32)
+    along = jnp.mean(wide * normal, axis=-1, keepdims=True)
+    grad_x = (wide - jnp.mean(wide, axis=-1, keepdims=True) - normal * along) * inverse_std
+    return (grad_x.astype(grad.dtype),)
+
+
+normalise.defvjp(_normalise_forward, _normalise_backward)

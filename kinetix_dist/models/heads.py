@@ -1,0 +1,88 @@
+"""Multi-discrete action heads: sample, log-probability and entropy of independent categorical choices.
+
+Heads differ in size (3, 3, 3, 3, 2, 2). They are padded to one width with choices of probability zero and handled
+together, choice by choice, so that everything here is one elementwise loop over worlds instead of a reduction a head.
+All in float32.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+
+_ABSENT_LOGIT = -1e30  # its probability is exactly 0 in float32
+
+
+def log_prob(logits: tuple[Array, ...], actions: Array) -> Array:
+    """Log-probability [...] of actions [..., heads], summed over heads. logits: one [..., choices] a head."""
+    return log_prob_and_entropy(logits, actions)[0]
+
+
+def entropy(logits: tuple[Array, ...]) -> Array:
+    """Entropy [...] in nats, summed over heads."""
+    log_probs = _log_probabilities(logits)
+    return _entropy(log_probs)
+
+
+def log_prob_and_entropy(logits: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+    """Both from one normalisation: (log-probability [...], entropy [...])."""
+    log_probs = _log_probabilities(logits)
+    chosen = sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs))
+    return _sum_heads(chosen), _entropy(log_probs)
+
+
+def sample(logits: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+    """Draws actions [..., heads] int32 and their log-probability [...] from uniform numbers [..., heads] in [0, 1)."""
+    log_probs = _log_probabilities(logits)
+    actions = jnp.zeros(uniforms.shape, jnp.int32)
+    cumulative = jnp.zeros_like(log_probs[0])
+    last_choice = jnp.asarray([head.shape[-1] - 1 for head in logits], jnp.int32)
+    for lp in log_probs[:-1]:
+        cumulative = cumulative + jnp.exp(lp)
+        actions = actions + (uniforms >= cumulative).astype(jnp.int32)
+    # Rounding can leave the sum of probabilities below 1: never step past the last choice of a head.
+    actions = jnp.minimum(actions, last_choice)
+    chosen = sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs))
+    return actions, _sum_heads(chosen)
+
+
+def mode(logits: tuple[Array, ...]) -> Array:
+    """The most likely actions [..., heads] int32."""
+    return jnp.stack([jnp.argmax(head, axis=-1) for head in logits], axis=-1).astype(jnp.int32)
+
+
+def _log_probabilities(logits: tuple[Array, ...]) -> list[Array]:
+    """Log-probability of choice 0, 1, ... of every head: a list of [..., heads]."""
+    width = max(head.shape[-1] for head in logits)
+    choices = [
+        jnp.stack(
+            [
+                head[..., c].astype(jnp.float32)
+                if c < head.shape[-1]
+                else jnp.full(head.shape[:-1], _ABSENT_LOGIT, jnp.float32)
+                for head in logits
+            ],
+            axis=-1,
+        )
+        for c in range(width)
+    ]
+    highest = choices[0]
+    for choice in choices[1:]:
+        highest = jnp.maximum(highest, choice)
+    highest = jax.lax.stop_gradient(highest)
+    log_total = highest + jnp.log(sum(jnp.exp(choice - highest) for choice in choices))
+    return [choice - log_total for choice in choices]
+
+
+def _entropy(log_probs: list[Array]) -> Array:
+    # Absent choices: probability 0 times a finite log-probability is 0.
+    return -_sum_heads(sum(jnp.exp(lp) * lp for lp in log_probs))
+
+
+def _sum_heads(x: Array) -> Array:
+    total = x[..., 0]
+    for head in range(1, x.shape[-1]):
+        total = total + x[..., head]
+    return total

@@ -1,0 +1,158 @@
+"""The policy networks: sizes, what they may not depend on, types, and refused configurations."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax2d.scene import Capacity
+from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy, num_parameters
+from tests.models.synthetic import random_obs
+
+CAPACITY = Capacity(polygons=3, circles=2, joints=2, thrusters=2)
+SMALL = PolicyConfig(
+    encoder_size=16, attention_features=8, num_heads=4, num_layers=2, hidden_size=16, hidden_layers=2, flat_size=16
+)
+
+
+@pytest.fixture(scope="module")
+def small():
+    obs = random_obs(6, CAPACITY)
+    policy = make_policy(SMALL)
+    return policy, _perturbed(init_params(policy, obs, jax.random.key(0))), obs
+
+
+def _perturbed(params):
+    """Random numbers everywhere, so that biases and the near-zero actor output show in results."""
+    leaves, structure = jax.tree.flatten(params)
+    keys = jax.random.split(jax.random.key(1), len(leaves))
+    return jax.tree.unflatten(structure, [x + 0.2 * jax.random.normal(k, x.shape) for k, x in zip(keys, leaves)])
+
+
+def _as_vector(output) -> np.ndarray:
+    logits, value = output
+    return np.concatenate([*[np.asarray(head) for head in logits], np.asarray(value)[:, None]], axis=1)
+
+
+def test_the_paper_transformer_has_786417_parameters():
+    """Also term by term: the paper's table of sizes leaves open where layers are counted."""
+    obs = random_obs(1, CAPACITY)
+    shapes = jax.eval_shape(make_policy(PolicyConfig()).init, jax.random.key(0), obs)
+    encoders = sum((features + 1) * 128 for features in (27, 19, 22, 8))
+    gate = 6 * 128 * 128 + 128
+    attention = 3 * (128 + 1) * 16 + (16 + 1) * 128
+    messages = (3 * 128 + 1) * 128 + (2 * 128 + 1) * 128
+    layer = attention + 2 * gate + 2 * 2 * 128 + (128 + 1) * 128 + messages
+    towers = 2 * 5 * (128 + 1) * 128 + (128 + 1) * (16 + 1)
+    assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417
+
+
+@pytest.mark.parametrize("network", ["transformer", "flat"])
+def test_outputs_are_float32_heads_and_values_in_both_types(network):
+    obs = random_obs(6, CAPACITY)
+    outputs = []
+    for dtype in ("float32", "bfloat16"):
+        policy = make_policy(dataclasses.replace(SMALL, network=network, dtype=dtype))
+        params = init_params(policy, obs, jax.random.key(0))
+        assert all(x.dtype == jnp.float32 for x in jax.tree.leaves(params))
+        logits, value = policy.apply(params, obs)
+        assert [head.shape for head in logits] == [(6, n) for n in (3, 3, 3, 3, 2, 2)]
+        assert value.shape == (6,) and value.dtype == logits[0].dtype == jnp.float32
+        outputs.append(_as_vector((logits, value)))
+    np.testing.assert_allclose(outputs[0], outputs[1], atol=0.05)  # bfloat16 has 8 bits; values are of order one
+
+
+def test_first_policy_is_nearly_uniform():
+    obs = random_obs(6, CAPACITY)
+    policy = make_policy(SMALL)
+    logits, _ = policy.apply(init_params(policy, obs, jax.random.key(0)), obs)
+    assert max(float(jnp.max(jnp.abs(head))) for head in logits) < 0.1
+
+
+def test_order_of_entities_does_not_matter(small):
+    policy, params, obs = small
+    polygons, circles = np.array([2, 0, 1]), np.array([1, 0])
+    shapes = np.concatenate([polygons, 3 + circles])
+    new_slot = np.argsort(shapes)
+    joints, thrusters = np.array([3, 1, 0, 2]), np.array([1, 0])
+    shuffled = dataclasses.replace(
+        obs,
+        polygons=obs.polygons[:, polygons],
+        circles=obs.circles[:, circles],
+        joints=obs.joints[:, joints],
+        thrusters=obs.thrusters[:, thrusters],
+        shape_mask=obs.shape_mask[:, shapes],
+        joint_mask=obs.joint_mask[:, joints],
+        thruster_mask=obs.thruster_mask[:, thrusters],
+        joint_from=new_slot[obs.joint_from[:, joints]],
+        joint_to=new_slot[obs.joint_to[:, joints]],
+        thruster_owner=new_slot[obs.thruster_owner[:, thrusters]],
+        attention_masks=obs.attention_masks[:, :, shapes][:, :, :, shapes],
+    )
+    expected = _as_vector(policy.apply(params, obs))
+    np.testing.assert_allclose(_as_vector(policy.apply(params, shuffled)), expected, atol=1e-5)  # order of sums
+
+
+def test_what_does_not_exist_has_no_influence(small):
+    policy, params, obs = small
+
+    def noise(features, mask):
+        return jnp.where(mask[..., None], features, 1e3)
+
+    noisy = dataclasses.replace(
+        obs,
+        polygons=noise(obs.polygons, obs.shape_mask[:, :3]),
+        circles=noise(obs.circles, obs.shape_mask[:, 3:]),
+        thrusters=noise(obs.thrusters, obs.thruster_mask),
+        joints=noise(obs.joints, obs.joint_mask),
+    )
+    # Joints and thrusters that exist are fixed to shapes that exist in real levels: drop the others here.
+    exists = jnp.take_along_axis
+    ends_exist = exists(obs.shape_mask, obs.joint_from, 1) & exists(obs.shape_mask, obs.joint_to, 1)
+    owner_exists = exists(obs.shape_mask, obs.thruster_owner, 1)
+    masks = {"joint_mask": obs.joint_mask & ends_exist, "thruster_mask": obs.thruster_mask & owner_exists}
+    plain, noisy = dataclasses.replace(obs, **masks), dataclasses.replace(noisy, **masks)
+    np.testing.assert_allclose(
+        _as_vector(policy.apply(params, noisy)), _as_vector(policy.apply(params, plain)), atol=1e-6
+    )
+
+
+def test_each_mask_joint_and_thruster_has_influence(small):
+    policy, params, obs = small
+    everyone = jnp.ones_like(obs.shape_mask)
+    both = jnp.ones_like(obs.attention_masks)
+    full = dataclasses.replace(
+        obs,
+        shape_mask=everyone,
+        attention_masks=both,
+        joint_mask=jnp.ones_like(obs.joint_mask),
+        thruster_mask=jnp.ones_like(obs.thruster_mask),
+    )
+    base = _as_vector(policy.apply(params, full))
+    alone = jnp.eye(5, dtype=bool)
+    changed = [dataclasses.replace(full, attention_masks=both.at[:, mask].set(alone)) for mask in range(4)]
+    changed += [dataclasses.replace(full, joint_mask=full.joint_mask.at[:, 1].set(False))]
+    changed += [dataclasses.replace(full, joint_to=(full.joint_to + 1) % 5)]
+    changed += [dataclasses.replace(full, thruster_mask=full.thruster_mask.at[:, 1].set(False))]
+    for other in changed:
+        assert np.all(np.max(np.abs(_as_vector(policy.apply(params, other)) - base), axis=1) > 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("network", "lstm", "'lstm'; choose one of transformer, flat"),
+        ("dtype", "float16", "'float16'; choose one of float32, bfloat16"),
+        ("num_heads", 6, "6; it must be a multiple of 4"),
+        ("attention_features", 12, "12; it must be a multiple of num_heads, 8"),
+        ("encoder_size", 0, "0; it must be 1 or more"),
+        ("num_layers", -1, "-1; it must be 0 or more"),
+    ],
+)
+def test_a_bad_configuration_is_refused(field, value, message):
+    with pytest.raises(ValueError, match=message):
+        PolicyConfig(**{field: value})
