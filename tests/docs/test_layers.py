@@ -21,7 +21,7 @@ LAYERS = (
     ("models",),
     ("env",),
     ("level",),
-    ("telemetry", "checkpoint"),
+    ("telemetry", "checkpoint", "process_shell"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 SOURCES = sorted([*REPOSITORY.glob("jax2d/**/*.py"), *REPOSITORY.glob("kinetix_dist/**/*.py")])
