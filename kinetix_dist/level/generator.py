@@ -15,13 +15,14 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import Draft, Thrusters, draft_to_level, empty_draft, first_free, read_slot, write_slot
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
-from kinetix_dist.level.permute import permute_slots
+from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose
 from kinetix_dist.level.roles import Role
 
@@ -34,15 +35,22 @@ _NUM_THRUSTER_DRAWS = 9
 def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     """One random level. Exactly one green and one blue, at least one motor or thruster. Consumes `key`."""
     _check_capacity(capacity)
-    keys = jax.random.split(key, 6)
-    control = jax.random.randint(keys[0], (), 0, 3)  # 0: motor, 1: thruster, 2: both
-    force_motor, force_thruster = control != 1, control != 0
+    draft = empty_draft(capacity)
+    num_steps = capacity.shapes - NUM_WALLS
+    shapes_key, rest_key = jax.random.split(key)
+    # Everything but the proposals from one call: each call of the generator of random numbers is code to compile.
+    sizes = (4, num_steps, capacity.thrusters * _NUM_THRUSTER_DRAWS, num_permutation_draws(draft))
+    coins, kinds, thruster_draws, order_draws = jnp.split(
+        jax.random.uniform(rest_key, (sum(sizes),)), np.cumsum(sizes)[:-1]
+    )
+    control = 3.0 * coins[0]  # 0..1: motor, 1..2: thruster, 2..3: both
+    force_motor, force_thruster = (control < 1.0) | (control >= 2.0), control >= 1.0
 
-    draft = _paint_floor(keys[1], empty_draft(capacity), config)
-    draft = _add_shapes(keys[2], draft, force_motor, capacity, config)
-    draft = _add_thrusters(keys[3], draft, force_thruster, config)
-    draft = _swap_green_and_blue(keys[4], draft)
-    draft = permute_slots(keys[5], draft, capacity.polygons)
+    draft = _paint_floor(coins[1], draft, config)
+    draft = _add_shapes(shapes_key, kinds, coins[2], draft, force_motor, capacity, config)
+    draft = _add_thrusters(thruster_draws.reshape(capacity.thrusters, -1), draft, force_thruster, config)
+    draft = _swap_green_and_blue(coins[3], draft)
+    draft = permute_slots(order_draws, draft, capacity.polygons)
     return derive(*draft_to_level(draft, capacity))
 
 
@@ -63,8 +71,7 @@ def _check_capacity(capacity: Capacity) -> None:
         )
 
 
-def _paint_floor(key: Array, draft: Draft, config: GeneratorConfig) -> Draft:
-    draw = jax.random.uniform(key)
+def _paint_floor(draw: Array, draft: Draft, config: GeneratorConfig) -> Draft:
     is_blue = draw < config.floor_blue_chance
     is_red = ~is_blue & (draw < config.floor_blue_chance + config.floor_red_chance)
     role = jnp.where(is_blue, Role.BLUE, jnp.where(is_red, Role.RED, Role.NONE)).astype(jnp.int32)
@@ -72,18 +79,23 @@ def _paint_floor(key: Array, draft: Draft, config: GeneratorConfig) -> Draft:
     return dataclasses.replace(draft, shapes=dataclasses.replace(shapes, role=shapes.role.at[0].set(role)))
 
 
-def _add_shapes(key: Array, draft: Draft, force_motor: Array, capacity: Capacity, config: GeneratorConfig) -> Draft:
+def _add_shapes(
+    key: Array,
+    kinds: Array,
+    coin: Array,
+    draft: Draft,
+    force_motor: Array,
+    capacity: Capacity,
+    config: GeneratorConfig,
+) -> Draft:
     """Green and blue, the forced motor's shape or a free one, then whatever chance says."""
     num_steps = capacity.shapes - NUM_WALLS
     allow_fixed = num_steps > _NUM_FIRST if config.allow_fixed is None else config.allow_fixed
-    coin_key, scan_key = jax.random.split(key)
     # One of green and blue can move, whatever happens: the first if the floor is the goal.
-    first_moves = jax.random.bernoulli(coin_key) | (draft.shapes.role[0] == Role.BLUE)
+    first_moves = (coin < 0.5) | (draft.shapes.role[0] == Role.BLUE)
 
-    def addition(draft: Draft, step_and_key: tuple[Array, Array]) -> tuple[Draft, None]:
-        step, step_key = step_and_key
-        kind_key, draw_key = jax.random.split(step_key)
-        kind = jax.random.uniform(kind_key)
+    def addition(draft: Draft, step_and_kind: tuple[Array, Array]) -> tuple[Draft, None]:
+        step, kind = step_and_kind
         is_chance = step >= _NUM_FIRST
         wants_motor = (step == _NUM_FIRST - 1) & force_motor
         is_joined = wants_motor | (is_chance & (kind < config.joined_shape_chance))
@@ -92,19 +104,18 @@ def _add_shapes(key: Array, draft: Draft, force_motor: Array, capacity: Capacity
         request = Request(
             is_joined=is_joined, force_motor=wants_motor, may_be_fixed=allow_fixed & ~must_move, step=step
         )
-        draws = jax.random.uniform(draw_key, (config.num_proposals, NUM_DRAWS))
+        draws = jax.random.uniform(jax.random.fold_in(key, step), (config.num_proposals, NUM_DRAWS))
         proposals = jax.vmap(lambda draw: propose(draft, request, draw, capacity.polygons, config))(draws)
         return add_best(draft, proposals, is_joined, is_wanted), None
 
     steps = jnp.arange(num_steps, dtype=jnp.int32)
-    draft, _ = jax.lax.scan(addition, draft, (steps, jax.random.split(scan_key, num_steps)))
+    draft, _ = jax.lax.scan(addition, draft, (steps, kinds))
     return draft
 
 
-def _add_thrusters(key: Array, draft: Draft, force_thruster: Array, config: GeneratorConfig) -> Draft:
+def _add_thrusters(draws: Array, draft: Draft, force_thruster: Array, config: GeneratorConfig) -> Draft:
     """The forced one on one of the first shapes, then one more at most for each slot but the first."""
     num_thrusters = draft.thrusters.active.shape[0]
-    draws = jax.random.uniform(key, (num_thrusters, _NUM_THRUSTER_DRAWS))
 
     def addition(draft: Draft, step_and_draw: tuple[Array, Array]) -> tuple[Draft, None]:
         step, draw = step_and_draw
@@ -140,10 +151,10 @@ def _mass(shape: object) -> Array:
     return area + math.pi * shape.radius**2
 
 
-def _swap_green_and_blue(key: Array, draft: Draft) -> Draft:
+def _swap_green_and_blue(coin: Array, draft: Draft) -> Draft:
     """Removes the bias of green to the left and of green being added first, unless the floor plays a role."""
     shapes = draft.shapes
-    swap = jax.random.bernoulli(key) & (shapes.role[0] == Role.NONE)
+    swap = (coin < 0.5) & (shapes.role[0] == Role.NONE)
     is_either = (shapes.role == Role.GREEN) | (shapes.role == Role.BLUE)
     role = jnp.where(swap & is_either, Role.GREEN + Role.BLUE - shapes.role, shapes.role)
     return dataclasses.replace(draft, shapes=dataclasses.replace(shapes, role=role))

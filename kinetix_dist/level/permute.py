@@ -6,26 +6,30 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist.level.draft import Draft
 from kinetix_dist.level.level import NUM_WALLS
 
 
-def permute_slots(key: Array, draft: Draft, num_polygons: int) -> Draft:
+def permute_slots(draw: Array, draft: Draft, num_polygons: int) -> Draft:
     """The same draft with polygons (walls excepted), circles, joints and thrusters in other slots each.
 
-    `body` and `added_at` move along but keep their values: they are the generator's notes, not slot numbers.
+    `draw` holds `num_permutation_draws(draft)` uniform numbers. `body` and `added_at` move along but keep their
+    values: they are the generator's notes, not slot numbers.
     """
     num_shapes = draft.shapes.active.shape[0]
-    keys = jax.random.split(key, 4)
+    num_joints, num_thrusters = draft.joints.active.shape[0], draft.thrusters.active.shape[0]
+    ends = np.cumsum([num_polygons - NUM_WALLS, num_shapes - num_polygons, num_joints, num_thrusters])
+    by_draw = [jnp.argsort(part) for part in jnp.split(draw, ends[:-1])]
     walls = jnp.arange(NUM_WALLS)
-    polygons = NUM_WALLS + jax.random.permutation(keys[0], num_polygons - NUM_WALLS)
-    circles = num_polygons + jax.random.permutation(keys[1], num_shapes - num_polygons)
+    polygons = NUM_WALLS + by_draw[0]
+    circles = num_polygons + by_draw[1]
     source = jnp.concatenate([walls, polygons, circles])  # new slot -> old slot
     slot_of = jnp.argsort(source).astype(jnp.int32)  # old slot -> new slot
-    joint_order = jax.random.permutation(keys[2], draft.joints.active.shape[0])
-    thruster_order = jax.random.permutation(keys[3], draft.thrusters.active.shape[0])
+    joint_order = by_draw[2]
+    thruster_order = by_draw[3]
     shapes = jax.tree.map(lambda x: x[source], draft.shapes)
     joints = jax.tree.map(lambda x: x[joint_order], draft.joints)
     thrusters = jax.tree.map(lambda x: x[thruster_order], draft.thrusters)
@@ -34,3 +38,9 @@ def permute_slots(key: Array, draft: Draft, num_polygons: int) -> Draft:
         joints=dataclasses.replace(joints, a=slot_of[joints.a], b=slot_of[joints.b]),
         thrusters=dataclasses.replace(thrusters, body=slot_of[thrusters.body]),
     )
+
+
+def num_permutation_draws(draft: Draft) -> int:
+    """How many uniform numbers `permute_slots` wants."""
+    counts = (draft.shapes.active, draft.joints.active, draft.thrusters.active)
+    return sum(active.shape[0] for active in counts) - NUM_WALLS

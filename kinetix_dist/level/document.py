@@ -1,0 +1,153 @@
+"""`Level` -> document: the writing half of the level format (schema.py reads)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import jax
+import numpy as np
+
+from kinetix_dist.level.fit import capacity_of, smallest_size
+from kinetix_dist.level.level import NUM_WALLS, Level
+from kinetix_dist.level.roles import ROLE_NAMES
+from kinetix_dist.level.walls import WALL_NAMES
+
+FORMAT_NAME = "kinetix-dist-level"
+FORMAT_VERSION = 1
+COLLISION_NAMES = ("ghost", "normal", "all")  # collision modes 0, 1, 2
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LevelInfo:
+    """What a document says about a level besides the level."""
+
+    name: str
+    size: str
+    description: str = ""
+    source: str = ""
+
+
+def level_to_json(level: Level, info: LevelInfo | None = None) -> dict[str, Any]:
+    """The document of one level; slots are compacted, shapes are named by kind and slot, walls by their names."""
+    level = jax.tree.map(np.asarray, level)
+    scene = level.scene
+    names = _shape_names(level)
+    info = info or LevelInfo(name="unnamed", size=smallest_size(level))
+    document: dict[str, Any] = {
+        "format": FORMAT_NAME,
+        "version": FORMAT_VERSION,
+        "name": info.name,
+        "size": info.size,
+        **({"description": info.description} if info.description else {}),
+        **({"source": info.source} if info.source else {}),
+        "gravity": _numbers(scene.gravity),
+    }
+    walls = {name: _surface(level, slot) for slot, name in enumerate(WALL_NAMES)}
+    walls = {name: wall for name, wall in walls.items() if wall}
+    if walls:
+        document["walls"] = walls
+    active = np.flatnonzero(scene.shape_active)
+    document["shapes"] = [_shape_document(level, slot, names[slot]) for slot in active if slot >= NUM_WALLS]
+    document["joints"] = [_joint_document(level, slot, names) for slot in np.flatnonzero(scene.joint_active)]
+    document["thrusters"] = [
+        {
+            "shape": names[scene.thruster_body[slot]],
+            "position": _numbers(scene.thruster_position[slot]),
+            "angle": _number(scene.thruster_angle[slot]),
+            "power": _number(scene.thruster_power[slot]),
+            "colour": int(level.thruster_colour[slot]),
+        }
+        for slot in np.flatnonzero(scene.thruster_active)
+    ]
+    return document
+
+
+def dump_document(document: dict[str, Any]) -> str:
+    """JSON with one line per shape, joint and thruster: readable, and a change is a line of a diff."""
+    lines = []
+    for key, value in document.items():
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            rows = ",\n".join("    " + json.dumps(row, allow_nan=False) for row in value)
+            lines.append(f"  {json.dumps(key)}: [\n{rows}\n  ]")
+        else:
+            lines.append(f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _number(value: Any) -> float:
+    """A float32 as the shortest decimal that reads back as the same float32."""
+    return float(str(np.float32(value)))
+
+
+def _numbers(values: Any) -> list[float]:
+    return [_number(value) for value in values]
+
+
+def _shape_names(level: Level) -> dict[int, str]:
+    polygons = capacity_of(level).polygons
+    names = dict(enumerate(WALL_NAMES))
+    for slot in np.flatnonzero(level.scene.shape_active):
+        if slot >= NUM_WALLS:
+            names[int(slot)] = f"polygon_{slot}" if slot < polygons else f"circle_{slot - polygons}"
+    return names
+
+
+def _surface(level: Level, slot: int) -> dict[str, Any]:
+    """Role, friction and restitution where they are not the default."""
+    role, friction, restitution = level.shape_role[slot], level.scene.friction[slot], level.scene.restitution[slot]
+    return {
+        **({"role": ROLE_NAMES[role]} if role else {}),
+        **({"friction": _number(friction)} if friction != 1.0 else {}),
+        **({"restitution": _number(restitution)} if restitution != 0.0 else {}),
+    }
+
+
+def _shape_document(level: Level, slot: int, name: str) -> dict[str, Any]:
+    scene = level.scene
+    polygons = capacity_of(level).polygons
+    if slot < polygons:
+        corners = scene.vertices[slot, : scene.num_vertices[slot]]
+        form = {"type": "polygon", "vertices": [_numbers(corner) for corner in corners]}
+    else:
+        form = {"type": "circle", "radius": _number(scene.radius[slot - polygons])}
+    mode, density = int(level.collision_mode[slot]), scene.density[slot]
+    moving = {
+        **({"velocity": _numbers(level.velocity[slot])} if np.any(level.velocity[slot]) else {}),
+        **({"angular_velocity": _number(level.angular_velocity[slot])} if level.angular_velocity[slot] else {}),
+    }
+    return {
+        "id": name,
+        **form,
+        "position": _numbers(level.position[slot]),
+        "angle": _number(level.angle[slot]),
+        **moving,
+        **_surface(level, slot),
+        **({"density": _number(density)} if density != 1.0 else {}),
+        **({"fixed": True} if scene.inverse_mass[slot] == 0.0 else {}),
+        **({"collision": COLLISION_NAMES[mode]} if mode != 1 else {}),
+    }
+
+
+def _joint_document(level: Level, slot: int, names: dict[int, str]) -> dict[str, Any]:
+    scene = level.scene
+    motor = {
+        "on": bool(scene.motor_on[slot]),
+        "speed": _number(scene.motor_speed[slot]),
+        "power": _number(scene.motor_power[slot]),
+        "colour": int(level.motor_colour[slot]),
+        **({"auto": True} if level.motor_auto[slot] else {}),
+    }
+    is_fixed = bool(scene.joint_is_fixed[slot])
+    limits = _numbers((scene.lower_limit[slot], scene.upper_limit[slot]))
+    return {
+        "type": "fixed" if is_fixed else "revolute",
+        "a": names[scene.joint_a[slot]],
+        "b": names[scene.joint_b[slot]],
+        "anchor_a": _numbers(scene.joint_anchor_a[slot]),
+        "anchor_b": _numbers(scene.joint_anchor_b[slot]),
+        "rest_angle": _number(scene.joint_rest_angle[slot]),
+        **({"limits": limits} if scene.has_limits[slot] and not is_fixed else {}),
+        "motor": motor,
+    }

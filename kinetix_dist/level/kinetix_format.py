@@ -1,0 +1,306 @@
+"""The JSON files of the public Kinetix package, in and out.
+
+What differs there, and what is done about it:
+- polygons list their corners clockwise about a point that need not be the centroid: they are reversed and moved onto
+  the true centroid, and positions, joint anchors and thrusters move along, so that the world looks the same;
+- masses and inertias in a file are not those of its shapes (discs have half their inertia): they are computed again
+  from geometry and density; what has zero inverse mass there stays fixed;
+- `friction` is a raw coefficient, multiplied by the engine's base friction; joint `rotation` is angle_b - angle_a at
+  rest; a motor drives b relative to a towards +speed. All as in `Scene`.
+
+Slots are kept: shape i of the file is shape i of the level.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jax2d.scene import Capacity
+from kinetix_dist.level.derive import complete
+from kinetix_dist.level.fit import capacity_of
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
+from kinetix_dist.level.validate import LevelFormatError
+from kinetix_dist.level.walls import empty_level, pad_vertices
+
+# What the 74 public files say; readers of these files expect the keys.
+_EMPTY_MANIFOLD = {
+    "normal": {"0": 0.0, "1": 0.0},
+    "penetration": 0.0,
+    "collision_point": {"0": 0.0, "1": 0.0},
+    "active": False,
+    "acc_impulse_normal": 0.0,
+    "acc_impulse_tangent": 0.0,
+    "restitution_velocity_target": 0.0,
+}
+_ENV_PARAMS = {
+    "dt": 1 / 60,
+    "slop": 0.01,
+    "baumgarte_coefficient_joints_v": 2.0,
+    "baumgarte_coefficient_joints_p": 0.7,
+    "baumgarte_coefficient_fjoint_av": 2.0,
+    "baumgarte_coefficient_rjoint_limit_av": 5.0,
+    "baumgarte_coefficient_collision": 0.2,
+    "joint_stiffness": 0.6,
+    "clip_position": 15,
+    "clip_velocity": 100,
+    "clip_angular_velocity": 50,
+    "base_motor_speed": 6.0,
+    "base_motor_power": 900.0,
+    "base_thruster_power": 10.0,
+    "motor_decay_coefficient": 0.1,
+    "motor_joint_limit": 0.1,
+    "base_friction": 0.4,
+    "max_timesteps": 256,
+    "pixels_per_unit": 100,
+    "dense_reward_scale": 0.1,
+    "num_shape_roles": 4,
+}
+_STATIC_PARAMS = {
+    "max_polygon_vertices": 4,
+    "num_solver_iterations": 10,
+    "solver_batch_size": 16,
+    "do_warm_starting": True,
+    "num_static_fixated_polys": NUM_WALLS,
+    "screen_dim": {"0": 500, "1": 500},
+    "downscale": 4,
+    "frame_skip": 2,
+    "max_shape_size": 2,
+    "num_motor_bindings": NUM_MOTOR_COLOURS,
+    "num_thruster_bindings": NUM_THRUSTER_COLOURS,
+}
+_PARTS = ("polygon", "circle", "joint", "thruster")
+
+
+def is_kinetix_document(document: Any) -> bool:
+    """Whether a JSON document is a level file of the public package."""
+    return isinstance(document, dict) and "env_state" in document
+
+
+def load_kinetix(path: str | Path) -> Level:
+    """Reads a public level file; raises `LevelFormatError` naming the file and the field."""
+    path = Path(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
+    try:
+        return import_kinetix(document)
+    except LevelFormatError as error:
+        raise error.in_file(path) from None
+
+
+def import_kinetix(document: Any) -> Level:
+    """The level (numpy) of a public document, with the capacity of the document's own arrays."""
+    if not is_kinetix_document(document):
+        raise LevelFormatError("env_state", "is missing", "this is no level file of the public Kinetix package")
+    state = document["env_state"]
+    try:
+        return _read_state(state)
+    except KeyError as error:
+        raise LevelFormatError(f"env_state.{error.args[0]}", "is missing", "export the level again") from error
+    except (TypeError, IndexError, ValueError) as error:
+        if isinstance(error, LevelFormatError):
+            raise
+        raise LevelFormatError("env_state", f"cannot be read ({error})", "export the level again") from error
+
+
+def _read_state(state: dict[str, Any]) -> Level:
+    polygons, circles, joints, thrusters = (state[part] for part in _PARTS)
+    most_corners = max((shape["n_vertices"] for shape in polygons if shape["active"]), default=4)
+    capacity = Capacity(
+        polygons=len(polygons),
+        circles=len(circles),
+        joints=len(joints),
+        thrusters=len(thrusters),
+        vertices=max(4, most_corners),
+    )
+    level = empty_level(capacity)
+    scene = level.scene
+    scene.shape_active[:] = [shape["active"] for shape in polygons + circles]
+    is_fixed = ~scene.shape_active
+    for slot, shape in enumerate(polygons + circles):
+        if not shape["active"]:
+            continue
+        level.position[slot] = _pair(shape["position"])
+        level.angle[slot] = shape["rotation"]
+        level.velocity[slot] = _pair(shape["velocity"])
+        level.angular_velocity[slot] = shape["angular_velocity"]
+        level.shape_role[slot] = shape["role"]
+        level.collision_mode[slot] = shape["collision_mode"]
+        scene.density[slot] = shape["density"]
+        scene.friction[slot] = shape["friction"]
+        scene.restitution[slot] = shape["restitution"]
+        is_fixed[slot] = shape["inverse_mass"] == 0.0
+        if slot < capacity.polygons:
+            corners = _corners(shape, f"env_state.polygon[{slot}].vertices")
+            scene.vertices[slot] = pad_vertices(corners, capacity)
+            scene.num_vertices[slot] = len(corners)
+        else:
+            scene.radius[slot - capacity.polygons] = shape["radius"]
+    for slot, joint in enumerate(joints):
+        if not joint["active"]:
+            continue
+        scene.joint_active[slot] = True
+        scene.joint_a[slot], scene.joint_b[slot] = joint["a_index"], joint["b_index"]
+        scene.joint_anchor_a[slot] = _pair(joint["a_relative_pos"])
+        scene.joint_anchor_b[slot] = _pair(joint["b_relative_pos"])
+        scene.joint_is_fixed[slot] = joint["is_fixed_joint"]
+        scene.joint_rest_angle[slot] = joint["rotation"]
+        scene.motor_on[slot] = joint["motor_on"]
+        scene.motor_speed[slot] = joint["motor_speed"]
+        scene.motor_power[slot] = joint["motor_power"]
+        scene.has_limits[slot] = joint["motor_has_joint_limits"]
+        scene.lower_limit[slot], scene.upper_limit[slot] = joint["min_rotation"], joint["max_rotation"]
+        level.motor_colour[slot] = joint["motor_binding"]
+        level.motor_auto[slot] = joint.get("motor_auto", False)
+    for slot, thruster in enumerate(thrusters):
+        if not thruster["active"]:
+            continue
+        scene.thruster_active[slot] = True
+        scene.thruster_body[slot] = thruster["object_index"]
+        scene.thruster_position[slot] = _pair(thruster["relative_position"])
+        scene.thruster_angle[slot] = thruster["rotation"]
+        scene.thruster_power[slot] = thruster["power"]
+        level.thruster_colour[slot] = thruster["thruster_binding"]
+    scene.gravity[:] = _pair(state["gravity"])
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(level) if leaf.dtype.kind == "f"):
+        raise LevelFormatError("env_state", "holds a number that is not finite", "export the level again")
+    return complete(level, is_fixed)
+
+
+def export_kinetix(level: Level) -> dict[str, Any]:
+    """A public document of one level. Impulse caches are empty; masses are ours (see the module docstring)."""
+    level = jax.tree.map(np.asarray, level)
+    scene, capacity = level.scene, capacity_of(level)
+    polygons, circles = capacity.polygons, capacity.circles
+    state = {
+        "polygon": [_shape_document(level, slot, capacity) for slot in range(polygons)],
+        "circle": [_shape_document(level, slot, capacity) for slot in range(polygons, polygons + circles)],
+        "joint": [_joint_document(level, slot) for slot in range(capacity.joints)],
+        "thruster": [_thruster_document(level, slot) for slot in range(capacity.thrusters)],
+        "collision_matrix": _indexed([_indexed([bool(x) for x in row]) for row in _joint_matrix(level)]),
+        "acc_rr_manifolds": [_EMPTY_MANIFOLD] * (2 * (_pairs(polygons) - _pairs(NUM_WALLS))),
+        "acc_cr_manifolds": [_EMPTY_MANIFOLD] * (polygons * circles),
+        "acc_cc_manifolds": [_EMPTY_MANIFOLD] * _pairs(circles),
+        "gravity": _point(scene.gravity),
+    }
+    static = {
+        "num_polygons": polygons,
+        "num_circles": circles,
+        "num_joints": capacity.joints,
+        "num_thrusters": capacity.thrusters,
+        **_STATIC_PARAMS,
+    }
+    return {"env_state": state, "env_params": dict(_ENV_PARAMS), "static_env_params": static}
+
+
+def _pairs(count: int) -> int:
+    return count * (count - 1) // 2
+
+
+def _pair(value: dict[str, float]) -> tuple[float, float]:
+    return value["0"], value["1"]
+
+
+def _corners(shape: dict[str, Any], path: str) -> np.ndarray:
+    """`[k, 2]` corners, counter-clockwise; the first corner stays first."""
+    corners = np.array([_pair(shape["vertices"][str(i)]) for i in range(shape["n_vertices"])], np.float64)
+    following = np.roll(corners, -1, axis=0)
+    area = 0.5 * np.sum(corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0])
+    if area == 0.0:
+        raise LevelFormatError(path, "polygon has no area", "remove that shape")
+    return corners if area > 0.0 else np.roll(corners[::-1], 1, axis=0)
+
+
+def _joint_matrix(level: Level) -> np.ndarray:
+    """`[n, n]` bool, False within a body: what the public file calls the collision matrix (modes are not in it)."""
+    scene = level.scene
+    body = np.arange(len(scene.shape_active))
+    for slot in np.flatnonzero(scene.joint_active):
+        body[body == body[scene.joint_b[slot]]] = body[scene.joint_a[slot]]
+    return body[:, None] != body[None, :]
+
+
+def _indexed(values: list[Any]) -> dict[str, Any]:
+    return {str(i): value for i, value in enumerate(values)}
+
+
+def _point(values: Any) -> dict[str, float]:
+    return {"0": float(values[0]), "1": float(values[1])}
+
+
+def _world(level: Level, slot: int, local: np.ndarray) -> np.ndarray:
+    cos, sin = math.cos(level.angle[slot]), math.sin(level.angle[slot])
+    return level.position[slot] + np.array([[cos, -sin], [sin, cos]]) @ local
+
+
+def _shape_document(level: Level, slot: int, capacity: Capacity) -> dict[str, Any]:
+    scene, is_polygon = level.scene, slot < capacity.polygons
+    count = int(scene.num_vertices[slot]) if is_polygon else 0
+    corners = np.zeros((capacity.vertices, 2))
+    if is_polygon:
+        corners[:count] = np.roll(scene.vertices[slot, :count][::-1], 1, axis=0)  # clockwise, the same corner first
+        corners[count:] = corners[count - 1]
+    return {
+        "position": _point(level.position[slot]),
+        "rotation": float(level.angle[slot]),
+        "velocity": _point(level.velocity[slot]),
+        "angular_velocity": float(level.angular_velocity[slot]),
+        "inverse_mass": float(scene.inverse_mass[slot]),
+        "inverse_inertia": float(scene.inverse_inertia[slot]),
+        "friction": float(scene.friction[slot]),
+        "restitution": float(scene.restitution[slot]),
+        "collision_mode": int(level.collision_mode[slot]),
+        "active": bool(scene.shape_active[slot]),
+        "n_vertices": count,
+        "vertices": _indexed([_point(corner) for corner in corners]),
+        "radius": 0.0 if is_polygon else float(scene.radius[slot - capacity.polygons]),
+        "role": int(level.shape_role[slot]),
+        "density": float(scene.density[slot]),
+        "highlighted": False,
+    }
+
+
+def _joint_document(level: Level, slot: int) -> dict[str, Any]:
+    scene = level.scene
+    a = int(scene.joint_a[slot])
+    return {
+        "a_index": a,
+        "b_index": int(scene.joint_b[slot]),
+        "a_relative_pos": _point(scene.joint_anchor_a[slot]),
+        "b_relative_pos": _point(scene.joint_anchor_b[slot]),
+        "global_position": _point(_world(level, a, scene.joint_anchor_a[slot])),
+        "active": bool(scene.joint_active[slot]),
+        "acc_impulse": _point((0.0, 0.0)),
+        "acc_r_impulse": 0.0,
+        "motor_speed": float(scene.motor_speed[slot]),
+        "motor_power": float(scene.motor_power[slot]),
+        "motor_on": bool(scene.motor_on[slot]),
+        "motor_has_joint_limits": bool(scene.has_limits[slot]),
+        "min_rotation": float(scene.lower_limit[slot]),
+        "max_rotation": float(scene.upper_limit[slot]),
+        "is_fixed_joint": bool(scene.joint_is_fixed[slot]),
+        "rotation": float(scene.joint_rest_angle[slot]),
+        "motor_binding": int(level.motor_colour[slot]),
+        "motor_auto": bool(level.motor_auto[slot]),
+    }
+
+
+def _thruster_document(level: Level, slot: int) -> dict[str, Any]:
+    scene = level.scene
+    body = int(scene.thruster_body[slot])
+    return {
+        "object_index": body,
+        "relative_position": _point(scene.thruster_position[slot]),
+        "rotation": float(scene.thruster_angle[slot]),
+        "power": float(scene.thruster_power[slot]),
+        "global_position": _point(_world(level, body, scene.thruster_position[slot])),
+        "active": bool(scene.thruster_active[slot]),
+        "thruster_binding": int(level.thruster_colour[slot]),
+    }

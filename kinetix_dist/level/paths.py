@@ -1,0 +1,23 @@
+"""Where the level data of this installation is."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+LEVELS_VARIABLE = "KINETIX_DIST_LEVELS"
+
+
+def levels_root() -> Path:
+    """The directory with sets.toml, schema.json and the designed levels.
+
+    `$KINETIX_DIST_LEVELS` if set, else `levels/` of the repository this package runs from.
+    """
+    named = os.environ.get(LEVELS_VARIABLE)
+    root = Path(named) if named else Path(__file__).resolve().parents[2] / "levels"
+    if not (root / "schema.json").is_file():
+        raise FileNotFoundError(
+            f"no level data at {root} (schema.json is missing); set {LEVELS_VARIABLE} to the levels/ directory of a "
+            "checkout of the repository"
+        )
+    return root

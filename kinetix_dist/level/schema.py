@@ -1,0 +1,168 @@
+"""The level format: readable JSON <-> `Level`. docs/level_format.md describes it, levels/schema.json is its structure.
+
+    level, info = load_level("levels/s/hop_over.json")
+    save_level(level, "mine.json", info)
+
+A document says what shapes are and where; centres of mass, masses, inertias and contact permissions are computed
+(`derive.py`). Positions in a document are the origin of a shape's own frame, which need not be its centroid: in the
+`Level` it is.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jax2d.scene import Capacity
+from kinetix_dist.level.derive import complete
+from kinetix_dist.level.document import COLLISION_NAMES, LevelInfo, dump_document, level_to_json
+from kinetix_dist.level.fit import capacity_of_size
+from kinetix_dist.level.level import NUM_WALLS, Level
+from kinetix_dist.level.roles import ROLE_NAMES
+from kinetix_dist.level.validate import LevelFormatError, check_anchor_gap, validate_document
+from kinetix_dist.level.walls import WALL_NAMES, empty_level, pad_vertices
+
+__all__ = ["LevelFormatError", "LevelInfo", "level_from_json", "level_to_json", "load_level", "save_level"]
+
+
+def load_level(path: str | Path, size: str | None = None) -> tuple[Level, LevelInfo]:
+    """Reads a level file into arrays of its own size, or of `size`. Raises `LevelFormatError` naming file and field."""
+    path = Path(path)
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
+    try:
+        level = level_from_json(document, size)
+    except LevelFormatError as error:
+        raise error.in_file(path) from None
+    return level, document_info(document)
+
+
+def save_level(level: Level, path: str | Path, info: LevelInfo) -> None:
+    """Writes one level; what is written is validated first, so a file that exists can be loaded."""
+    document = level_to_json(level, info)
+    level_from_json(document)
+    Path(path).write_text(dump_document(document), encoding="utf-8")
+
+
+def level_from_json(document: Any, size: str | Capacity | None = None) -> Level:
+    """The level of a document, as numpy arrays of the document's own size, of a named size or of a capacity."""
+    if isinstance(size, Capacity):
+        capacity, size_name = size, None
+    else:
+        size_name = size or (document.get("size") if isinstance(document, dict) else None)
+        if size_name is None or not isinstance(size_name, str):
+            raise LevelFormatError("size", "is missing or no text", 'add "size": one of s, m, l')
+        try:
+            capacity = capacity_of_size(size_name)
+        except ValueError as error:
+            raise LevelFormatError("size", f"unknown size {size_name!r}", "use one of s, m, l") from error
+    validate_document(document, capacity, size_name)
+    return _assemble(document, capacity)
+
+
+def document_info(document: dict[str, Any]) -> LevelInfo:
+    """Name, size, description and source of a valid document."""
+    keys = ("name", "size", "description", "source")
+    return LevelInfo(**{key: document[key] for key in keys if key in document})
+
+
+def _assemble(document: dict[str, Any], capacity: Capacity) -> Level:
+    level = empty_level(capacity)
+    scene = level.scene
+    is_fixed = np.asarray(scene.shape_active).copy()  # the walls
+    slots = {name: slot for slot, name in enumerate(WALL_NAMES)}
+    for name, wall in document.get("walls", {}).items():
+        _fill_surface(level, slots[name], wall)
+    next_polygon, next_circle = NUM_WALLS, capacity.polygons
+    for shape in document["shapes"]:
+        if shape["type"] == "circle":
+            slot, next_circle = next_circle, next_circle + 1
+            scene.radius[slot - capacity.polygons] = shape["radius"]
+        else:
+            slot, next_polygon = next_polygon, next_polygon + 1
+            corners = np.asarray(_corners(shape), np.float64)
+            scene.vertices[slot] = pad_vertices(corners, capacity)
+            scene.num_vertices[slot] = len(corners)
+        slots[shape["id"]] = slot
+        scene.shape_active[slot] = True
+        is_fixed[slot] = shape.get("fixed", False)
+        scene.density[slot] = shape.get("density", 1.0)
+        _fill_surface(level, slot, shape)
+        level.position[slot] = shape["position"]
+        level.angle[slot] = shape.get("angle", 0.0)
+        level.velocity[slot] = shape.get("velocity", (0.0, 0.0))
+        level.angular_velocity[slot] = shape.get("angular_velocity", 0.0)
+        level.collision_mode[slot] = COLLISION_NAMES.index(shape.get("collision", "normal"))
+    for slot, joint in enumerate(document.get("joints", [])):
+        _fill_joint(level, slot, joint, slots)
+    for slot, thruster in enumerate(document.get("thrusters", [])):
+        body = slots[thruster["shape"]]
+        scene.thruster_active[slot] = True
+        scene.thruster_body[slot] = body
+        if "anchor" in thruster:
+            scene.thruster_position[slot] = _to_local(level, body, thruster["anchor"])
+        else:
+            scene.thruster_position[slot] = thruster.get("position", (0.0, 0.0))
+        scene.thruster_angle[slot] = thruster["angle"]
+        scene.thruster_power[slot] = thruster.get("power", 1.0)
+        level.thruster_colour[slot] = thruster.get("colour", 0)
+    scene.gravity[:] = document.get("gravity", (0.0, -9.81))
+    return complete(level, is_fixed)
+
+
+def _corners(shape: dict[str, Any]) -> list[list[float]]:
+    if shape["type"] == "polygon":
+        return shape["vertices"]
+    x, y = 0.5 * shape["width"], 0.5 * shape["height"]
+    return [[x, y], [-x, y], [-x, -y], [x, -y]]
+
+
+def _fill_surface(level: Level, slot: int, entry: dict[str, Any]) -> None:
+    level.scene.friction[slot] = entry.get("friction", 1.0)
+    level.scene.restitution[slot] = entry.get("restitution", 0.0)
+    level.shape_role[slot] = ROLE_NAMES.index(entry.get("role", "none"))
+
+
+def _fill_joint(level: Level, slot: int, joint: dict[str, Any], slots: dict[str, int]) -> None:
+    scene = level.scene
+    a, b = slots[joint["a"]], slots[joint["b"]]
+    scene.joint_active[slot] = True
+    scene.joint_a[slot], scene.joint_b[slot] = a, b
+    if "anchor" in joint:
+        scene.joint_anchor_a[slot] = _to_local(level, a, joint["anchor"])
+        scene.joint_anchor_b[slot] = _to_local(level, b, joint["anchor"])
+    else:
+        scene.joint_anchor_a[slot], scene.joint_anchor_b[slot] = joint["anchor_a"], joint["anchor_b"]
+        ends = _to_world(level, a, joint["anchor_a"]) - _to_world(level, b, joint["anchor_b"])
+        check_anchor_gap(math.hypot(*ends), f"joints[{slot}]")
+    scene.joint_is_fixed[slot] = joint["type"] == "fixed"
+    scene.joint_rest_angle[slot] = joint.get("rest_angle", float(level.angle[b] - level.angle[a]))
+    if "limits" in joint:
+        scene.has_limits[slot] = True
+        scene.lower_limit[slot], scene.upper_limit[slot] = joint["limits"]
+    motor = joint.get("motor")
+    if motor is not None:
+        scene.motor_on[slot] = motor.get("on", True)
+        scene.motor_speed[slot] = motor.get("speed", 1.0)
+        scene.motor_power[slot] = motor.get("power", 1.0)
+        level.motor_auto[slot] = motor.get("auto", False)
+        level.motor_colour[slot] = motor.get("colour", 0)
+
+
+def _rotation(level: Level, slot: int) -> np.ndarray:
+    cos, sin = math.cos(level.angle[slot]), math.sin(level.angle[slot])
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def _to_local(level: Level, slot: int, point: Any) -> np.ndarray:
+    return _rotation(level, slot).T @ (np.asarray(point, np.float64) - level.position[slot])
+
+
+def _to_world(level: Level, slot: int, point: Any) -> np.ndarray:
+    return level.position[slot] + _rotation(level, slot) @ np.asarray(point, np.float64)
