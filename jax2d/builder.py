@@ -311,7 +311,7 @@ def check_polygon(vertices: Sequence[Point], most: int) -> np.ndarray:
     if (turns < -1e-6).any() or area < 0 or _winding(edges) != 1:
         bad = int(np.argmin(turns)) + 1
         raise SceneError(
-            f"the polygon is not convex at vertex {bad % len(corners)}; split it into convex parts joined by fixed joints"
+            f"the polygon is not convex at vertex {bad % len(corners)}; split it into convex parts and weld them"
         )
     return corners
 

@@ -180,17 +180,31 @@ struct Contacts {
     bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, tangent * impulse);
   }
 
-  // Restitution once, after all sub-steps: the speed wanted is -e times that before the step.
-  KFN void apply_restitution(Bodies& bodies, real threshold) {
+  // Restitution once, after all sub-steps.
+  KFN void apply_restitution(Bodies& bodies, real threshold, Vec2 gravity, real h) {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (c.restitution == real(0) || c.approach > -threshold || c.most_impulse == real(0)) continue;
       real vn = c.normal.dot(relative_velocity(bodies, c));
-      real total = Math::max(c.impulse_normal - c.mass_normal * (vn + c.restitution * c.approach), real(0));
+      real wanted = c.restitution * impact_speed(bodies, c, gravity, h);
+      real total = Math::max(c.impulse_normal - c.mass_normal * (vn - wanted), real(0));
       real impulse = total - c.impulse_normal;
       c.impulse_normal = total;
       bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
     }
+  }
+
+  // Speed at the moment of impact, which falls somewhere inside the step. Under a closing acceleration a,
+  // semi-implicit Euler keeps u^2/2 + a h u/2 + a s (u approach speed, s separation) exactly, so a bounce that
+  // leaves from where the body now is with the same value neither gains nor loses energy, wherever in the step it falls.
+  KFN static real impact_speed(const Bodies& bodies, const Contact& c, Vec2 gravity, real h) {
+    Vec2 pull = gravity * ((bodies.inverse_mass[c.a] > real(0) ? real(1) : real(0)) -
+                           (bodies.inverse_mass[c.b] > real(0) ? real(1) : real(0)));
+    real a = pull.dot(c.normal), u = -c.approach;
+    real half = real(0.5) * a * h;
+    real fallen = c.separation - current_separation(bodies, c);
+    real twice_energy = u * u + real(2) * half * u + real(2) * a * fallen;
+    return sqrtf(Math::max(half * half + twice_energy, real(0))) + half;
   }
 
   // One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and

@@ -74,7 +74,7 @@ struct World {
       joints.solve_soft(bodies, joint_soft, inverse_h, false);
       contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, false);
     }
-    contacts.apply_restitution(bodies, params.get(PARAM_RESTITUTION_THRESHOLD));
+    contacts.apply_restitution(bodies, params.get(PARAM_RESTITUTION_THRESHOLD), gravity, h);
   }
 
   // The main loop of the paper's appendix (algorithm 1), constraints solved one after another.
