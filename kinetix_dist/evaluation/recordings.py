@@ -10,6 +10,7 @@ Attempt `i` samples from the same keys as attempt `i` of `evaluate` with `attemp
 from __future__ import annotations
 
 import functools
+import json
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +25,7 @@ from kinetix_dist.env.environment import Environment, PreparedLevels
 from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.evaluation.policies import Policy
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.schema import LevelInfo, level_from_json, level_to_json
 from kinetix_dist.telemetry.mcap_reader import read_recording
 from kinetix_dist.telemetry.recording import Recording, Rollout
 
@@ -56,36 +58,34 @@ def record_rollouts(
     step_seconds = env.engine.settings.dt * env.config.frame_skip
     rollouts = []
     for i, name in enumerate(names):
-        level = index_worlds(levels, i)
         length = int(np.argmax(history["done"][:, i])) + 1  # a time limit ends every episode
-        world = {name: history[name][:length, i] for name in history}
-        start = {
-            "position": level.position,
-            "angle": level.angle,
-            "velocity": level.velocity,
-            "angular_velocity": level.angular_velocity,
-        }
-        states = {
-            name: np.concatenate([np.asarray(first, np.float32)[None], world[name]]) for name, first in start.items()
-        }
+        world = {field: values[:length, i] for field, values in history.items()}
+        solved, failed = bool(world["solved"][-1]), bool(world["failed"][-1])
+        level, level_json = index_worlds(levels, i), encode_level(index_worlds(levels, i), name, env.config.size)
         rollouts.append(
             Rollout(
-                level=level,
-                level_json=encode_level(level, name),
+                level=decode_level(level_json),  # what a reader of the recording will have
+                level_json=level_json,
                 level_name=name,
-                **states,
-                actions=world["actions"].reshape(length, -1).astype(np.float32),
-                motor=world["motor"],
-                thruster=world["thruster"],
-                reward=world["reward"],
-                solved=bool(world["solved"][-1]),
-                failed=bool(world["failed"][-1]),
+                **_trajectory(level, world),
+                solved=solved,
+                failed=failed,
                 policy_version=policy_version,
                 seed=seed,
                 step_seconds=float(step_seconds),
             )
         )
     return rollouts
+
+
+def encode_level(level: Level, name: str, size: str) -> str:
+    """A level as the text that a recording holds: a document of the level format on one line."""
+    return json.dumps(level_to_json(level, LevelInfo(name=name, size=size)), allow_nan=False, separators=(",", ":"))
+
+
+def decode_level(text: str) -> Level:
+    """The level of a recording. Raises LevelFormatError."""
+    return level_from_json(json.loads(text))
 
 
 def read_rollouts(path: str | os.PathLike[str]) -> Recording:
@@ -122,3 +122,27 @@ def _bodies_after(
 ) -> dict[str, Array]:
     after, _ = env.engine.step_packed(prepared.packed_scene, packed_state, controls, num_steps=env.config.frame_skip)
     return dict(zip(("position", "angle", "velocity", "angular_velocity"), env.engine.bodies(after)))
+
+
+def _trajectory(level: Level, world: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The arrays of a Rollout, slots in the order of the level format: what is not there comes last of its kind."""
+    active = np.asarray(level.scene.shape_active)
+    num_polygons = np.shape(level.scene.vertices)[0]
+    shapes = np.concatenate([_active_first(active[:num_polygons]), num_polygons + _active_first(active[num_polygons:])])
+    joints = _active_first(np.asarray(level.scene.joint_active))
+    thrusters = _active_first(np.asarray(level.scene.thruster_active))
+    states = {
+        name: np.concatenate([np.asarray(getattr(level, name), np.float32)[None], world[name]])[:, shapes]
+        for name in ("position", "angle", "velocity", "angular_velocity")
+    }
+    return {
+        **states,
+        "actions": world["actions"].reshape(len(world["actions"]), -1).astype(np.float32),
+        "motor": world["motor"][:, joints],
+        "thruster": world["thruster"][:, thrusters],
+        "reward": world["reward"],
+    }
+
+
+def _active_first(active: np.ndarray) -> np.ndarray:
+    return np.argsort(~active, kind="stable")
