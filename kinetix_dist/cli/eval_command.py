@@ -1,0 +1,201 @@
+"""`kinetix-dist eval`: solve rates of a trained policy on a set of levels, next to policies that learned nothing.
+
+    kinetix-dist eval --run runs/quickstart --levels designed_s
+    kinetix-dist eval --checkpoint pretrained/sfl_s --levels random_s --attempts 5 --json rates.json
+    kinetix-dist eval --policy random --levels designed_m
+
+An attempt is one episode from the start of a level; the first to finish counts. Intervals are Wilson's at 95 %.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from kinetix_dist.cli.errors import UserError, user_errors
+
+if TYPE_CHECKING:
+    from kinetix_dist.checkpoint import Checkpoint
+    from kinetix_dist.config import TrainConfig
+    from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
+
+BASELINES = ("random", "noop")
+
+
+@dataclasses.dataclass
+class Args:
+    """Solve rates of a run or a checkpoint on a set of levels."""
+
+    levels: str
+    """A set (designed_s, random_s ... with s, m or l), a directory of level files, or one level file."""
+    run: Path | None = None
+    """A run directory: its newest good checkpoint plays."""
+    checkpoint: Path | None = None
+    """A checkpoint directory."""
+    policy: Literal["trained", "random", "noop"] = "trained"
+    """`random` (uniform actions) and `noop` (none) need neither --run nor --checkpoint."""
+    baselines: bool = True
+    """Beside a trained policy, also say how random actions and no actions do on the same levels."""
+    size: str | None = None
+    """Play levels from files at this size (s, m or l) instead of the smallest that fits all of them."""
+    attempts: int = 5
+    """Episodes of each level."""
+    greedy: bool = False
+    """Most likely actions instead of samples."""
+    seed: int = 0
+    """Of the actions drawn."""
+    max_worlds: int = 4096
+    """Episodes played at once, a matter of memory: the rates do not depend on it."""
+    json: Path | None = None
+    """Also write the results, level by level, to this file."""
+
+
+def run(args: Args) -> int:
+    _check(args)
+    checkpoint, config = _load_checkpoint(args)
+    from kinetix_dist.level.sets import load_level_set
+
+    with user_errors(ValueError, OSError):
+        levels, names = load_level_set(args.levels, args.size)
+    rates = _evaluate(args, checkpoint, config, levels, list(names))
+    first = next(iter(rates))
+    print(f"{args.levels}: {len(names)} levels, {args.attempts} attempts each, policy {_policy_name(args, checkpoint)}")
+    print(table(first, rates))
+    if args.json is not None:
+        content = {
+            "levels": args.levels,
+            "checkpoint": None if checkpoint is None else str(checkpoint.path),
+            "policy_version": None if checkpoint is None else checkpoint.description["num_updates"],
+            "attempts_per_level": args.attempts,
+            "seed": args.seed,
+            "greedy": args.greedy,
+            "solve_rate": {name: rate.to_dict() for name, rate in rates.items()},
+        }
+        with user_errors(OSError, prefix="the results cannot be written: "):
+            args.json.write_text(json.dumps(content, indent=2) + "\n")
+        print(f"results  {args.json}")
+    return 0
+
+
+def table(name: str, rates: dict[str, SolveRates]) -> str:
+    """Every level of `name`, then the totals of all policies."""
+    rows = [_cells(level.name, level) for level in rates[name].levels]
+    totals = [_cells(f"all, {policy}", result.total) for policy, result in rates.items()]
+    header = (
+        "level",
+        "solved",
+        "95 % interval",
+        "attempts",
+        "touched red",
+        "out of time",
+        "unstable",
+        "return",
+        "steps",
+    )
+    widths = [max(len(row[i]) for row in (header, *rows, *totals)) for i in range(len(header))]
+
+    def line(row: tuple[str, ...]) -> str:
+        return "  ".join([row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:]))])
+
+    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
+    return "\n".join([line(header), rule, *map(line, rows), rule, *map(line, totals)])
+
+
+def _cells(name: str, rate: SolveRate) -> tuple[str, ...]:
+    return (
+        name,
+        f"{rate.rate:.1%}",
+        f"{rate.low:.1%} - {rate.high:.1%}",
+        str(rate.attempts),
+        str(rate.failed),
+        str(rate.timed_out),
+        str(rate.unstable),
+        f"{rate.mean_return:.3f}",
+        f"{rate.mean_length:.1f}",
+    )
+
+
+def _check(args: Args) -> None:
+    """Complains before anything slow happens."""
+    given = [name for name in ("run", "checkpoint") if getattr(args, name) is not None]
+    if args.policy == "trained" and len(given) != 1:
+        what = "both were given" if given else "neither was given"
+        raise UserError(f"a trained policy comes from --run or --checkpoint, {what}; or choose --policy random")
+    if args.policy != "trained" and given:
+        raise UserError(f"--policy {args.policy} plays without --{given[0]}; leave one of them out")
+    for name in ("attempts", "max_worlds"):
+        if getattr(args, name) < 1:
+            raise UserError(f"--{name.replace('_', '-')} is {getattr(args, name)}; it must be 1 or more")
+    if args.json is not None:
+        folder = args.json.parent
+        if args.json.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+            raise UserError(f"cannot write {args.json}; give --json a file in a directory that exists and is writable")
+
+
+def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]:
+    """The checkpoint to play, verified, and the config it was trained with; (None, None) for a baseline."""
+    if args.policy != "trained":
+        return None, None
+    from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, newest_good
+    from kinetix_dist.config import from_dict
+
+    if args.checkpoint is not None:
+        with user_errors(CheckpointError, ValueError, OSError):
+            checkpoint = load_checkpoint(args.checkpoint)
+    else:
+        assert args.run is not None  # _check saw to it
+        if not args.run.is_dir():
+            raise UserError(f"{args.run} is not a directory; give --run a run directory such as runs/quickstart")
+        newest, rejected = newest_good(args.run / "checkpoints")
+        for bad in rejected:
+            print(f"checkpoint {bad.path.name} passed over: {bad.reason}")
+        if newest is None:
+            raise UserError(f"{args.run} has no checkpoint that can be used; train it further, or give --checkpoint")
+        checkpoint = newest
+    if "config" not in checkpoint.description:
+        raise UserError(f"checkpoint {checkpoint.path} does not say which config it was trained with")
+    with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
+        return checkpoint, from_dict(checkpoint.description["config"])
+
+
+def _evaluate(
+    args: Args, checkpoint: Checkpoint | None, config: TrainConfig | None, levels: Any, names: list[str]
+) -> dict[str, SolveRates]:
+    """Solve rates by policy, the one asked for first."""
+    import jax
+
+    from kinetix_dist.env.environment import EnvConfig, Environment
+    from kinetix_dist.evaluation.evaluate import evaluate
+    from kinetix_dist.evaluation.load_policy import load_policy
+    from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, RandomPolicy
+    from kinetix_dist.level.fit import capacity_of
+    from kinetix_dist.level.level import SIZES
+
+    capacity = capacity_of(levels)
+    size = next(name for name, known in SIZES.items() if known == capacity)
+    env = Environment(dataclasses.replace(config.env if config is not None else EnvConfig(), size=size))
+    players: dict[str, tuple[Any, Any]] = {}
+    if checkpoint is not None and config is not None:
+        with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path} does not fit levels of size {size}: "):
+            module, params = load_policy(checkpoint, config.policy, env, levels)
+        players["trained"] = (NetworkPolicy(module, greedy=args.greedy), params)
+    baselines = {"random": RandomPolicy(env.action_space), "noop": NoopPolicy(env.action_space)}
+    for name in BASELINES if args.policy == "trained" and args.baselines else (args.policy,):
+        if name in baselines:
+            players[name] = (baselines[name], None)
+    key = jax.random.key(args.seed)
+    results = {}
+    for name, (policy, params) in players.items():
+        # Without actions every attempt is the same.
+        attempts = 1 if name == "noop" else args.attempts
+        results[name] = evaluate(
+            env, policy, params, levels, attempts=attempts, key=key, names=names, max_worlds=args.max_worlds
+        )
+    return results
+
+
+def _policy_name(args: Args, checkpoint: Checkpoint | None) -> str:
+    return args.policy if checkpoint is None else f"of {checkpoint.path}"

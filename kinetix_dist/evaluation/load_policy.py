@@ -1,0 +1,35 @@
+"""A trained policy from a checkpoint: the network it describes and the parameters it stores.
+
+Parameters do not depend on the size of a level (the transformer treats a world as a set), so a policy trained on one
+size plays levels of another. A flat network has fixed inputs, and a mismatch names the array that differs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+
+from kinetix_dist.checkpoint import Checkpoint, select_arrays, unflatten_arrays
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.level.level import Level
+from kinetix_dist.models.policy import PolicyConfig, make_policy
+
+PARAMS_PREFIX = "learner/params"  # where a checkpoint's arrays keep the parameters of the policy
+
+
+def load_policy(checkpoint: Checkpoint, config: PolicyConfig, env: Environment, levels: Level) -> tuple[Any, Any]:
+    """(flax module, params) of a checkpoint for playing `levels` in `env`.
+
+    Raises `ArrayMismatchError`, a ValueError that names the array, when the parameters are those of another network.
+    """
+    module = make_policy(config, env.action_head_sizes)
+    one_level = jax.tree.map(lambda x: x[:1], levels)
+
+    def init(key: Any) -> Any:
+        prepared = env.prepare(one_level)
+        return module.init(key, observe(prepared.static_obs, prepared.initial_obs))
+
+    template = jax.eval_shape(init, jax.random.key(0))
+    return module, unflatten_arrays(template, select_arrays(checkpoint.arrays, PARAMS_PREFIX))
