@@ -31,8 +31,9 @@ from jax2d import Controls, Engine, preset
 from jax2d.scene import stack_worlds
 from kinetix_dist.cli.bench import PEER_MAX_WORLDS_CPU, PEER_MAX_WORLDS_GPU, WORLDS_CPU, WORLDS_GPU, Args
 from kinetix_dist.cli.bench_peer import Peer, PeerError
-from kinetix_dist.cli.errors import UserError, one_line
-from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
+from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.level.fit import fit_level
+from kinetix_dist.level.kinetix_format import export_kinetix, load_kinetix
 from kinetix_dist.level.level import SIZES
 
 EPISODE_STEPS = 512  # physics steps: 256 environment steps of 2
@@ -115,11 +116,10 @@ class OurEngine:
     """Our engine with packed worlds and the compiled program that steps them."""
 
     def __init__(self, args: Args, size: str, files: list[Path], worlds: int, preset_name: str, device: Any) -> None:
-        try:
+        with user_errors(ValueError):
             engine = Engine(SIZES[size], settings=preset(preset_name), backend=args.backend)
-        except (ValueError, KeyError) as error:
-            raise UserError(one_line(error)) from error
-        levels = stack_worlds([import_kinetix(file) for file in files])
+        with user_errors(ValueError, OSError):
+            levels = stack_worlds([fit_level(load_kinetix(file), SIZES[size]) for file in files])
         num_levels = len(files)
         num_joints, num_thrusters = SIZES[size].joints, SIZES[size].thrusters
         order = jnp.arange(worlds) % num_levels
