@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -18,9 +19,13 @@ class ArrayMismatchError(ValueError):
 
 
 def flatten_arrays(tree: Any) -> dict[str, np.ndarray]:
-    """Every leaf of a pytree as a numpy array under its path; typed PRNG keys are stored as their key data."""
+    """Every leaf of a pytree as a numpy array under its path; typed PRNG keys are stored as their key data.
+
+    Leaves without elements are left out: they hold nothing, and `unflatten_arrays` knows their shape.
+    """
     leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
-    return {_name(path): _to_numpy(leaf) for path, leaf in leaves}
+    arrays = {_name(path): _to_numpy(leaf) for path, leaf in leaves}
+    return {name: array for name, array in arrays.items() if array.size}
 
 
 def unflatten_arrays(template: Any, arrays: Mapping[str, np.ndarray]) -> Any:
@@ -30,6 +35,7 @@ def unflatten_arrays(template: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     """
     leaves, structure = jax.tree_util.tree_flatten_with_path(template)
     names = [_name(path) for path, _ in leaves]
+    arrays = dict(arrays) | {_name(path): np.zeros(leaf.shape, leaf.dtype) for path, leaf in leaves if 0 in leaf.shape}
     if missing := sorted(set(names) - set(arrays)):
         raise ArrayMismatchError(f"array {missing[0]} is missing ({len(missing)} of {len(names)} are)")
     if extra := sorted(set(arrays) - set(names)):
@@ -37,7 +43,7 @@ def unflatten_arrays(template: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     restored = []
     for name, (_, leaf) in zip(names, leaves, strict=True):
         array = np.asarray(arrays[name])
-        is_key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         wanted = jax.eval_shape(jax.random.key_data, leaf) if is_key else leaf
         if tuple(array.shape) != tuple(wanted.shape) or array.dtype != wanted.dtype:
             raise ArrayMismatchError(
@@ -63,6 +69,6 @@ def _name(path: tuple[Any, ...]) -> str:
 
 
 def _to_numpy(leaf: Any) -> np.ndarray:
-    if isinstance(leaf, jax.Array) and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+    if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
         leaf = jax.random.key_data(leaf)
     return np.asarray(jax.device_get(leaf))

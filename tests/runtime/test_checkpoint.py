@@ -25,6 +25,7 @@ def _state(seed: int) -> dict:
         "params": {"kernel": rng.normal(size=(3, 4)).astype(np.float32), "bias": jnp.ones((4,), jnp.bfloat16)},
         "counters": (np.int32(seed), np.asarray([True, False])),
         "key": jax.random.key(seed),
+        "nothing": np.zeros((0, 2), np.float32),
     }
 
 
@@ -38,6 +39,7 @@ def test_what_was_saved_is_restored_bit_for_bit(tmp_path):
     restored = unflatten_arrays(_state(0), checkpoint.arrays)
     expected, got = flatten_arrays(_state(7)), flatten_arrays(restored)
     assert expected.keys() == got.keys()
+    assert restored["nothing"].shape == (0, 2)
     for name in expected:
         assert expected[name].dtype == got[name].dtype
         np.testing.assert_array_equal(expected[name], got[name], err_msg=name)

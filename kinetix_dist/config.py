@@ -1,0 +1,217 @@
+"""What a run is: one frozen dataclass whose sections are the configs of the parts. What is printed is what runs.
+
+`TrainConfig` goes to `config.json` of a run directory and back. Its hash covers what changes the numbers (not: how long, where to, how often
+it is evaluated or saved); a checkpoint carries it and is only resumed by a config of the same hash.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any
+
+from kinetix_dist.curator.curriculum import CurriculumConfig, from_buffer
+from kinetix_dist.env.environment import EnvConfig
+from kinetix_dist.learner.update import PpoConfig
+from kinetix_dist.models.policy import PolicyConfig
+
+PLACEMENTS = ("local", "colocated", "split")
+DEVICES = ("auto", "cpu", "gpu")
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot run, with the field and the value."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RolloutConfig:
+    """How much is played for one update."""
+
+    num_envs: int = 2048  # worlds, over all devices
+    num_steps: int = 256  # environment steps of each world in an update
+    num_groups: int = 8  # world groups with random streams of their own; any number of devices that divides it gives the same run
+
+    def __post_init__(self) -> None:
+        for name in ("num_envs", "num_steps", "num_groups"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"RolloutConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        if self.num_envs % self.num_groups:
+            raise ConfigError(
+                f"RolloutConfig.num_envs {self.num_envs} is not a multiple of num_groups {self.num_groups}; change one"
+            )
+
+    @property
+    def worlds_per_group(self) -> int:
+        return self.num_envs // self.num_groups
+
+    @property
+    def steps_per_update(self) -> int:
+        return self.num_envs * self.num_steps
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EvaluationConfig:
+    """Solve rates before and after training, and during it. None of these levels is trained on."""
+
+    sets: tuple[str, ...] = ("random_s", "designed_s")
+    attempts: int = 1  # first episodes of each level
+    min_attempts: int = 100  # of a set; the levels of a smaller one are tried more often
+    every: int = 0  # updates between evaluations during training; 0: only before and after
+
+    def __post_init__(self) -> None:
+        for name, least in (("attempts", 1), ("min_attempts", 0), ("every", 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"EvaluationConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+        if not self.sets:
+            raise ConfigError("EvaluationConfig.sets is empty; name at least one level set")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RecordingConfig:
+    """Rollouts on the evaluation sets that are written to recordings/*.mcap."""
+
+    num_rollouts: int = 8  # recorded after training; 0: none
+    every: int = 0  # updates between recordings during training; 0: only after
+    make_pictures: bool = True  # after training: .rrd and .png of a solved and of a failed rollout
+
+    def __post_init__(self) -> None:
+        if self.num_rollouts < 0 or self.every < 0:
+            raise ConfigError(
+                f"RecordingConfig has num_rollouts {self.num_rollouts}, every {self.every}; neither may be negative"
+            )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """How long, where and from which seed."""
+
+    name: str = "run"  # directory below runs/ when --run is not given
+    seed: int = 0
+    total_env_steps: int = 0  # training ends at the first update that reaches it; 0: no such end
+    max_seconds: float = 0.0  # training ends at the first update after so much training time; 0: no such end
+    placement: str = "colocated"  # "local" (no ray), "colocated" or "split"
+    device: str = "auto"  # "auto" (gpu if there is one), "cpu" or "gpu"
+    num_workers: int = 0  # learner processes; 0: one a GPU, on CPU one
+    num_rollout_actors: int = 1  # split placement only
+    checkpoint_every: int = 50  # updates
+    keep_checkpoints: int = 3
+    max_restarts: int = 3  # of a lost process, before the run gives up
+    heartbeat_seconds: float = 60.0  # a process that was silent for so long, outside of compilation, is taken for hung
+    compile_cache: str = ""  # directory of compiled programs; "": the user's cache directory; "off": none
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("placement", PLACEMENTS), ("device", DEVICES)):
+            if getattr(self, name) not in allowed:
+                raise ConfigError(f"RunConfig.{name} is {getattr(self, name)!r}; choose from {', '.join(allowed)}")
+        for name, least in (
+            ("total_env_steps", 0),
+            ("max_seconds", 0),
+            ("num_workers", 0),
+            ("num_rollout_actors", 1),
+            ("checkpoint_every", 1),
+            ("keep_checkpoints", 1),
+            ("max_restarts", 0),
+        ):
+            if getattr(self, name) < least:
+                raise ConfigError(f"RunConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+        if not self.total_env_steps and not self.max_seconds:
+            raise ConfigError("RunConfig has neither total_env_steps nor max_seconds; give one, or the run never ends")
+
+    @property
+    def policy_lag(self) -> int:
+        """Updates between the policy that acts and the policy that is updated."""
+        return 1 if self.placement == "split" else 0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Everything a training run depends on, section by section."""
+
+    env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
+    policy: PolicyConfig = dataclasses.field(default_factory=PolicyConfig)
+    ppo: PpoConfig = dataclasses.field(default_factory=PpoConfig)
+    curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
+    rollout: RolloutConfig = dataclasses.field(default_factory=RolloutConfig)
+    evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
+    recording: RecordingConfig = dataclasses.field(default_factory=RecordingConfig)
+    run: RunConfig
+
+    def __post_init__(self) -> None:
+        from_buffer(self.curriculum, self.rollout.worlds_per_group)
+        if self.run.placement == "split" and self.rollout.num_groups % self.run.num_rollout_actors:
+            raise ConfigError(
+                f"{self.run.num_rollout_actors} rollout actors cannot share {self.rollout.num_groups} world groups "
+                "evenly; change run.num_rollout_actors or rollout.num_groups"
+            )
+
+    @property
+    def hash(self) -> str:
+        """16 hexadecimal digits over `numbers_of(self)`."""
+        text = json.dumps(numbers_of(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def numbers_of(config: TrainConfig) -> dict[str, Any]:
+    """What the parameters after k updates depend on."""
+    sections = to_dict(config)
+    kept = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
+    return kept | {"run": {"seed": config.run.seed, "policy_lag": config.run.policy_lag}}
+
+
+def differences(ours: TrainConfig, theirs: TrainConfig) -> list[str]:
+    """Fields that change the numbers and differ, as "ppo.epochs 8 instead of 4"."""
+    left, right = _flat(numbers_of(ours)), _flat(numbers_of(theirs))
+    return [
+        f"{name} {left.get(name)!r} instead of {right.get(name)!r}"
+        for name in sorted(left | right)
+        if left.get(name) != right.get(name)
+    ]
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """A config as plain JSON types."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
+
+
+def from_dict(data: Mapping[str, Any]) -> TrainConfig:
+    """The inverse of `to_dict`; raises ConfigError for a field that is unknown or of another type."""
+    return _build(TrainConfig, data, "")
+
+
+def _build(kind: Any, data: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(kind):
+        if not isinstance(data, Mapping):
+            raise ConfigError(f"config field {where or 'top level'} is {data!r}; an object is needed")
+        hints = typing.get_type_hints(kind)
+        names = {field.name for field in dataclasses.fields(kind)}
+        if unknown := sorted(set(data) - names):
+            raise ConfigError(f"config field {_join(where, unknown[0])} is unknown; fields are {', '.join(sorted(names))}")
+        return kind(**{name: _build(hints[name], value, _join(where, name)) for name, value in data.items()})
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is tuple:
+        inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else Any
+        return tuple(_build(inner, value, where) for value in data)
+    if origin in (typing.Union, types.UnionType):
+        if data is None:
+            return None
+        return _build(next(option for option in arguments if option is not types.NoneType), data, where)
+    if kind is float and isinstance(data, int) and not isinstance(data, bool):
+        return float(data)
+    if kind in (int, float, str, bool) and type(data) is not kind:
+        raise ConfigError(f"config field {where} is {data!r}; {kind.__name__} is needed")
+    return data
+
+
+def _join(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+def _flat(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    flat = {}
+    for name, value in data.items():
+        flat |= _flat(value, _join(where, name)) if isinstance(value, Mapping) else {_join(where, name): value}
+    return flat

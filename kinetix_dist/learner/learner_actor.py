@@ -1,0 +1,16 @@
+"""Learns: the process of the split placement that holds optimiser and parameters."""
+
+from __future__ import annotations
+
+import ray
+
+from kinetix_dist.process_shell import ProcessShell
+
+
+@ray.remote(concurrency_groups={"control": 1})
+class LearnerActor(ProcessShell):
+    """A `ProcessShell` as a Ray actor; pings are answered while a call runs."""
+
+    @ray.method(concurrency_group="control")
+    def ping(self) -> int:
+        return super().ping()

@@ -1,0 +1,61 @@
+"""What a process of a run is apart from its work: it joins a group, builds its core, answers calls and pings.
+
+The Ray actors (`actors/rollout_actor.py`, `learner/learner_actor.py`, `curator/curator_actor.py`, `runtime/worker_actor.py`) are this class
+with a name; the work itself is a core that knows nothing of processes and is called the same way in local mode.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from typing import Any
+
+HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
+
+
+class ProcessShell:
+    """Holds one core. Methods are called one at a time, except `ping`, which has a thread of its own."""
+
+    def __init__(self, build: Callable[..., Any], *arguments: Any) -> None:
+        """`build(*arguments)` makes the core, later: a group has to be joined before JAX computes anything."""
+        self._build = build
+        self._arguments = arguments
+        self._core: Any = None
+
+    def ping(self) -> int:
+        """The process id; that it comes back says that the process is not stopped."""
+        return os.getpid()
+
+    def free_address(self) -> str:
+        """host:port that this process could listen on now, for the coordinator of a group."""
+        host = "127.0.0.1" if os.environ.get("KINETIX_DIST_LOOPBACK", "1") == "1" else _own_address()
+        with socket.socket() as probe:
+            probe.bind((host, 0))
+            return f"{host}:{probe.getsockname()[1]}"
+
+    def join(self, coordinator: str, num_processes: int, rank: int) -> None:
+        """Forms one JAX world with the other processes of the group. Waits for all of them."""
+        import jax
+
+        jax.distributed.initialize(
+            coordinator,
+            num_processes,
+            rank,
+            cluster_detection_method="deactivate",
+            heartbeat_timeout_seconds=HEARTBEAT_TIMEOUT_S,
+        )
+
+    def build(self) -> None:
+        self._core = self._build(*self._arguments)
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        """`core.method(*arguments)`. What it returns is numpy or plain Python."""
+        return getattr(self._core, method)(*arguments)
+
+
+def _own_address() -> str:
+    """The address of the interface that leads out of this host (no packet is sent)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))
+        return probe.getsockname()[0]

@@ -1,0 +1,107 @@
+"""Named configurations. A recipe is a function that returns a `TrainConfig`; every field can be overridden on the command line."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+
+from kinetix_dist.config import (
+    ConfigError,
+    EvaluationConfig,
+    RecordingConfig,
+    RolloutConfig,
+    RunConfig,
+    TrainConfig,
+)
+from kinetix_dist.curator.curriculum import CurriculumConfig
+from kinetix_dist.env.environment import EnvConfig
+from kinetix_dist.learner.update import PpoConfig
+from kinetix_dist.models.policy import PolicyConfig
+
+
+def quickstart() -> TrainConfig:
+    """SFL on size S for two CPU cores and a few minutes: small network, few worlds, large steps (docs/training.md says why)."""
+    return TrainConfig(
+        env=EnvConfig(size="s", dense_reward_scale=1.0),
+        policy=PolicyConfig(encoder_size=32, num_layers=1, hidden_size=64, hidden_layers=1),
+        ppo=PpoConfig(
+            epochs=4, minibatches=8, clip=0.2, value_clip=False, learning_rate=1e-3, max_grad_norm=0.5, discount=0.99
+        ),
+        curriculum=CurriculumConfig(
+            num_candidates=512, scoring_batch=256, scoring_steps=256, refresh_every=16, adopt_after=2, buffer_size=128
+        ),
+        rollout=RolloutConfig(num_envs=128, num_steps=64),
+        evaluation=EvaluationConfig(sets=("random_s", "designed_s")),
+        recording=RecordingConfig(num_rollouts=8),
+        run=RunConfig(name="quickstart", total_env_steps=800_000, placement="local", device="cpu", checkpoint_every=25),
+    )
+
+
+def single_level() -> TrainConfig:
+    """One hand-designed S level until it is solved: shows that learning works, on CPU, in minutes."""
+    base = quickstart()
+    return TrainConfig(
+        env=base.env,
+        policy=base.policy,
+        ppo=base.ppo,
+        curriculum=CurriculumConfig(name="fixed", levels="levels/s"),
+        rollout=base.rollout,
+        evaluation=EvaluationConfig(sets=("levels/s",), attempts=100, every=10),
+        recording=RecordingConfig(num_rollouts=4),
+        run=RunConfig(name="single_level", total_env_steps=600_000, placement="local", device="cpu", checkpoint_every=25),
+    )
+
+
+def tiny() -> TrainConfig:
+    """A run of seconds that learns nothing: for tests and for trying an installation."""
+    return TrainConfig(
+        env=EnvConfig(size="s", max_steps=16),
+        policy=PolicyConfig(encoder_size=8, attention_features=8, num_layers=1, hidden_size=8, hidden_layers=1),
+        ppo=PpoConfig(epochs=2, minibatches=2, virtual_shards=4, clip=0.2, learning_rate=1e-3),
+        curriculum=CurriculumConfig(
+            num_candidates=16, scoring_batch=8, scoring_steps=16, refresh_every=3, adopt_after=2, buffer_size=8
+        ),
+        rollout=RolloutConfig(num_envs=16, num_steps=8, num_groups=4),
+        evaluation=EvaluationConfig(sets=("random_s",)),
+        recording=RecordingConfig(num_rollouts=0),
+        run=RunConfig(name="tiny", total_env_steps=8 * 16 * 8, placement="local", device="cpu", checkpoint_every=2),
+    )
+
+
+def sfl_s() -> TrainConfig:
+    """The paper's SFL on size S."""
+    return _sfl("s")
+
+
+def sfl_m() -> TrainConfig:
+    """The paper's SFL on size M."""
+    return _sfl("m")
+
+
+def sfl_l() -> TrainConfig:
+    """The paper's SFL on size L."""
+    return _sfl("l")
+
+
+def _sfl(size: str) -> TrainConfig:
+    """Hyperparameters of the paper, activations in bfloat16; ends after 1 B environment steps unless told otherwise."""
+    return TrainConfig(
+        env=EnvConfig(size=size),
+        policy=PolicyConfig(dtype="bfloat16"),
+        evaluation=EvaluationConfig(sets=(f"random_{size}", f"designed_{size}")),
+        run=RunConfig(name=f"sfl_{size}", total_env_steps=1_000_000_000, device="gpu", checkpoint_every=100),
+    )
+
+
+RECIPES: dict[str, Callable[[], TrainConfig]] = {
+    function.__name__: function for function in (quickstart, single_level, sfl_s, sfl_m, sfl_l, tiny)
+}
+
+
+def recipe(name: str) -> TrainConfig:
+    """The configuration of a recipe; raises ConfigError for an unknown one."""
+    if name not in RECIPES:
+        near = difflib.get_close_matches(name, RECIPES, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"recipes: {', '.join(RECIPES)}"
+        raise ConfigError(f"unknown recipe {name!r}; {hint}")
+    return RECIPES[name]()

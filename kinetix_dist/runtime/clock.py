@@ -1,0 +1,61 @@
+"""Where the time of a run goes, by role."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+
+ROLES = ("rollout", "learn", "curate", "evaluate", "record", "checkpoint")
+
+
+class RoleClock:
+    """Adds up seconds by role between laps; what no role claims is idle."""
+
+    def __init__(self) -> None:
+        self.totals = dict.fromkeys((*ROLES, "idle"), 0.0)  # s, over all laps
+        self._lap = dict.fromkeys(ROLES, 0.0)
+        self._began: float | None = None
+        self._lap_began = time.monotonic()
+
+    def start(self) -> None:
+        """The first lap begins now; what was added before is kept in the totals."""
+        self._fold()
+        self._began = self._lap_began = time.monotonic()
+
+    @property
+    def elapsed(self) -> float:
+        """s since `start`, 0 before."""
+        return 0.0 if self._began is None else time.monotonic() - self._began
+
+    @contextmanager
+    def role(self, name: str) -> Generator[None, None, None]:
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            self._lap[name] += time.monotonic() - began
+
+    def add(self, seconds: Mapping[str, float]) -> None:
+        """Seconds measured elsewhere, by a worker say."""
+        for name, value in seconds.items():
+            self._lap[name] += value
+
+    def lap(self) -> tuple[float, dict[str, float]]:
+        """Ends a lap: (its length in s, the share of each role and of "idle")."""
+        now = time.monotonic()
+        span = max(now - self._lap_began, 1e-9)
+        self._lap_began = now
+        seconds = dict(self._lap)
+        # Roles that work at the same time (split placement) can claim more than there was: they are scaled to fit.
+        scale = min(1.0, span / max(sum(seconds.values()), 1e-9))
+        shares = {name: value * scale / span for name, value in seconds.items()}
+        shares["idle"] = max(0.0, 1.0 - sum(shares.values()))
+        self._fold()
+        self.totals["idle"] += shares["idle"] * span
+        return span, shares
+
+    def _fold(self) -> None:
+        for name, value in self._lap.items():
+            self.totals[name] += value
+        self._lap = dict.fromkeys(ROLES, 0.0)

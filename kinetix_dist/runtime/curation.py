@@ -1,0 +1,67 @@
+"""The controller's side of the curator: asks for refreshes, takes buffers, replaces a curator that was lost.
+
+A lost curator costs time only: the refresh is asked for again with the same weights and key and gives the identical buffer.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.controller import WorkerLostError, resolve
+from kinetix_dist.runtime.placement import ProcessPlan
+from kinetix_dist.runtime.worker import build_curator
+
+
+class CuratorClient:
+    """A `controller.Curator`. Its process starts with the first request."""
+
+    def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan) -> None:
+        self._config = config
+        self._backend = backend
+        self._plan = plan
+        self._handle: Handle | None = None
+        self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh in flight
+        self._answer: Ticket | None = None
+        self.num_restarts = 0
+
+    def request(self, weights: Any, policy_version: int) -> None:
+        stored = weights if hasattr(weights, "fetch") else self._backend.put(weights)
+        self._asked = (stored, policy_version)
+        self._ask()
+
+    def take(self) -> Ticket | None:
+        """Waits for the buffer; after `run.max_restarts` losses gives up on it."""
+        while self._answer is not None:
+            try:
+                self._backend.gather([self._answer])
+                answer, self._answer, self._asked = self._answer, None, None
+                return answer
+            except WorkerLostError:
+                self._replace()
+        return None
+
+    def cancel(self) -> None:
+        self._asked = self._answer = None
+
+    def stop(self) -> None:
+        if self._handle is not None:
+            self._backend.kill([self._handle])
+        self._handle = None
+
+    def _ask(self) -> None:
+        assert self._asked is not None
+        if self._handle is None:
+            self._handle = self._backend.spawn([self._plan], build_curator, self._config)[0]
+        weights, policy_version = self._asked
+        self._answer = self._handle.call("refresh", weights, policy_version)
+
+    def _replace(self) -> None:
+        self.stop()
+        self._answer = None
+        self.num_restarts += 1
+        if self.num_restarts <= self._config.run.max_restarts and self._asked is not None:
+            weights, policy_version = self._asked
+            self._asked = (self._backend.put(resolve(weights)), policy_version)  # its first copy may be gone
+            self._ask()

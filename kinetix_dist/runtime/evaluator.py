@@ -1,0 +1,89 @@
+"""Solve rates and recordings of a policy on the evaluation sets of a config: all sets in one batch, one program each."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax
+import numpy as np
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.evaluation.evaluate import evaluate
+from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.policies import NetworkPolicy, RandomPolicy
+from kinetix_dist.evaluation.recordings import record_rollouts
+from kinetix_dist.level.level import Level
+from kinetix_dist.level.sets import load_level_set
+
+EVALUATION_STREAM = 0x4556414C  # "EVAL": keys of evaluations; training folds its own constants into its own seed
+
+
+class Evaluator:
+    """Loads the sets at the first use, and compiles then."""
+
+    def __init__(self, config: TrainConfig, env: Environment, module: Any) -> None:
+        self._config = config.evaluation
+        self._size = config.env.size
+        self._seed = config.run.seed
+        self._env = env
+        self._network = NetworkPolicy(module)
+        self._sets: dict[str, tuple[Level, list[str]]] | None = None
+
+    def evaluate(self, params: Any | None) -> dict[str, dict[str, float]]:
+        """{set: {"rate", "attempts", "low", "high"}} of a network's parameters; None: of random actions.
+
+        The levels, attempts and keys are the same every time, so that before and after are paired.
+        """
+        sets = self._load()
+        repeated = [_repeat(levels, self._attempts(names)) for levels, names in sets.values()]
+        batch = jax.tree.map(lambda *xs: np.concatenate(xs), *repeated)
+        policy = self._network if params is not None else RandomPolicy(self._env.action_space)
+        rates = evaluate(self._env, policy, jax.device_put(params), batch, attempts=1, key=self._key())
+        result, start = {}, 0
+        for name, (_, level_names) in sets.items():
+            attempts = len(level_names) * self._attempts(level_names)
+            solved = sum(level.solved for level in rates.levels[start : start + attempts])
+            low, high = wilson_interval(solved, attempts)
+            result[name] = {"rate": solved / attempts, "attempts": attempts, "low": low, "high": high}
+            start += attempts
+        return result
+
+    def record(self, params: Any, num_rollouts: int, num_updates: int) -> list[Any]:
+        """Rollouts on the levels of all sets, as many solved as unsolved ones where there are both."""
+        if num_rollouts == 0:
+            return []
+        sets = list(self._load().values())[::-1]  # designed levels first: they are nicer to look at
+        batch = jax.tree.map(lambda *xs: np.concatenate(xs), *[levels for levels, _ in sets])
+        names = [name for _, level_names in sets for name in level_names]
+        played = record_rollouts(
+            self._env,
+            self._network,
+            jax.device_put(params),
+            batch,
+            self._key(),
+            names=names,
+            policy_version=num_updates,
+            seed=self._seed,
+        )
+        solved = [rollout for rollout in played if rollout.solved]
+        unsolved = sorted((rollout for rollout in played if not rollout.solved), key=lambda r: not r.failed)
+        num_solved = min(len(solved), max(num_rollouts // 2, num_rollouts - len(unsolved)))
+        return solved[:num_solved] + unsolved[: num_rollouts - num_solved]
+
+    def _attempts(self, names: list[str]) -> int:
+        """Of each level of a set; small sets are tried more often, since few attempts say little."""
+        return max(self._config.attempts, math.ceil(self._config.min_attempts / len(names)))
+
+    def _load(self) -> dict[str, tuple[Level, list[str]]]:
+        if self._sets is None:
+            self._sets = {name: load_level_set(name, self._size) for name in self._config.sets}
+        return self._sets
+
+    def _key(self) -> Any:
+        return jax.random.key(EVALUATION_STREAM)
+
+
+def _repeat(levels: Level, count: int) -> Level:
+    return jax.tree.map(lambda x: np.repeat(np.asarray(x), count, axis=0), levels)

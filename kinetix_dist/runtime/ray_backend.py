@@ -1,0 +1,136 @@
+"""Cores in Ray actors. Ray is the control plane only: it starts, kills and calls processes; gradients go through JAX."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import ray
+
+from kinetix_dist.actors.rollout_actor import RolloutActor
+from kinetix_dist.curator.curator_actor import CuratorActor
+from kinetix_dist.learner.learner_actor import LearnerActor
+from kinetix_dist.runtime.controller import WorkerLostError
+from kinetix_dist.runtime.placement import ProcessPlan
+from kinetix_dist.runtime.supervise import Heartbeats, gather, wait_until_gone
+from kinetix_dist.runtime.worker_actor import WorkerActor
+
+_ACTOR_CLASSES = {
+    "worker": WorkerActor,
+    "learner": LearnerActor,
+    "rollout": RolloutActor,
+    "curator": CuratorActor,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class RayTicket:
+    """A reference into the object store."""
+
+    reference: Any
+    actor: Any = None
+    backend: Any = None
+
+    def fetch(self) -> Any:
+        if self.backend is None:
+            return ray.get(self.reference)
+        return self.backend.gather([self])[0]
+
+    def is_ready(self) -> bool:
+        return bool(ray.wait([self.reference], timeout=0)[0])
+
+
+class RayHandle:
+    """A core in an actor."""
+
+    def __init__(self, plan: ProcessPlan, actor: Any, pid: int, backend: RayBackend) -> None:
+        self.plan = plan
+        self.actor = actor
+        self.pid = pid
+        self._backend = backend
+
+    def call(self, method: str, *arguments: Any) -> RayTicket:
+        return RayTicket(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
+
+    def call_stamped(self, method: str, *arguments: Any) -> tuple[RayTicket, RayTicket]:
+        call = self.actor.call.options(num_returns=2)
+        stamp, content = call.remote(method, *_references(arguments))
+        return RayTicket(stamp, self.actor, self._backend), RayTicket(content, self.actor, self._backend)
+
+
+class RayBackend:
+    """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
+
+    def __init__(self, *, num_gpus: int, heartbeat_seconds: float) -> None:
+        self._heartbeats = Heartbeats(heartbeat_seconds)
+        if ray.is_initialized():
+            self._owns_ray = False
+            return
+        self._owns_ray = True
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        address = os.environ.get("RAY_ADDRESS")
+        if address:
+            os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
+            ray.init(address=address, logging_level=logging.WARNING)
+        else:
+            # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
+            ray.init(
+                address="local",
+                num_cpus=max(os.cpu_count() or 1, 64),
+                num_gpus=num_gpus,
+                include_dashboard=False,
+                logging_level=logging.WARNING,
+                log_to_driver=True,
+                _node_ip_address="127.0.0.1",
+            )
+
+    def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
+        actors = []
+        for plan in plans:
+            environment = {"KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", "1"), **plan.env_vars}
+            options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
+            actors.append(_ACTOR_CLASSES[plan.role].options(**options).remote(build, plan, len(plans), *arguments))
+        try:
+            pids = gather([actor.ping.remote() for actor in actors], actors, self._heartbeats)
+            if len(actors) > 1 and plans[0].role == "worker":
+                coordinator = ray.get(actors[0].free_address.remote())
+                joins = [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)]
+                gather(joins, actors, self._heartbeats)
+            gather([actor.build.remote() for actor in actors], actors, self._heartbeats)
+        except BaseException:
+            for actor in actors:
+                ray.kill(actor, no_restart=True)
+            raise
+        return [RayHandle(plan, actor, pid, self) for plan, actor, pid in zip(plans, actors, pids, strict=True)]
+
+    def put(self, value: Any) -> RayTicket:
+        return RayTicket(ray.put(value))
+
+    def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
+        actors = list(dict.fromkeys(ticket.actor for ticket in tickets if ticket.actor is not None))
+        return gather([ticket.reference for ticket in tickets], actors, self._heartbeats)
+
+    def kill(self, handles: Sequence[RayHandle]) -> None:
+        """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
+        self._heartbeats.forget([handle.actor for handle in handles])
+        for handle in handles:
+            ray.kill(handle.actor, no_restart=True)
+        if self._owns_ray and not os.environ.get("RAY_ADDRESS"):
+            left = wait_until_gone([handle.pid for handle in handles])
+            if left:
+                raise WorkerLostError(f"processes {left} could not be ended; end them by hand, then --resume")
+        else:
+            time.sleep(1.0)
+
+    def stop(self) -> None:
+        if self._owns_ray:
+            ray.shutdown()
+
+
+def _references(arguments: Sequence[Any]) -> list[Any]:
+    return [argument.reference if isinstance(argument, RayTicket) else argument for argument in arguments]
