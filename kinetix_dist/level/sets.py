@@ -1,0 +1,117 @@
+"""Named sets of levels, for evaluation and for training on levels that people made.
+
+    levels, names = load_level_set("designed_s")
+
+A name is a designed set of levels/sets.toml, one designed level ("s/first_roll"), a held-out random set ("random_s",
+"random_m", "random_l"), or a file or directory of level files, ours or of the public Kinetix package.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jax2d.scene import Array, stack_worlds
+from kinetix_dist.level.filters import generate_filtered
+from kinetix_dist.level.fit import LevelSizeError, capacity_of_size, fit_level, smallest_size
+from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.kinetix_format import is_kinetix_document, load_kinetix
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.noop import noop_solved
+from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.schema import load_level
+from kinetix_dist.level.validate import LevelFormatError
+
+HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
+HELD_OUT_LEVELS = 256
+RANDOM_SETS = {f"random_{size}": size for size in SIZES}
+
+
+def load_level_set(
+    name: str,
+    size: str | None = None,
+    *,
+    num_levels: int = HELD_OUT_LEVELS,
+    noop_outcome_fn: Callable[[Level], Array] = noop_solved,
+) -> tuple[Level, list[str]]:
+    """A batch of levels and their names, in arrays of `size` (default: the smallest that fits all of them).
+
+    `num_levels` and `noop_outcome_fn` are for random sets: how many, and which solve themselves. Raises `ValueError`
+    (`LevelFormatError`, `LevelSizeError`) or `FileNotFoundError`, one line each.
+    """
+    if size is not None:
+        capacity_of_size(size)
+    if name in RANDOM_SETS:
+        return _random_set(RANDOM_SETS[name], size, num_levels, noop_outcome_fn)
+    return _stack(_files_of(name), size)
+
+
+def designed_sets() -> dict[str, dict[str, Any]]:
+    """levels/sets.toml: for each set its description, size and level files (relative to levels/)."""
+    with (levels_root() / "sets.toml").open("rb") as file:
+        return tomllib.load(file)
+
+
+def load_any(path: Path) -> Level:
+    """One level of a file in either format, in arrays of the size the file says."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
+    return load_kinetix(path) if is_kinetix_document(document) else load_level(path)[0]
+
+
+def held_out_key(size: str) -> Array:
+    """Key of the held-out random levels of one size."""
+    return jax.random.fold_in(jax.random.key(HELD_OUT_STREAM), list(SIZES).index(size))
+
+
+def _random_set(
+    drawn_size: str, size: str | None, num_levels: int, noop_outcome_fn: Callable[[Level], Array]
+) -> tuple[Level, list[str]]:
+    levels = generate_filtered(held_out_key(drawn_size), num_levels, drawn_size, GeneratorConfig(), noop_outcome_fn)
+    levels = jax.tree.map(np.asarray, levels)
+    names = [f"random_{drawn_size}_{i}" for i in range(num_levels)]
+    if size is None or size == drawn_size:
+        return levels, names
+    singles = [jax.tree.map(lambda x, i=i: x[i], levels) for i in range(num_levels)]
+    return stack_worlds([fit_level(level, capacity_of_size(size)) for level in singles]), names
+
+
+def _files_of(name: str) -> list[Path]:
+    sets = designed_sets()
+    if name in sets:
+        return [levels_root() / file for file in sets[name]["levels"]]
+    designed = levels_root() / f"{name}.json"
+    if designed.is_file():
+        return [designed]
+    path = Path(name)
+    if path.is_file():
+        return [path]
+    if path.is_dir():
+        files = sorted(path.glob("*.json")) or sorted(path.glob("*/*.json"))
+        if not files:
+            raise FileNotFoundError(f"no .json level files in {path}; give a directory of level files")
+        return files
+    known = ", ".join([*sets, *RANDOM_SETS])
+    raise ValueError(f"unknown level set {name!r}; sets are {known}, or give a level file or a directory of them")
+
+
+def _stack(files: Sequence[Path], size: str | None) -> tuple[Level, list[str]]:
+    levels = [load_any(file) for file in files]
+    if size is None:
+        order = list(SIZES)
+        size = max((smallest_size(level) for level in levels), key=order.index)
+    fitted = []
+    for file, level in zip(files, levels):
+        try:
+            fitted.append(fit_level(level, capacity_of_size(size)))
+        except LevelSizeError as error:
+            raise LevelSizeError(f"{file}: {error}") from None
+    return stack_worlds(fitted), [file.stem for file in files]
