@@ -30,6 +30,7 @@ from jax2d.draw import (
     MOTOR_PALETTE,
     OUTLINE_SHADE,
     THRUSTER_PALETTE,
+    Colour,
     shape_colours,
     thruster_outline,
 )
@@ -46,6 +47,8 @@ CIRCLE_CORNERS = 48
 # Depths, camera units nearer than the plane of the shapes. Shapes are 0.05 apart so that they do not flicker.
 SHAPE_SPACING, OUTLINE_DEPTH, MARK_DEPTH = 0.05, 0.02, 2.0
 MOTOR_IDLE = (255, 255, 255)
+REWARD_COLOUR, RETURN_COLOUR = (240, 170, 50), (90, 170, 250)
+ACTION_PALETTE = MOTOR_PALETTE + THRUSTER_PALETTE  # of six action dimensions: four motor colours, two thruster colours
 MOTOR_FORWARD, MOTOR_BACKWARD = MOTOR_PALETTE[0], MOTOR_PALETTE[1]
 
 
@@ -116,7 +119,7 @@ def rollout_blueprint(rollout: Rollout) -> rrb.Blueprint:
     )
     scene = rollout.level.scene
     plots: list[Any] = [rrb.TimeSeriesView(name="reward", origin="/", contents=["/reward", "/return"])]
-    if np.asarray(scene.joint_active).any():
+    if _motors(rollout).size:
         plots.append(rrb.TimeSeriesView(name="motors, share of target speed", origin="motor"))
     if np.asarray(scene.thruster_active).any():
         plots.append(rrb.TimeSeriesView(name="thrusters, share of power", origin="thruster"))
@@ -133,6 +136,12 @@ def rollout_blueprint(rollout: Rollout) -> rrb.Blueprint:
 
 def _recording_id(rollout: Rollout) -> str:
     return f"{rollout.level_name} v{rollout.policy_version} seed {rollout.seed}"
+
+
+def _motors(rollout: Rollout) -> np.ndarray:
+    """Joints with a motor."""
+    scene = rollout.level.scene
+    return np.flatnonzero(np.asarray(scene.joint_active) & np.asarray(scene.motor_on))
 
 
 def _times(rollout: Rollout, rows: slice) -> list[Any]:
@@ -277,21 +286,22 @@ def _log_plots(stream: rr.RecordingStream, rollout: Rollout) -> None:
         return
     scene = rollout.level.scene
     after, before = slice(1, None), slice(None, -1)
-    lines: list[tuple[str, str, np.ndarray, slice, Any]] = [
-        ("reward", "reward", rollout.reward, after, None),
-        ("return", "return so far", np.cumsum(rollout.reward), after, None),
+    lines: list[tuple[str, str, np.ndarray, slice, Colour]] = [
+        ("reward", "reward", rollout.reward, after, REWARD_COLOUR),
+        ("return", "return so far", np.cumsum(rollout.reward), after, RETURN_COLOUR),
     ]
-    for k in np.flatnonzero(np.asarray(scene.joint_active)):
+    for k in _motors(rollout):
         lines.append((f"motor/{k}", f"joint {k}", rollout.motor[:, k], before, MOTOR_PALETTE[k % len(MOTOR_PALETTE)]))
     for k in np.flatnonzero(np.asarray(scene.thruster_active)):
         colour = THRUSTER_PALETTE[k % len(THRUSTER_PALETTE)]
         lines.append((f"thruster/{k}", f"thruster {k}", rollout.thruster[:, k], before, colour))
     for k in range(rollout.actions.shape[1]):
-        lines.append((f"actions/{k}", f"action {k}", rollout.actions[:, k], before, None))
+        colour = ACTION_PALETTE[k % len(ACTION_PALETTE)]
+        lines.append((f"actions/{k}", f"action {k}", rollout.actions[:, k], before, colour))
     for path, name, values, rows, colour in lines:
         style = rr.SeriesLines(
             names=[name],
-            colors=None if colour is None else [colour],
+            colors=[colour],
             interpolation_mode=rr.components.InterpolationMode.StepAfter if rows is before else None,
         )
         stream.log(path, style, static=True)
