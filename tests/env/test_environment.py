@@ -17,7 +17,10 @@ from kinetix_dist.env.environment import EnvConfig, Environment, select_worlds, 
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.env.roles import Role
-from kinetix_dist.level.level import Level
+from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.noop import noop_solved as noop_solved_of_levels
 from tests.env.worlds import BOX, DISC_1, DISC_2, HALF_BOX_M, RADIUS_M, THRUSTER, batch, small_level
 from tests.helpers import REPOSITORY
 
@@ -203,6 +206,13 @@ def test_noop_filter_finds_levels_that_solve_themselves() -> None:
     solved = noop_solved(env, batch(MEETS, RESTS, MEETS_RED))
     np.testing.assert_array_equal(solved, [True, False, False])
     np.testing.assert_array_equal(noop_solved(env, batch(MEETS), num_steps=5), [False])
+
+
+def test_noop_filter_of_the_levels_judges_as_the_environment_does() -> None:
+    levels = generate_levels(jax.random.key(5), 48, SIZES["s"], GeneratorConfig())
+    by_environment = np.asarray(noop_solved(Environment(EnvConfig(size="s")), levels))
+    np.testing.assert_array_equal(by_environment, noop_solved_of_levels(levels))
+    assert 0 < by_environment.sum() < 48
 
 
 def test_partition_specs_put_the_mesh_axis_where_the_worlds_are(env: Environment) -> None:

@@ -1,0 +1,114 @@
+"""`kinetix-dist eval`: the table, the JSON file, and one line for whatever is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jax
+import pytest
+
+from kinetix_dist.checkpoint import flatten_arrays, save_checkpoint
+from kinetix_dist.cli.main import main
+from kinetix_dist.config import RunConfig, TrainConfig, to_dict
+from kinetix_dist.env.environment import EnvConfig, Environment
+from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.learner.state import adam, init_learner_state
+from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
+from tests.env.worlds import batch, small_level
+from tests.helpers import REPOSITORY
+
+LEVELS = str(REPOSITORY / "levels" / "s")
+SHORT = EnvConfig(size="s", max_steps=8)
+
+
+def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT) -> Path:
+    """A run directory with one checkpoint of a policy that has not learned anything; returns the checkpoint."""
+    config = TrainConfig(env=env_config, policy=policy, run=RunConfig(total_env_steps=1))
+    env = Environment(env_config)
+    prepared = env.prepare(batch(small_level()))
+    module = make_policy(policy, env.action_head_sizes)
+    params = init_params(module, observe(prepared.static_obs, prepared.initial_obs), jax.random.key(0))
+    state = init_learner_state(params, adam(1e-3, epsilon=1e-5), jax.random.key(1))
+    arrays = flatten_arrays({"learner": state})
+    return save_checkpoint(run / "checkpoints", 7, arrays, {"config": to_dict(config)}, keep=1)
+
+
+@pytest.fixture(scope="module")
+def run_directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("runs") / "small"
+    save_run(run, PolicyConfig(encoder_size=8, hidden_size=8, hidden_layers=1, num_layers=1, attention_features=8))
+    return run
+
+
+def test_a_run_is_evaluated_level_by_level_next_to_the_baselines(
+    run_directory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "rates.json"
+    arguments = ["--run", str(run_directory), "--levels", LEVELS, "--attempts", "2", "--json", str(target)]
+    assert main(["eval", *arguments]) == 0
+    printed = capsys.readouterr().out
+    names = sorted(file.stem for file in Path(LEVELS).glob("*.json"))
+    for text in (*names, "all, trained", "all, random", "all, noop", "95 % interval"):
+        assert text in printed
+    content = json.loads(target.read_text())
+    assert list(content["solve_rate"]) == ["trained", "random", "noop"]
+    assert content["policy_version"] == 7
+    trained = content["solve_rate"]["trained"]
+    assert trained["attempts"] == 2 * len(names)
+    assert [level["name"] for level in trained["levels"]] == names
+    assert 0 <= trained["low"] <= trained["rate"] <= trained["high"] <= 1
+
+
+def test_a_policy_plays_levels_of_a_larger_size_than_its_own(
+    run_directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checkpoint = next((run_directory / "checkpoints").iterdir())
+    arguments = ["--checkpoint", str(checkpoint), "--levels", LEVELS, "--size", "m", "--attempts", "1", "--greedy"]
+    assert main(["eval", *arguments, "--no-baselines"]) == 0
+    printed = capsys.readouterr().out
+    assert "all, trained" in printed and "all, random" not in printed
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """What an evaluation that must not start says: one line, exit status 2."""
+    assert main(["eval", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--levels", LEVELS], "--run or --checkpoint, neither was given"),
+        (["--levels", LEVELS, "--run", "a", "--checkpoint", "b"], "both were given"),
+        (["--levels", LEVELS, "--run", "a", "--policy", "noop"], "plays without --run"),
+        (["--levels", LEVELS, "--run", "no/such/run"], "no/such/run is not a directory"),
+        (["--levels", LEVELS, "--checkpoint", "no/such"], "there is no checkpoint no/such"),
+        (["--levels", "hopscotch", "--policy", "random"], "unknown level set 'hopscotch'"),
+        (["--levels", LEVELS, "--policy", "random", "--size", "xl"], "unknown size 'xl'"),
+        (["--levels", LEVELS, "--policy", "random", "--attempts", "0"], "--attempts is 0"),
+        (["--levels", LEVELS, "--policy", "random", "--json", "no/such/file.json"], "cannot write no/such/file.json"),
+        (["--levels", LEVELS, "--policy", "clever"], "clever"),
+    ],
+)
+def test_bad_requests_get_one_line(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert message in refusal(capsys, *arguments)
+
+
+def test_a_run_without_checkpoints_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no checkpoint that can be used" in refusal(capsys, "--levels", LEVELS, "--run", str(tmp_path))
+
+
+def test_a_damaged_checkpoint_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    checkpoint = save_run(tmp_path, PolicyConfig(network="flat", flat_size=8, hidden_size=8, hidden_layers=1))
+    (checkpoint / "checkpoint.json").write_text("{}")
+    error = refusal(capsys, "--levels", LEVELS, "--checkpoint", str(checkpoint))
+    assert "is damaged" in error and "checkpoint.json" in error
+
+
+def test_a_flat_policy_cannot_play_another_size(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    checkpoint = save_run(tmp_path, PolicyConfig(network="flat", flat_size=8, hidden_size=8, hidden_layers=1))
+    error = refusal(capsys, "--levels", LEVELS, "--checkpoint", str(checkpoint), "--size", "m")
+    assert "does not fit levels of size m: array" in error
