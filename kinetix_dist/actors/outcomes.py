@@ -1,0 +1,45 @@
+"""Counting what becomes of levels while they are rolled out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+from kinetix_dist.messages import LevelOutcome
+
+
+def no_outcomes(num_worlds: int) -> LevelOutcome:
+    """Nothing has finished yet."""
+    count = jnp.zeros(num_worlds, jnp.int32)
+    return LevelOutcome(
+        num_finished=count,
+        num_solved=count,
+        num_failed=count,
+        return_sum=jnp.zeros(num_worlds, jnp.float32),
+        length_sum=count,
+    )
+
+
+def add_step(outcome: LevelOutcome, done: Array, info: Any) -> LevelOutcome:
+    """Adds the episodes that ended in one step. done [W] bool; info: the environment's StepInfo of that step."""
+    return LevelOutcome(
+        num_finished=outcome.num_finished + done,
+        num_solved=outcome.num_solved + (done & info.solved),
+        num_failed=outcome.num_failed + (done & info.failed),
+        return_sum=outcome.return_sum + jnp.where(done, info.episode_return, 0.0),
+        length_sum=outcome.length_sum + jnp.where(done, info.episode_length, 0),
+    )
+
+
+def add_outcomes(a: LevelOutcome, b: LevelOutcome) -> LevelOutcome:
+    """Outcomes of the same levels in two rollouts."""
+    return jax.tree.map(jnp.add, a, b)
+
+
+def success_rate(outcome: LevelOutcome) -> Array:
+    """[W] float32: solved share of finished episodes; NaN for a level with none (its count says why)."""
+    finished = outcome.num_finished
+    return jnp.where(finished > 0, outcome.num_solved / jnp.maximum(finished, 1), jnp.nan)

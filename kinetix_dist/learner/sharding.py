@@ -1,0 +1,68 @@
+"""Which array lies where: one mesh axis, "data", over all devices of all processes.
+
+Worlds are sharded over it (each device owns a contiguous block of them, in the order of devices), parameters and
+counters are replicated. A process that is one of several hands in the worlds of its own devices and gets a global
+array; with one process the functions are plain transfers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jax2d.scene import Array
+
+DATA_AXIS = "data"
+
+
+def data_mesh(devices: list[Any] | None = None) -> Mesh:
+    """A mesh over `devices`, by default all devices of all processes."""
+    return Mesh(np.asarray(jax.devices() if devices is None else devices), (DATA_AXIS,))
+
+
+def replicated(mesh: Mesh) -> NamedSharding:
+    return NamedSharding(mesh, PartitionSpec())
+
+
+def sharded(mesh: Mesh, *, axis: int = 0) -> NamedSharding:
+    """Axis number `axis` divided over the mesh: 0 for [W, ...], 1 for [T, W, ...], -1 is not supported."""
+    return NamedSharding(mesh, PartitionSpec(*[None] * axis, DATA_AXIS))
+
+
+def replicate(tree: Any, mesh: Mesh) -> Any:
+    """Puts the same values on every device; every process must pass the same."""
+    return jax.tree.map(lambda x: _place(x, replicated(mesh), global_shape=np.shape(x)), tree)
+
+
+def shard_worlds(tree: Any, mesh: Mesh, *, axis: int = 0) -> Any:
+    """Divides the worlds of this process (axis `axis` of every leaf) over its devices of the mesh."""
+    num_processes = len({device.process_index for device in mesh.devices.flat})
+    num_local = mesh.devices.size // num_processes
+
+    def place(x: Array) -> Array:
+        shape = np.shape(x)
+        if shape[axis] % num_local:
+            raise ValueError(
+                f"{shape[axis]} worlds cannot be divided over {num_local} devices; use a multiple of {num_local}"
+            )
+        return _place(x, sharded(mesh, axis=axis), (*shape[:axis], shape[axis] * num_processes, *shape[axis + 1 :]))
+
+    return jax.tree.map(place, tree)
+
+
+def local_values(tree: Any) -> Any:
+    """Numpy copies of replicated arrays, without communication."""
+    return jax.tree.map(
+        lambda x: np.asarray(x.addressable_data(0)) if isinstance(x, jax.Array) else np.asarray(x), tree
+    )
+
+
+def _place(x: Array, sharding: NamedSharding, global_shape: tuple[int, ...]) -> Array:
+    if sharding.is_fully_addressable:
+        return jax.device_put(x, sharding)
+    if isinstance(x, jax.Array) and x.sharding == sharding:
+        return x
+    return jax.make_array_from_process_local_data(sharding, np.asarray(x), global_shape)

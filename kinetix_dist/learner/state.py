@@ -1,0 +1,64 @@
+"""What a learner is between two updates: parameters, optimizer state, key and counters.
+
+Everything is a plain array (the key as its two words, the step count as two words), so that checkpoints, hashes and
+comparisons need no special cases. The optimizer sees parameters as one flat vector: an update is a few large
+operations instead of a few for each of some fifty arrays.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+
+from jax2d.scene import Array
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LearnerState:
+    """Replicated over devices and equal on all of them."""
+
+    params: Any  # float32
+    opt_state: Any  # of the flattened parameters, see `adam`
+    key: Array  # [2] uint32, `jax.random.key_data` of the learner's key; constant, updates fold in their number
+    num_updates: Array  # [] int32, calls of update(); the policy version
+    num_gradient_steps: Array  # [] int32, applied (skipped ones are not counted)
+    env_steps: Array  # [2] uint32, low and high word of the environment steps learned from
+
+
+def adam(learning_rate: float, *, epsilon: float) -> optax.GradientTransformation:
+    """Adam on a flat parameter vector. Clipping by norm is done by the update, which needs the norm anyway."""
+    return optax.adam(learning_rate, eps=epsilon)
+
+
+def init_learner_state(params: Any, optimizer: optax.GradientTransformation, key: Array) -> LearnerState:
+    """key: a typed key (`jax.random.key`), from which all shuffling of this learner follows."""
+    flat, _ = ravel_pytree(params)
+    return LearnerState(
+        params=params,
+        opt_state=optimizer.init(flat),
+        key=jax.random.key_data(key),
+        num_updates=jnp.zeros((), jnp.int32),
+        num_gradient_steps=jnp.zeros((), jnp.int32),
+        env_steps=jnp.zeros(2, jnp.uint32),
+    )
+
+
+def add_env_steps(words: Array, count: int) -> Array:
+    """Adds 0 <= count < 2^32 to a count kept in two 32-bit words (long runs pass 2^32 steps; JAX has no int64 here)."""
+    if not 0 <= count < 2**32:
+        raise ValueError(f"{count} environment steps in one update; at most {2**32 - 1} can be counted")
+    low = words[0] + jnp.uint32(count)
+    carry = (low < words[0]).astype(jnp.uint32)
+    return jnp.stack([low, words[1] + carry])
+
+
+def env_step_count(state: LearnerState) -> int:
+    """Environment steps learned from, as a Python integer (waits for the device)."""
+    low, high = (int(word) for word in jax.device_get(state.env_steps))
+    return low + (high << 32)

@@ -1,0 +1,272 @@
+"""One learner update: advantages, then epochs of shuffled minibatches of clipped PPO, on all devices at once.
+
+    update = make_update(policy, observe, PpoConfig(), data_mesh())
+    learner_state, metrics = update(learner_state, static_obs, trajectory, last_value)
+
+    trajectory, sharded by world --> advantages --> for each epoch: shuffle, statistics of advantages (psum)
+                                                    for each minibatch: gradient of this device's samples
+                                                                        --> one psum of one flat vector --> Adam
+
+One device or many make the same update, up to the order of floating-point sums: worlds form a fixed number of
+virtual shards, each shuffles its own samples with its own key, and minibatch k is the union of the k-th parts of all
+virtual shards, wherever these live. A gradient that is not finite after the sum is so on every device: all skip that
+step together and count it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import linen as nn
+from jax.flatten_util import ravel_pytree
+from jax.sharding import Mesh, PartitionSpec
+
+from jax2d.scene import Array
+from kinetix_dist.learner.gae import gae
+from kinetix_dist.learner.ppo_loss import LOSS_METRICS, Samples, ppo_terms, total_loss
+from kinetix_dist.learner.sharding import DATA_AXIS
+from kinetix_dist.learner.state import LearnerState, adam, add_env_steps
+from kinetix_dist.messages import Trajectory
+from kinetix_dist.models import heads
+
+METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps")
+
+Update = Callable[[LearnerState, Any, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PpoConfig:
+    """The defaults are the paper's (256 steps of 2,048 worlds make minibatches of 16,384)."""
+
+    discount: float = 0.995
+    trace: float = 0.9  # lambda of GAE
+    epochs: int = 8
+    minibatches: int = 32  # an epoch, over all devices together
+    clip: float = 0.02
+    value_clip: bool = True  # by the same amount
+    learning_rate: float = 5e-5
+    adam_eps: float = 1e-5
+    max_grad_norm: float = 0.5
+    value_coefficient: float = 0.5
+    entropy_coefficient: float = 0.01
+    normalise_advantages: bool = True  # over each minibatch, all devices together
+    virtual_shards: int = 8  # of worlds, for shuffling; the number of devices must divide it
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "minibatches", "virtual_shards"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        for name in ("clip", "learning_rate", "adam_eps", "max_grad_norm"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be positive")
+        for name in ("discount", "trace"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be from 0 to 1")
+
+    def check_batch(self, *, num_steps: int, num_worlds: int, num_devices: int) -> None:
+        """Raises ValueError, with the numbers, if T steps of W worlds (all devices) cannot be divided as asked."""
+        shards = self.virtual_shards
+        if shards % num_devices:
+            raise ValueError(
+                f"{num_devices} devices do not divide PpoConfig.virtual_shards = {shards}; "
+                f"use a multiple of {num_devices}"
+            )
+        if num_worlds % shards:
+            raise ValueError(
+                f"{num_worlds} worlds cannot be divided into {shards} virtual shards; "
+                "change the number of worlds or PpoConfig.virtual_shards"
+            )
+        samples = num_steps * num_worlds // shards
+        if samples % self.minibatches:
+            raise ValueError(
+                f"{num_steps} steps of {num_worlds} worlds give {samples} samples to each of {shards} virtual shards, "
+                f"which cannot be divided into {self.minibatches} minibatches; change one of these numbers"
+            )
+
+    def optimizer(self) -> optax.GradientTransformation:
+        return adam(self.learning_rate, epsilon=self.adam_eps)
+
+
+def make_update(policy: nn.Module, observe: Callable[[Any, Any], Any], config: PpoConfig, mesh: Mesh) -> Update:
+    """A compiled update(learner_state, static_obs, trajectory, last_value) -> (learner_state, metrics).
+
+    observe(static_obs [B, ...], dynamic_obs [B, ...]): the observation that `policy` takes, see env/observations.
+    learner_state: replicated over `mesh`. static_obs [W, ...], trajectory [T, W, ...] and last_value [W]: sharded by
+    world (`sharding.shard_worlds`). metrics: METRICS, replicated float32 scalars, means over applied gradient steps
+    (NaN when all were skipped) except explained_variance (of the values in the trajectory) and skipped_steps.
+    """
+
+    def local_update(
+        state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
+    ) -> tuple[LearnerState, dict[str, Array]]:
+        return _update(policy, observe, config, mesh.devices.size, state, static_obs, trajectory, last_value)
+
+    replicated, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
+    on_devices = jax.shard_map(
+        local_update,
+        mesh=mesh,
+        in_specs=(replicated, worlds, PartitionSpec(None, DATA_AXIS), worlds),
+        out_specs=(replicated, replicated),
+        check_vma=False,  # gradients are summed by hand, all leaves in one psum
+    )
+
+    def update(
+        state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
+    ) -> tuple[LearnerState, dict[str, Array]]:
+        num_steps, num_worlds = trajectory.rewards.shape
+        config.check_batch(num_steps=num_steps, num_worlds=num_worlds, num_devices=mesh.devices.size)
+        return on_devices(state, static_obs, trajectory, last_value)
+
+    return jax.jit(update)
+
+
+def _update(
+    policy: nn.Module,
+    observe: Callable[[Any, Any], Any],
+    config: PpoConfig,
+    num_devices: int,
+    state: LearnerState,
+    static_obs: Any,
+    trajectory: Trajectory,
+    last_value: Array,
+) -> tuple[LearnerState, dict[str, Array]]:
+    """The update as one device sees it; arrays hold its own worlds."""
+    num_steps, num_worlds = trajectory.rewards.shape
+    advantages = gae(
+        trajectory.rewards,
+        trajectory.values,
+        trajectory.done_after,
+        last_value,
+        discount=config.discount,
+        trace=config.trace,
+    )
+    targets = advantages + trajectory.values
+    # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
+    flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))
+    minibatch_size = num_steps * num_worlds * num_devices // config.minibatches  # of all devices
+    flat_params, unravel = ravel_pytree(state.params)
+    key = jax.random.fold_in(jax.random.wrap_key_data(state.key), state.num_updates)
+
+    def epoch(carry: tuple[Array, Any], number: Array) -> tuple[tuple[Array, Any], Array]:
+        index = _shuffled(jax.random.fold_in(key, number), num_steps, num_worlds, num_devices, config)
+        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], minibatch_size, config)
+        return jax.lax.scan(minibatch, carry, (index, offset, scale))
+
+    def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
+        flat_params, opt_state = carry
+        index, offset, scale = at
+        steps, minibatch_advantages, minibatch_targets = jax.tree.map(lambda x: x[index], flat)
+        samples = Samples(
+            actions=steps.actions,
+            old_log_probs=steps.log_probs,
+            old_values=steps.values,
+            advantages=(minibatch_advantages - offset) * scale,
+            targets=minibatch_targets,
+        )
+        obs = observe(jax.tree.map(lambda x: x[index % num_worlds], static_obs), steps.dynamic_obs)
+        grads, terms = _gradient(policy, config, unravel(flat_params), obs, samples, minibatch_size)
+        # The only communication of a gradient step: gradient and metrics of all devices in one vector.
+        summed = jax.lax.psum(jnp.concatenate([ravel_pytree(grads)[0], terms]), DATA_AXIS)
+        grad, terms = jnp.split(summed, [flat_params.size])
+        return _apply(config, flat_params, opt_state, grad, terms)
+
+    (flat_params, opt_state), rows = jax.lax.scan(
+        epoch, (flat_params, state.opt_state), jnp.arange(config.epochs, dtype=jnp.uint32)
+    )
+    metrics, num_applied = _summarise(rows.reshape(-1, rows.shape[-1]))
+    metrics["explained_variance"] = _explained_variance(targets, advantages, num_devices)
+    state = LearnerState(
+        params=unravel(flat_params),
+        opt_state=opt_state,
+        key=state.key,
+        num_updates=state.num_updates + 1,
+        num_gradient_steps=state.num_gradient_steps + num_applied,
+        env_steps=add_env_steps(state.env_steps, num_steps * num_worlds * num_devices),
+    )
+    return state, metrics
+
+
+def _shuffled(key: Array, num_steps: int, num_worlds: int, num_devices: int, config: PpoConfig) -> Array:
+    """Sample numbers of this device's part of each minibatch of an epoch: [minibatches, samples] int32."""
+    num_shards = config.virtual_shards // num_devices  # on this device
+    worlds_a_shard = num_worlds // num_shards
+    first_shard = jax.lax.axis_index(DATA_AXIS) * num_shards
+
+    def shard_samples(shard: Array) -> Array:
+        bits = jax.random.bits(jax.random.fold_in(key, first_shard + shard), (num_steps * worlds_a_shard,))
+        sample = jnp.argsort(bits)  # equal bits keep their order: still the same on every device
+        step, world = sample // worlds_a_shard, sample % worlds_a_shard
+        return (step * num_worlds + shard * worlds_a_shard + world).astype(jnp.int32)
+
+    samples = jax.vmap(shard_samples)(jnp.arange(num_shards))
+    parts = samples.reshape(num_shards, config.minibatches, -1)
+    return jnp.moveaxis(parts, 1, 0).reshape(config.minibatches, -1)
+
+
+def _advantage_statistics(advantages: Array, minibatch_size: int, config: PpoConfig) -> tuple[Array, Array]:
+    """What to subtract from and multiply with the advantages of each minibatch, over all devices: two [minibatches]."""
+    if not config.normalise_advantages:
+        return jnp.zeros(config.minibatches), jnp.ones(config.minibatches)
+    mean = jax.lax.psum(jnp.sum(advantages, axis=1), DATA_AXIS) / minibatch_size
+    squares = jnp.sum(jnp.square(advantages - mean[:, None]), axis=1)
+    std = jnp.sqrt(jax.lax.psum(squares, DATA_AXIS) / minibatch_size)
+    return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
+
+
+def _gradient(
+    policy: nn.Module, config: PpoConfig, params: Any, obs: Any, samples: Samples, minibatch_size: int
+) -> tuple[Any, Array]:
+    """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS."""
+
+    def loss(params: Any) -> tuple[Array, Array]:
+        logits, values = policy.apply(params, obs)
+        log_probs, entropies = heads.log_prob_and_entropy(logits, samples.actions)
+        value_clip = config.clip if config.value_clip else None
+        terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=value_clip)
+        means = terms / minibatch_size
+        weights = {"value_coefficient": config.value_coefficient, "entropy_coefficient": config.entropy_coefficient}
+        return total_loss(means, **weights), means
+
+    return jax.grad(loss, has_aux=True)(params)
+
+
+def _apply(
+    config: PpoConfig, flat_params: Array, opt_state: Any, grad: Array, terms: Array
+) -> tuple[tuple[Array, Any], Array]:
+    """Clips by norm and steps, unless the gradient is not finite; one row of metrics: LOSS_METRICS, norm, applied."""
+    norm = jnp.sqrt(jnp.sum(jnp.square(grad)))
+    is_finite = jnp.isfinite(norm)
+    clipped = grad * jnp.minimum(1.0, config.max_grad_norm / jnp.maximum(norm, 1e-12))
+    step, new_opt_state = config.optimizer().update(clipped, opt_state, flat_params)
+
+    def keep_if_skipped(new: Array, old: Array) -> Array:
+        return jnp.where(is_finite, new, old)
+
+    flat_params = keep_if_skipped(flat_params + step, flat_params)
+    opt_state = jax.tree.map(keep_if_skipped, new_opt_state, opt_state)
+    row = jnp.where(is_finite, jnp.concatenate([terms, norm[None], jnp.ones(1)]), 0.0)
+    return (flat_params, opt_state), row
+
+
+def _summarise(rows: Array) -> tuple[dict[str, Array], Array]:
+    """Means over the applied gradient steps, and how many these were."""
+    num_applied = jnp.sum(rows[:, -1])
+    means = jnp.sum(rows[:, :-1], axis=0) / num_applied
+    metrics = dict(zip((*LOSS_METRICS, "grad_norm"), means))
+    metrics["skipped_steps"] = rows.shape[0] - num_applied
+    return metrics, num_applied.astype(jnp.int32)
+
+
+def _explained_variance(targets: Array, advantages: Array, num_devices: int) -> Array:
+    """1 - variance of what the value missed / variance of its target, over all devices."""
+
+    def variance(x: Array) -> Array:
+        mean = jax.lax.psum(jnp.sum(x), DATA_AXIS) / (x.size * num_devices)
+        return jax.lax.psum(jnp.sum(jnp.square(x - mean)), DATA_AXIS) / (x.size * num_devices)
+
+    return 1.0 - variance(advantages) / jnp.maximum(variance(targets), 1e-8)

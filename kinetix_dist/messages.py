@@ -1,0 +1,62 @@
+"""Types that cross processes or parts: weights, trajectories, batches of levels and what became of them.
+
+All are pytrees (policy versions included), so that they can be sharded, moved with `jax.device_get` and kept in
+checkpoints. Time comes first, then worlds: [T, W, ...]; worlds are what is sharded over devices.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import jax
+
+from jax2d.scene import Array
+from kinetix_dist.level.level import Level
+
+if TYPE_CHECKING:
+    from kinetix_dist.env.observations.entities import DynamicObs
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Weights:
+    """Parameters of a policy and how many updates made them."""
+
+    params: Any
+    policy_version: Array | int  # number of learner updates behind `params`
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """T environment steps of W worlds. Only what changes from step to step: static observations stay with levels."""
+
+    dynamic_obs: DynamicObs  # [T, W, ...], what the policy saw before it acted
+    actions: Array  # [T, W, heads] int8
+    log_probs: Array  # [T, W] float32, of the actions under the policy that took them
+    values: Array  # [T, W] float32
+    rewards: Array  # [T, W] float32
+    done_after: Array  # [T, W] bool, the episode ended with this step (also at the time limit)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LevelBatch:
+    """Levels to roll out, and where they came from."""
+
+    levels: Level  # [W, ...] on every field
+    is_from_buffer: Array  # [W] bool, replayed from the curator's buffer rather than fresh
+    buffer_version: Array | int  # policy version with which the buffer was scored; -1 without a buffer
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LevelOutcome:
+    """What became of each level: counts and sums over the episodes that finished."""
+
+    num_finished: Array  # [W] int32
+    num_solved: Array  # [W] int32, green touched blue
+    num_failed: Array  # [W] int32, green touched red
+    return_sum: Array  # [W] float32, undiscounted returns
+    length_sum: Array  # [W] int32, environment steps

@@ -1,0 +1,86 @@
+"""One device, four devices of one process and two processes over gloo make the same update."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinetix_dist.learner.update import METRICS
+from tests.helpers import REPOSITORY
+from tests.learner.update_program import PPO
+
+PROGRAM = REPOSITORY / "tests" / "learner" / "update_program.py"
+TIMEOUT_S = 240
+
+
+def _start(out: Path, *arguments: str, fake_devices: int = 1) -> subprocess.Popen:
+    environment = dict(
+        os.environ,
+        PYTHONPATH=str(REPOSITORY),
+        JAX_PLATFORMS="cpu",
+        XLA_FLAGS=f"--xla_force_host_platform_device_count={fake_devices}",
+    )
+    command = [sys.executable, str(PROGRAM), str(out), *arguments]
+    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+
+
+def _results(*runs: tuple[subprocess.Popen, Path]) -> list[dict[str, np.ndarray]]:
+    try:
+        for process, _ in runs:
+            _, errors = process.communicate(timeout=TIMEOUT_S)
+            assert process.returncode == 0, errors[-3000:]
+    finally:
+        for process, _ in runs:
+            process.kill()
+    return [dict(np.load(out)) for _, out in runs]
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def one_device(tmp_path_factory):
+    out = tmp_path_factory.mktemp("one") / "out.npz"
+    return _results((_start(out), out))[0]
+
+
+def _assert_same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    for number in (0, 1):
+        # Six Adam steps of 1e-2 in float32: sums in another order change gradients by 1e-7 relative, which Adam
+        # magnifies where a gradient is near its epsilon.
+        np.testing.assert_allclose(found[f"params_{number}"], expected[f"params_{number}"], atol=5e-5)
+        for name in METRICS:
+            np.testing.assert_allclose(
+                found[f"{name}_{number}"], expected[f"{name}_{number}"], rtol=1e-3, atol=1e-5, err_msg=name
+            )
+    assert found["skipped_steps_0"] == 0
+    assert found["skipped_steps_1"] == PPO.epochs  # every rank skipped the minibatches with the broken sample
+    assert np.all(np.isfinite(found["params_1"]))
+    assert not np.allclose(found["params_0"], found["params_1"], atol=1e-3)
+
+
+def test_four_devices_make_the_update_of_one(one_device, tmp_path):
+    out = tmp_path / "four.npz"
+    (found,) = _results((_start(out, fake_devices=4), out))
+    assert found["devices"] == 4
+    _assert_same(found, one_device)
+
+
+def test_two_processes_make_the_update_of_one(one_device, tmp_path):
+    address = f"127.0.0.1:{_free_port()}"
+    outs = [tmp_path / f"rank_{rank}.npz" for rank in range(2)]
+    runs = [(_start(out, address, "2", str(rank)), out) for rank, out in enumerate(outs)]
+    first, second = _results(*runs)
+    assert first["devices"] == second["devices"] == 2
+    _assert_same(first, one_device)
+    for name, value in first.items():
+        np.testing.assert_array_equal(value, second[name], err_msg=name)  # ranks agree bitwise

@@ -1,0 +1,78 @@
+"""Runs two updates and saves what comes out; a program, so that tests can run it on other devices and processes.
+
+    python tests/learner/update_program.py OUT.npz [COORDINATOR_ADDRESS NUM_PROCESSES PROCESS_ID]
+
+The second update contains a sample that is not a number. Saved: all parameters and metrics after each update.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import jax
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from bench.learner_step import synthetic_static_obs, synthetic_trajectory
+from jax2d.scene import Capacity
+from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, shard_worlds
+from kinetix_dist.learner.state import LearnerState, init_learner_state
+from kinetix_dist.learner.update import PpoConfig, Update, make_update
+from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
+
+CAPACITY = Capacity(polygons=2, circles=1, joints=1, thrusters=1)
+STEPS, WORLDS = 6, 8
+POLICY = PolicyConfig(encoder_size=8, attention_features=4, num_heads=4, num_layers=1, hidden_size=8, hidden_layers=1)
+PPO = PpoConfig(epochs=2, minibatches=3, virtual_shards=4, learning_rate=1e-2, clip=0.2)
+
+
+def make_problem(mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple[Update, LearnerState, tuple]:
+    """(update, first state, its numpy arguments for all worlds)."""
+    static = synthetic_static_obs(WORLDS, CAPACITY)
+    trajectory = synthetic_trajectory(STEPS, WORLDS, CAPACITY)
+    last_value = np.linspace(-1.0, 1.0, WORLDS, dtype=np.float32)
+    policy = make_policy(POLICY)
+    obs = observe(static, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
+    params = init_params(policy, obs, jax.random.key(0))
+    state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(7)), mesh)
+    return make_update(policy, observe, config, mesh), state, (static, trajectory, last_value)
+
+
+def place(arguments: tuple, mesh: jax.sharding.Mesh) -> tuple:
+    """Each process hands in the worlds of its own devices: the block with its number."""
+    static, trajectory, last_value = arguments
+    per_process = WORLDS // jax.process_count()
+    mine = slice(jax.process_index() * per_process, (jax.process_index() + 1) * per_process)
+    return (
+        shard_worlds(jax.tree.map(lambda x: x[mine], static), mesh),
+        shard_worlds(jax.tree.map(lambda x: x[:, mine], trajectory), mesh, axis=1),
+        shard_worlds(last_value[mine], mesh),
+    )
+
+
+def poisoned(arguments: tuple) -> tuple:
+    """One sample, of the last world, has a log-probability that is not a number."""
+    static, trajectory, last_value = arguments
+    trajectory = jax.tree.map(np.copy, trajectory)
+    trajectory.log_probs[2, WORLDS - 1] = np.nan
+    return static, trajectory, last_value
+
+
+def main() -> None:
+    out = sys.argv[1]
+    if len(sys.argv) > 2:
+        address, num_processes, process_id = sys.argv[2:]
+        jax.distributed.initialize(address, int(num_processes), int(process_id), cluster_detection_method="deactivate")
+    mesh = data_mesh()
+    update, state, arguments = make_problem(mesh)
+    saved: dict[str, np.ndarray] = {"devices": np.asarray(mesh.devices.size)}
+    for number, batch in enumerate((arguments, poisoned(arguments))):
+        state, metrics = update(state, *place(batch, mesh))
+        saved[f"params_{number}"] = ravel_pytree(local_values(state.params))[0]
+        saved |= {f"{name}_{number}": value for name, value in local_values(metrics).items()}
+    np.savez(out, **saved)
+
+
+if __name__ == "__main__":
+    main()
