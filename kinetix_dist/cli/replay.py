@@ -30,9 +30,11 @@ class Args:
     source: Annotated[Path, tyro.conf.Positional]
     """A recording (*.mcap) or a run directory."""
     to: Path | None = None
-    """Where to write the .rrd; beside the recording if neither this nor --picture nor --list is given."""
+    """Where to write the .rrd; beside the recording if nothing else is asked for."""
     view: bool = False
     """Open the .rrd in rerun."""
+    connect: str | None = None
+    """Show it in a rerun viewer that is running: its address, as `rerun --bind 127.0.0.1` prints it."""
     picture: Path | None = None
     """Write a PNG of moments from start to end; needs no display."""
     index: int | None = None
@@ -61,7 +63,13 @@ def run(args: Args) -> int:
         with user_errors(OSError, prefix="the picture cannot be written: "):
             write_rollout_picture(args.picture, rollout)
         print(f"picture  {args.picture}")
-    if args.to is not None or args.view or args.picture is None:
+    if args.connect is not None:
+        from kinetix_dist.telemetry.sinks.rerun import rollout_to_viewer
+
+        with user_errors(ConnectionError):
+            rollout_to_viewer(rollout, args.connect)
+        print(f"shown    {args.connect}")
+    if args.to is not None or args.view or (args.picture is None and args.connect is None):
         target = args.to or file.with_name(f"{file.stem}_{index:03d}.rrd")
         _write_rrd(target, rollout)
         print(f"rerun    {target}")

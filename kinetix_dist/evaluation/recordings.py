@@ -60,7 +60,6 @@ def record_rollouts(
     for i, name in enumerate(names):
         length = int(np.argmax(history["done"][:, i])) + 1  # a time limit ends every episode
         world = {field: values[:length, i] for field, values in history.items()}
-        solved, failed = bool(world["solved"][-1]), bool(world["failed"][-1])
         level, level_json = index_worlds(levels, i), encode_level(index_worlds(levels, i), name, env.config.size)
         rollouts.append(
             Rollout(
@@ -68,8 +67,9 @@ def record_rollouts(
                 level_json=level_json,
                 level_name=name,
                 **_trajectory(level, world),
-                solved=solved,
-                failed=failed,
+                solved=bool(world["solved"][-1]),
+                failed=bool(world["failed"][-1]),
+                unstable=bool(world["unstable"][-1]),
                 policy_version=policy_version,
                 seed=seed,
                 step_seconds=float(step_seconds),
@@ -111,8 +111,8 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
         bodies = _bodies_after(env, prepared, env_state.packed_state, controls)
         env_state, obs, reward, done, info = env.step(prepared, env_state, actions)
         commands = {"actions": actions, "motor": controls.motor, "thruster": controls.thruster}
-        outcome = {"reward": reward, "done": done, "solved": info.solved, "failed": info.failed}
-        return (env_state, obs), {**bodies, **commands, **outcome}
+        ended = {"done": done, "solved": info.solved, "failed": info.failed, "unstable": info.unstable}
+        return (env_state, obs), {**bodies, **commands, **ended, "reward": reward}
 
     return jax.lax.scan(play, (env_state, obs), jnp.arange(env.config.max_steps))[1]
 

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Footer, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 
-from kinetix_dist.telemetry.recording import RecordedLevel, Recording, RecordingError, Rollout
+from kinetix_dist.telemetry.recording import OUTCOMES, RecordedLevel, Recording, RecordingError, Rollout
 from kinetix_dist.telemetry.rollout_schema import Sizes, decode_messages
 from kinetix_dist.telemetry.sinks.mcap import FORMAT_VERSION, METADATA_NAME, metadata_checksum
 
@@ -151,6 +151,8 @@ def _rollout(
         return None
     sizes = Sizes(**{name: int(entries[f"num_{name}"]) for name in ("shapes", "joints", "thrusters", "actions")})
     columns = decode_messages(sizes, [messages[k] for k in range(num_states)])
+    if entries["outcome"] not in OUTCOMES:
+        raise ValueError(f"outcome {entries['outcome']!r} is none of {', '.join(OUTCOMES)}")
     is_complete = num_states == int(entries["num_steps"]) + 1 and entries["outcome"] != "cut"
     shape = (num_states, sizes.shapes, 2)
     return Rollout(
@@ -164,6 +166,7 @@ def _rollout(
         **{name: np.ascontiguousarray(columns[name][1:]) for name in ("actions", "motor", "thruster", "reward")},
         solved=is_complete and entries["outcome"] == "solved",
         failed=is_complete and entries["outcome"] == "failed",
+        unstable=is_complete and entries["outcome"] == "unstable",
         policy_version=int(entries["policy_version"]),
         seed=int(entries["seed"]),
         step_seconds=float(entries["step_seconds"]),

@@ -14,6 +14,8 @@ import numpy as np
 
 from jax2d.scene import Scene
 
+OUTCOMES = ("solved", "failed", "unstable", "out of time", "cut")
+
 
 class RecordedLevel(Protocol):
     """What replaying needs to know of a level: what exists and who plays which role."""
@@ -42,7 +44,8 @@ class Rollout:
     thruster: np.ndarray  # [T, K] float32, 0..1, share of each thruster's power
     reward: np.ndarray  # [T] float32
     solved: bool
-    failed: bool  # green touched red; neither solved nor failed: out of time
+    failed: bool  # green touched red
+    unstable: bool = False  # the physics gave a number that is not finite; none of the three: out of time
     policy_version: int  # policy updates before this rollout; -1 for no policy (random actions)
     seed: int
     step_seconds: float  # simulated time of one step
@@ -74,10 +77,11 @@ class Rollout:
 
     @property
     def outcome(self) -> str:
-        """ "solved", "failed", "out of time", or "cut" when the end was not recorded."""
+        """One of OUTCOMES: how it ended, or "cut" when the end was not recorded."""
         if not self.is_complete:
             return "cut"
-        return "solved" if self.solved else "failed" if self.failed else "out of time"
+        ended = [name for name in ("solved", "failed", "unstable") if getattr(self, name)]
+        return ended[0] if ended else "out of time"
 
     @property
     def seconds(self) -> np.ndarray:

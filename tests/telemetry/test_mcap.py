@@ -28,7 +28,17 @@ from tests.helpers import REPOSITORY
 from tests.telemetry.worlds import GREY_TRIANGLE, LEVEL_JSON, decode_level, falling_rollout
 
 ARRAYS = ("position", "angle", "velocity", "angular_velocity", "actions", "motor", "thruster", "reward")
-SCALARS = ("level_json", "level_name", "solved", "failed", "policy_version", "seed", "step_seconds", "is_complete")
+SCALARS = (
+    "level_json",
+    "level_name",
+    "solved",
+    "failed",
+    "unstable",
+    "policy_version",
+    "seed",
+    "step_seconds",
+    "is_complete",
+)
 
 
 def assert_same(read: Rollout, written: Rollout) -> None:

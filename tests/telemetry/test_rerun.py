@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd
+from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
 from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout
 
 
@@ -73,6 +80,35 @@ def test_the_layout_is_in_the_file(rrd: Path) -> None:
 
     stores = RrdReader(rrd).blueprints()
     assert len(stores) == 1
+
+
+def test_a_running_viewer_is_shown_the_rollout(tmp_path: Path) -> None:
+    received = tmp_path / "received.rrd"
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    # Listens as a viewer does and keeps what comes in a file. A group of its own: `python -m rerun` is a wrapper.
+    command = [sys.executable, "-m", "rerun", "--save", str(received), "--port", str(port), "--bind", "127.0.0.1"]
+    listener = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+    try:
+        rollout_to_viewer(falling_rollout(20), f"rerun+http://127.0.0.1:{port}/proxy")
+        deadline = time.monotonic() + 10
+        while not received.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(0.5)  # for the last of it
+    finally:
+        os.killpg(listener.pid, signal.SIGINT)
+        listener.wait(timeout=10)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an interrupted file has no footer
+        translation = column(received, f"/world/shape_{GREY_TRIANGLE:02d}", "translation")
+    assert len(translation) == 21
+
+
+def test_a_place_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "a.rrd").mkdir()
+    with pytest.raises(OSError, match="cannot be written"):
+        rollout_to_rrd(falling_rollout(3), tmp_path / "a.rrd")
 
 
 def test_a_missing_folder_is_an_error_and_not_a_warning(tmp_path: Path) -> None:

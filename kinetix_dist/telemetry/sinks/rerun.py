@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 APPLICATION = "kinetix-dist"
+CONNECT_SECONDS = 10.0
 LENS = 1000.0  # focal length, pixels, and distance: long, so that depth moves nothing by a pixel
 PIXELS_PER_METRE = 100.0
 CIRCLE_CORNERS = 48
@@ -58,22 +59,31 @@ def rollout_to_rrd(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 
     if not Path(path).parent.is_dir():  # rerun itself would only log a warning
         raise FileNotFoundError(f"{Path(path).parent} is no directory; create it or choose another place for the .rrd")
-    with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False) as stream:
-        stream.save(path, default_blueprint=rollout_blueprint(rollout))
-        log_rollout(stream, rollout)
-        stream.flush()
-        stream.disconnect()
+    try:
+        with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False) as stream:
+            stream.save(path, default_blueprint=rollout_blueprint(rollout))
+            log_rollout(stream, rollout)
+            stream.flush()
+            stream.disconnect()
+    except RuntimeError as error:  # all that rerun raises when it cannot write
+        raise OSError(f"{os.fspath(path)} cannot be written: {error}") from error
 
 
 def rollout_to_viewer(rollout: Rollout, url: str = "rerun+http://127.0.0.1:9876/proxy") -> None:
-    """Shows one rollout in a rerun viewer that listens at `url` (`rerun --bind 127.0.0.1`)."""
+    """Shows one rollout in a rerun viewer that listens at `url` (`rerun --bind 127.0.0.1`).
+
+    Raises ConnectionError when none answers within CONNECT_SECONDS.
+    """
     import rerun as rr
 
-    with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout)) as stream:
-        stream.connect_grpc(url, default_blueprint=rollout_blueprint(rollout))
-        log_rollout(stream, rollout)
-        stream.flush()
-        stream.disconnect()
+    try:
+        with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False) as stream:
+            stream.connect_grpc(url, default_blueprint=rollout_blueprint(rollout))
+            log_rollout(stream, rollout)
+            stream.flush(timeout_sec=CONNECT_SECONDS)
+            stream.disconnect()
+    except (RuntimeError, ValueError) as error:
+        raise ConnectionError(f"no rerun viewer answers at {url} ({error}); start `rerun --bind 127.0.0.1`") from error
 
 
 def log_rollout(stream: rr.RecordingStream, rollout: Rollout) -> None:
