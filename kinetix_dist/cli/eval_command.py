@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
 
 BASELINES = ("random", "noop")
+MAX_ROWS = 100  # levels in the printed table; the JSON file always has all of them
 
 
 @dataclasses.dataclass
@@ -83,8 +84,9 @@ def run(args: Args) -> int:
 
 
 def table(name: str, rates: dict[str, SolveRates]) -> str:
-    """Every level of `name`, then the totals of all policies."""
-    rows = [_cells(level.name, level) for level in rates[name].levels]
+    """Every level of `name` (up to MAX_ROWS of them), then the totals of all policies."""
+    levels = rates[name].levels
+    rows = [_cells(level.name, level) for level in levels[:MAX_ROWS]]
     totals = [_cells(f"all, {policy}", result.total) for policy, result in rates.items()]
     header = (
         "level",
@@ -103,7 +105,8 @@ def table(name: str, rates: dict[str, SolveRates]) -> str:
         return "  ".join([row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:]))])
 
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    return "\n".join([line(header), rule, *map(line, rows), rule, *map(line, totals)])
+    left_out = [f"... {len(levels) - MAX_ROWS} more levels; --json FILE has all"] if len(levels) > MAX_ROWS else []
+    return "\n".join([line(header), rule, *map(line, rows), *left_out, rule, *map(line, totals)])
 
 
 def _cells(name: str, rate: SolveRate) -> tuple[str, ...]:

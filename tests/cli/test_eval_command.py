@@ -9,10 +9,12 @@ import jax
 import pytest
 
 from kinetix_dist.checkpoint import flatten_arrays, save_checkpoint
+from kinetix_dist.cli.eval_command import MAX_ROWS, table
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import RunConfig, TrainConfig, to_dict
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
 from kinetix_dist.learner.state import adam, init_learner_state
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.env.worlds import batch, small_level
@@ -68,6 +70,16 @@ def test_a_policy_plays_levels_of_a_larger_size_than_its_own(
     assert main(["eval", *arguments, "--no-baselines"]) == 0
     printed = capsys.readouterr().out
     assert "all, trained" in printed and "all, random" not in printed
+
+
+def test_a_long_table_says_what_it_leaves_out() -> None:
+    level = SolveRate(
+        name="level", rate=0.5, attempts=2, low=0.1, high=0.9, solved=1, failed=1, timed_out=0, unstable=0,
+        mean_return=0.0, mean_length=3.0,
+    )  # fmt: skip
+    lines = table("random", {"random": SolveRates(total=level, levels=(level,) * (MAX_ROWS + 3))}).splitlines()
+    assert sum(line.startswith("level ") for line in lines) == 1 + MAX_ROWS
+    assert "... 3 more levels; --json FILE has all" in lines
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
