@@ -75,6 +75,9 @@ class Trainer(Protocol):
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
 
+    def device(self) -> dict[str, Any]:
+        """Platform, kind and number of the devices that learn."""
+
     def stop(self) -> None: ...
 
 
@@ -125,6 +128,7 @@ class Controller:
         self.clock = RoleClock()
         self.num_updates = 0
         self.seconds_before = 0.0  # training time of earlier sessions
+        self.training_seconds_at_end = 0.0
         self.num_restarts = 0
         self._on_rollouts = on_rollouts
         self._pending: tuple[int, Any] | None = None  # refresh in flight: policy version, weights
@@ -149,6 +153,7 @@ class Controller:
                 self._one_update()
             except WorkerLostError as error:
                 self._recover(error)
+        self.training_seconds_at_end = self.training_seconds
         self._save()
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:

@@ -192,6 +192,9 @@ class Worker:
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         return self._evaluator.record(self.weights(), num_rollouts, num_updates)
 
+    def device(self) -> dict[str, Any]:
+        return describe_devices(self._mesh)
+
     def _buffer_metrics(self, num_updates: int) -> dict[str, Any]:
         assert self._buffer is not None
         return buffer_metrics(local_values(self._buffer), num_updates)
@@ -275,6 +278,9 @@ class LearnerWorker:
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         return self._evaluator.record(self.weights(), num_rollouts, num_updates)
 
+    def device(self) -> dict[str, Any]:
+        return describe_devices(self._mesh)
+
 
 class CuratorCore:
     """Scores fresh levels with given parameters. The same (parameters, version) give the same buffer, bit for bit."""
@@ -340,6 +346,12 @@ def build_curator(plan: ProcessPlan, num_processes: int, config: TrainConfig) ->
 
 
 # Pieces
+
+
+def describe_devices(mesh: Mesh) -> dict[str, Any]:
+    """What a report says of the devices that learn."""
+    device = mesh.devices.flat[0]
+    return {"platform": device.platform, "kind": device.device_kind, "count": int(mesh.devices.size)}
 
 
 def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:

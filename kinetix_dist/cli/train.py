@@ -1,0 +1,164 @@
+"""`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]`: pretrain a policy.
+
+Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every field of the
+configuration is an option; `--help` lists them with the values of the recipe.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kinetix_dist.cli.errors import UserError, one_line, user_errors
+
+if TYPE_CHECKING:
+    from kinetix_dist.config import TrainConfig
+    from kinetix_dist.runtime.run_directory import RunDirectory
+
+RUNS = Path("runs")
+DEFAULT_RECIPE = "quickstart"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Args:
+    """What `parse` made of the command line."""
+
+    config: TrainConfig
+    run: Path | None  # None: runs/NAME, numbered
+    resume: bool
+
+
+def parse(argv: Sequence[str]) -> Args:
+    """Options of the command itself first; what is left overrides fields of the recipe (or of the run that is resumed)."""
+    own = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    own.add_argument("--recipe")
+    own.add_argument("--run", type=Path)
+    own.add_argument("--resume", action="store_true")
+    try:
+        known, overrides = own.parse_known_args(list(argv))
+    except argparse.ArgumentError as error:
+        raise UserError(f"{one_line(error)}; see `kinetix-dist train --help`") from None
+    from kinetix_dist.recipes import RECIPES, recipe
+
+    if {"-h", "--help"} & set(overrides):
+        print(
+            "usage: kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]\n\n"
+            f"  --recipe NAME   {', '.join(RECIPES)} (default {DEFAULT_RECIPE})\n"
+            "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)\n"
+            "  --resume        go on with the run in --run, or with the newest run of the recipe\n\n"
+            f"fields and their values in recipe {known.recipe or DEFAULT_RECIPE!r}:\n"
+        )
+    run = known.run
+    with user_errors(ValueError):
+        base = recipe(known.recipe or DEFAULT_RECIPE)
+    if known.resume:
+        run, stored = _run_to_resume(run, base.run.name)
+        base = stored if known.recipe is None else base
+    return Args(config=_override(base, overrides), run=run, resume=known.resume)
+
+
+def run(args: Args) -> int:
+    from kinetix_dist.checkpoint import CheckpointError
+    from kinetix_dist.runtime.compile_cache import enable_compile_cache
+    from kinetix_dist.runtime.placement import PlacementError, count_gpus, plan, resolve_device
+    from kinetix_dist.runtime.run_directory import RunDirectoryError
+    from kinetix_dist.runtime.training_run import train
+
+    config = args.config
+    with user_errors(PlacementError):  # before a directory is made
+        resolve_device(config.run.device, num_gpus=count_gpus())
+        if config.run.placement != "local":
+            plan(config, num_gpus=count_gpus())
+    with user_errors(RunDirectoryError):
+        directory = _open(args)
+    try:
+        enable_compile_cache(config.run.compile_cache)
+        print(f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}", flush=True)
+        with user_errors(CheckpointError, PlacementError, FileNotFoundError):
+            report = train(config, directory, resume=args.resume)
+        _print_report(report, directory.path)
+    finally:
+        directory.close()
+    return 0
+
+
+def _override(base: TrainConfig, overrides: list[str]) -> TrainConfig:
+    import tyro
+
+    from kinetix_dist.cli.main import parse_args
+    from kinetix_dist.config import TrainConfig
+
+    if not overrides:
+        return base
+    with user_errors(ValueError):
+        return parse_args(tyro.conf.FlagConversionOff[TrainConfig], overrides, prog="kinetix-dist train", default=base)
+
+
+def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
+    from kinetix_dist.config import from_dict
+    from kinetix_dist.runtime.run_directory import newest_run
+
+    if run is None:
+        run = newest_run(RUNS, name)
+        if run is None:
+            raise UserError(f"there is no run {RUNS / name} to resume; name one with --run, or leave out --resume")
+    path = run / "config.json"
+    if not path.is_file():
+        raise UserError(f"{run} holds no run (no config.json); start one without --resume")
+    with user_errors(ValueError, KeyError, prefix=f"{path}: "):
+        return run, from_dict(json.loads(path.read_text())["config"])
+
+
+def _open(args: Args) -> RunDirectory:
+    from kinetix_dist.runtime.run_directory import RunDirectory
+
+    if args.resume:
+        assert args.run is not None
+        return RunDirectory.open_existing(args.run)
+    if args.run is not None:
+        return RunDirectory.create(args.run, numbered=False)
+    return RunDirectory.create(RUNS / args.config.run.name, numbered=True)
+
+
+def _print_report(report: dict[str, Any], run: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{run}: {report['env_steps']:,} env steps, {report['policy_updates']} updates")
+    table.add_column("solve rate (95 % interval)")
+    names = {"random_policy": "random actions", "before": "before training", "after": "after training"}
+    for header in names.values():
+        table.add_column(header, justify="right")
+    sets = report["solve_rate"]["after"]
+    for name in sets:
+        cells = [_cell(report["solve_rate"].get(column), name) for column in names]
+        table.add_row(f"{name} ({sets[name]['attempts']} attempts)", *cells)
+    console = Console()
+    console.print(table)
+    seconds = report["seconds_by_role"]
+    total = max(sum(seconds.values()), 1e-9)
+    shares = ", ".join(f"{role} {value / total:.0%}" for role, value in seconds.items() if value / total >= 0.005)
+    console.print(
+        f"{report['env_steps_per_second']:,.0f} env steps/s in training, {report['wall_seconds']:.0f} s in all ({shares})",
+        highlight=False,
+        soft_wrap=True,
+    )
+    console.print(f"written    {', '.join(_written(run))}", highlight=False, soft_wrap=True)
+    print(f"replay     kinetix-dist replay {run} --view")
+    print(f"train on   kinetix-dist train --run {run} --resume --run.total_env_steps {2 * report['env_steps']}")
+
+
+def _cell(rates: dict[str, dict[str, float]] | None, name: str) -> str:
+    if rates is None or name not in rates:
+        return "-"
+    rate = rates[name]
+    return f"{rate['rate']:.1%}  ({rate['low']:.1%} to {rate['high']:.1%})"
+
+
+def _written(run: Path) -> list[str]:
+    patterns = ("report.json", "checkpoints", "metrics", "recordings/*.mcap", "recordings/*.rrd", "recordings/*.png")
+    return [str(path.relative_to(run)) for pattern in patterns for path in sorted(run.glob(pattern))]

@@ -1,0 +1,129 @@
+"""A run from beginning to end: evaluate, train, evaluate, record, report.
+
+    config -> placement -> backend (this process or Ray) -> trainer, curator -> controller -> report.json
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import time
+from typing import Any
+
+from kinetix_dist.config import TrainConfig, to_dict
+from kinetix_dist.runtime.backend import Backend
+from kinetix_dist.runtime.colocated import ColocatedTrainer
+from kinetix_dist.runtime.controller import Controller, Trainer
+from kinetix_dist.runtime.curation import CuratorClient
+from kinetix_dist.runtime.placement import ProcessPlan, count_gpus, plan, resolve_device
+from kinetix_dist.runtime.recorder import Recorder
+from kinetix_dist.runtime.reporting import RunReporter
+from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.telemetry.sinks.console import ConsoleSink
+
+_PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
+
+
+def train(config: TrainConfig, run: RunDirectory, *, resume: bool, console: ConsoleSink | None = None) -> dict[str, Any]:
+    """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
+
+    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed.
+    """
+    began = time.monotonic()
+    reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
+    recorder = Recorder(run)
+    backend, trainer, curator = _start_roles(config)
+    try:
+        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder)
+        controller.restore(resume=resume)
+        run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
+        evaluations = _earlier_evaluations(run) if controller.num_updates else {}
+        if controller.num_updates == 0:
+            reporter.phase("evaluating")
+            evaluations["random_policy"] = controller.evaluate(use_policy=False)
+            evaluations["before"] = controller.evaluate(use_policy=True)
+            run.write_json(run.path / "evaluations.json", evaluations)
+        controller.train()
+        reporter.phase("evaluating")
+        evaluations["after"] = controller.evaluate(use_policy=True)
+        run.write_json(run.path / "evaluations.json", evaluations)
+        if config.recording.num_rollouts:
+            reporter.phase("recording")
+            controller.record(config.recording.num_rollouts)
+            if config.recording.make_pictures:
+                recorder.make_pictures()
+        controller.clock.lap()
+        report = _report(config, controller, evaluations, trainer.device(), wall_seconds=time.monotonic() - began)
+        run.write_json(run.report_path, report)
+        reporter.phase("done")
+        return report
+    finally:
+        for role in (curator, trainer, backend):
+            if role is not None:
+                role.stop()
+        reporter.close()
+
+
+def _start_roles(config: TrainConfig) -> tuple[Backend, Trainer, CuratorClient | None]:
+    import jax
+
+    num_gpus = count_gpus()
+    device = resolve_device(config.run.device, num_gpus=num_gpus)
+    if config.run.placement == "local":
+        from kinetix_dist.runtime.local import LocalBackend
+
+        if device == "cpu":
+            jax.config.update("jax_platforms", "cpu")
+        worker = ProcessPlan(role="worker", index=0, gpu_share=float(device == "gpu"), env_vars={})
+        backend: Backend = LocalBackend()
+        trainer: Trainer = ColocatedTrainer(config, backend, [worker])
+        curator_plan = ProcessPlan(role="curator", index=0, gpu_share=0.0, env_vars={})
+        return backend, trainer, CuratorClient(config, backend, curator_plan) if config.curriculum.has_buffer else None
+    placement = plan(config, num_gpus=num_gpus)
+    from kinetix_dist.runtime.ray_backend import RayBackend
+
+    jax.config.update("jax_platforms", "cpu")  # the driver computes nothing and must not hold a GPU
+    backend = RayBackend(num_gpus=num_gpus if device == "gpu" else 0, heartbeat_seconds=config.run.heartbeat_seconds)
+    if config.run.placement == "split":
+        from kinetix_dist.runtime.split import SplitTrainer
+
+        trainer = SplitTrainer(config, backend, placement)
+    else:
+        trainer = ColocatedTrainer(config, backend, placement.of("worker"))
+    curators = placement.of("curator")
+    return backend, trainer, CuratorClient(config, backend, curators[0]) if curators else None
+
+
+def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:
+    path = run.path / "evaluations.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _report(
+    config: TrainConfig, controller: Controller, evaluations: dict[str, Any], device: dict[str, Any], *, wall_seconds: float
+) -> dict[str, Any]:
+    seconds = {role: round(value, 3) for role, value in controller.clock.totals.items()}
+    return {
+        "recipe": config.run.name,
+        "env_steps": controller.env_steps,
+        "wall_seconds": round(controller.seconds_before + wall_seconds, 3),
+        "training_seconds": round(controller.training_seconds_at_end, 3),
+        "env_steps_per_second": round(controller.env_steps / max(controller.training_seconds_at_end, 1e-9), 1),
+        "policy_updates": controller.num_updates,
+        "solve_rate": {name: evaluations.get(name) for name in ("random_policy", "before", "after")},
+        "seconds_by_role": seconds,
+        "device": device,
+        "versions": {"python": platform.python_version(), **_versions()},
+        "config_hash": config.hash,
+    }
+
+
+def _versions() -> dict[str, str]:
+    versions = {}
+    for name in _PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
