@@ -65,27 +65,27 @@ def run(args: Args) -> int:
 
 def diagnose(args: Args) -> Iterator[Check]:
     """All checks, in the order of the report."""
-    yield _check_python()
-    yield _check_hardware()
-    yield from _check_packages()
+    yield check_python()
+    yield check_hardware()
+    yield from check_packages()
     yield _probed("warp", _judge_warp, f"the physics kernel cannot be compiled; {_INSTALL}")
     yield _probed("ray", _judge_ray, f"{_INSTALL}; without ray only local mode runs", failure="warning")
     jax_check = _probed("jax", _judge_jax, f"{_INSTALL}; to leave a broken GPU aside set JAX_PLATFORMS=cpu")
     yield jax_check
-    yield _check_gpu(jax_check, required=args.require_gpu)
-    yield _check_disk(args.run_dir)
-    yield _check_shared_memory()
-    yield _check_ports()
+    yield check_gpu(jax_check, required=args.require_gpu)
+    yield check_disk(args.run_dir)
+    yield check_shared_memory()
+    yield check_ports()
 
 
-def _check_python() -> Check:
+def check_python() -> Check:
     found = platform.python_version()
     if sys.version_info < MIN_PYTHON:
         return Check(name="python", status="error", detail=found, remedy="use Python 3.11 or newer")
     return Check(name="python", status="ok", detail=f"{found} at {sys.executable}", facts={"version": found})
 
 
-def _check_hardware() -> Check:
+def check_hardware() -> Check:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
     facts: dict[str, Any] = {"system": platform.platform(), "cores": cores}
     try:
@@ -101,7 +101,7 @@ def _check_hardware() -> Check:
     return Check(name="machine", status="ok", detail=detail, facts=facts)
 
 
-def _check_packages() -> Iterator[Check]:
+def check_packages() -> Iterator[Check]:
     """Installed versions against the ranges in this package's own metadata."""
     try:
         wanted = importlib.metadata.requires(PACKAGE) or []
@@ -156,7 +156,7 @@ def _judge_ray(facts: dict[str, Any]) -> str:
     return facts["version"]
 
 
-def _check_gpu(jax_check: Check, *, required: bool) -> Check:
+def check_gpu(jax_check: Check, *, required: bool) -> Check:
     """Whether there is an NVIDIA GPU and JAX uses it."""
     failure: Literal["warning", "error"] = "error" if required else "warning"
     try:
@@ -176,7 +176,7 @@ def _check_gpu(jax_check: Check, *, required: bool) -> Check:
     return Check(name="gpu", status="ok", detail=f"{detail}, used by JAX", facts=driver)
 
 
-def _check_disk(run_dir: Path) -> Check:
+def check_disk(run_dir: Path) -> Check:
     existing = next(path for path in [run_dir.absolute(), *run_dir.absolute().parents] if path.exists())
     free_gb = round(shutil.disk_usage(existing).free / 1e9, 1)
     facts = {"run_dir": str(run_dir), "free_gb": free_gb}
@@ -194,7 +194,7 @@ def _check_disk(run_dir: Path) -> Check:
     return Check(name="disk", status="ok", detail=detail, facts=facts)
 
 
-def _check_shared_memory() -> Check:
+def check_shared_memory() -> Check:
     """Ray's object store lives in /dev/shm and falls back to the slower /tmp where that is small (containers)."""
     shm = Path("/dev/shm")
     if not shm.is_dir():
@@ -206,7 +206,7 @@ def _check_shared_memory() -> Check:
     return Check(name="shared memory", status="ok", detail=f"{free_gb} GB free in /dev/shm")
 
 
-def _check_ports() -> Check:
+def check_ports() -> Check:
     try:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))

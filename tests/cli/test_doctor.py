@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.cli.doctor import Args, diagnose
-from kinetix_dist.cli.main import main
+from kinetix_dist.cli.doctor import Check, check_disk, check_gpu
 from tests.cli.test_main import run_command
 
 
@@ -54,14 +53,17 @@ def test_a_broken_jax_costs_one_check_and_the_exit_status(tmp_path: Path) -> Non
 def test_a_run_folder_that_cannot_be_written_is_an_error_that_names_it(tmp_path: Path) -> None:
     file = tmp_path / "a_file"
     file.touch()
-    checks = {check.name: check for check in diagnose(Args(run_dir=file / "runs"))}
-    assert checks["disk"].status == "error"
-    assert str(file) in checks["disk"].detail
+    check = check_disk(file / "runs")
+    assert check.status == "error"
+    assert str(file) in check.detail
 
 
-def test_a_gpu_that_is_asked_for_and_absent_fails(capsys: pytest.CaptureFixture[str], report: dict) -> None:
-    gpu = next(check for check in report["checks"] if check["name"] == "gpu")
-    if gpu["facts"].get("gpus"):
+def test_a_gpu_that_is_asked_for_and_absent_is_an_error_with_a_remedy(report: dict) -> None:
+    found = next(check for check in report["checks"] if check["name"] == "gpu")
+    if found["facts"].get("gpus"):
         pytest.skip("this machine has a GPU")
-    assert main(["doctor", "--require-gpu"]) == 1
-    assert "ERROR    gpu" in capsys.readouterr().out
+    jax_on_cpu = Check(name="jax", status="ok", detail="", facts={"platform": "cpu"})
+    assert check_gpu(jax_on_cpu, required=False).status == "ok"
+    check = check_gpu(jax_on_cpu, required=True)
+    assert check.status == "error"
+    assert check.remedy

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import shlex
 import subprocess
@@ -39,6 +40,19 @@ def commands(program: str) -> list[tuple[str, str]]:
     return found
 
 
+@pytest.fixture
+def a_run_to_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A working directory with the run that the documents speak of: parsing `--resume` reads its configuration."""
+    from kinetix_dist.config import to_dict
+    from kinetix_dist.recipes import recipe
+
+    run = tmp_path / "runs" / "quickstart"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text(json.dumps({"config": to_dict(recipe("quickstart"))}))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.usefixtures("a_run_to_resume")
 @pytest.mark.parametrize(("document", "line"), commands("kinetix-dist"))
 def test_every_documented_command_parses(document: str, line: str) -> None:
     name, *arguments = shlex.split(line, comments=True)[1:]
