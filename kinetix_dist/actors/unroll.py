@@ -1,32 +1,26 @@
 """Rolling a policy out: environment steps in one compiled scan, samples that do not depend on where a world lies.
 
-    unroll()            T steps of W worlds -> Trajectory, outcomes of levels; what the learner trains on
-    score()             the same steps, keeping only the outcomes; what the curator ranks levels by
-    sharded_unroll()    unroll() with the worlds divided over the devices of a mesh
-    sharded_score()     score(), likewise
+    unroll()    T steps of W worlds -> Trajectory, outcomes of levels; what the learner trains on
+    score()     the same steps, keeping only the outcomes; what the curator ranks levels by
 
-The random numbers of world i at step t depend on the key, on i and on t only. World numbers are those of the whole
-batch, so that one device or eight draw the same actions.
+Both are pure and work inside jit and shard_map. The random numbers of world i at step t depend on the key, on i and
+on t only. World numbers are those of the whole batch, so that one device or eight draw the same actions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
-from jax.sharding import Mesh, PartitionSpec
 
 from jax2d.scene import Array
 from kinetix_dist.actors.outcomes import add_step, no_outcomes
-from kinetix_dist.env.environment import Environment, world_partition_specs
+from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.messages import LevelOutcome, Trajectory
 from kinetix_dist.models import heads
-
-DATA_AXIS = "data"  # of the mesh, see learner/sharding.py
 
 
 def unroll(
@@ -95,51 +89,6 @@ def score(
     carry = (env_state, obs, no_outcomes(num_worlds))
     (_, _, outcome), _ = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
     return outcome
-
-
-def sharded_unroll(policy: nn.Module, env: Environment, num_steps: int, mesh: Mesh) -> Callable[..., Any]:
-    """A compiled function (params, prepared, env_state, obs, key) -> what `unroll` returns, worlds divided over `mesh`.
-
-    params and key are replicated, everything else is sharded by world (see `learner.sharding.shard_worlds`).
-    """
-
-    def local(params: Any, prepared: Any, env_state: Any, obs: Any, key: Array) -> Any:
-        first_world = jax.lax.axis_index(DATA_AXIS) * _num_worlds(obs)
-        return unroll(policy, params, env, prepared, env_state, obs, key, num_steps, first_world=first_world)
-
-    def call(params: Any, prepared: Any, env_state: Any, obs: Any, key: Array) -> Any:
-        whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
-        prepared_specs, state_specs = (world_partition_specs(tree, DATA_AXIS) for tree in (prepared, env_state))
-        on_devices = jax.shard_map(
-            local,
-            mesh=mesh,
-            in_specs=(whole, prepared_specs, state_specs, worlds, whole),
-            out_specs=(PartitionSpec(None, DATA_AXIS), state_specs, worlds, worlds, worlds),
-            check_vma=False,  # the engine's kernel call carries no information on what varies
-        )
-        return on_devices(params, prepared, env_state, obs, key)
-
-    return jax.jit(call)
-
-
-def sharded_score(policy: nn.Module, env: Environment, num_steps: int, mesh: Mesh) -> Callable[..., LevelOutcome]:
-    """A compiled function (params, prepared, key) -> LevelOutcome [W], worlds divided over `mesh`."""
-
-    def local(params: Any, prepared: Any, key: Array) -> LevelOutcome:
-        first_world = jax.lax.axis_index(DATA_AXIS) * prepared.motor_colour.shape[0]
-        return score(policy, params, env, prepared, key, num_steps, first_world=first_world)
-
-    def call(params: Any, prepared: Any, key: Array) -> LevelOutcome:
-        on_devices = jax.shard_map(
-            local,
-            mesh=mesh,
-            in_specs=(PartitionSpec(), world_partition_specs(prepared, DATA_AXIS), PartitionSpec()),
-            out_specs=PartitionSpec(DATA_AXIS),
-            check_vma=False,
-        )
-        return on_devices(params, prepared, key)
-
-    return jax.jit(call)
 
 
 def _num_worlds(obs: Any) -> int:

@@ -1,0 +1,149 @@
+"""Rollouts of the real environment with a tiny network: what is stored, and on what samples may not depend."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import PartitionSpec
+
+from jax2d.scene import stack_worlds
+from kinetix_dist.actors.outcomes import add_outcomes, add_step, no_outcomes, success_rate
+from kinetix_dist.actors.unroll import score, unroll
+from kinetix_dist.env.environment import EnvConfig, Environment
+from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh
+from kinetix_dist.level.schema import load_level
+from kinetix_dist.models import heads
+from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
+from tests.helpers import REPOSITORY
+
+STEPS, EPISODE = 12, 5
+POLICY = PolicyConfig(encoder_size=8, attention_features=4, num_heads=4, num_layers=1, hidden_size=8, hidden_layers=1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    env: Environment
+    policy: object
+    params: object
+    levels: object
+    play: object  # (levels, key, first_world) -> what unroll returns
+
+    @property
+    def num_worlds(self) -> int:
+        return self.levels.position.shape[0]
+
+
+@pytest.fixture(scope="module")
+def problem():
+    files = sorted((REPOSITORY / "levels" / "s").glob("*.json"))[:2]
+    levels = stack_worlds([load_level(path)[0] for path in files] * 2)
+    env = Environment(EnvConfig(size="s", max_steps=EPISODE))
+    policy = make_policy(POLICY, env.action_head_sizes)
+    prepared = env.prepare(levels)
+    params = init_params(policy, observe(prepared.static_obs, env.reset(prepared)[1]), jax.random.key(0))
+
+    @jax.jit
+    def play(levels, key, first_world):
+        prepared = env.prepare(levels)
+        return unroll(policy, params, env, prepared, *env.reset(prepared), key, STEPS, first_world=first_world)
+
+    return Problem(env, policy, params, levels, play)
+
+
+def test_stored_probabilities_and_values_are_those_of_the_stored_observations(problem):
+    trajectory, _, obs, last_value, _ = problem.play(problem.levels, jax.random.key(1), 0)
+    static = problem.env.prepare(problem.levels).static_obs
+    for step in (0, STEPS - 1):
+        seen = observe(static, jax.tree.map(lambda x, step=step: x[step], trajectory.dynamic_obs))
+        logits, value = problem.policy.apply(problem.params, seen)
+        np.testing.assert_allclose(trajectory.values[step], value, atol=1e-5)  # float32, another fusion
+        log_probs = heads.log_prob(logits, trajectory.actions[step])
+        np.testing.assert_allclose(trajectory.log_probs[step], log_probs, atol=1e-5)
+    np.testing.assert_allclose(last_value, problem.policy.apply(problem.params, observe(static, obs))[1], atol=1e-5)
+    assert trajectory.actions.dtype == jnp.int8
+    assert trajectory.actions.shape == (STEPS, problem.num_worlds, 6)
+
+
+def test_outcomes_count_the_episodes_that_ended(problem):
+    trajectory, _, _, _, outcome = problem.play(problem.levels, jax.random.key(1), 0)
+    np.testing.assert_array_equal(outcome.num_finished, trajectory.done_after.sum(axis=0))
+    assert np.all(outcome.num_finished >= STEPS // EPISODE)
+    assert np.all(outcome.num_solved + outcome.num_failed <= outcome.num_finished)
+    # Rewards up to the last end belong to finished episodes.
+    counted = np.cumsum(np.asarray(trajectory.done_after)[::-1], axis=0)[::-1] > 0
+    returns = np.where(counted, trajectory.rewards, 0.0).sum(axis=0)
+    np.testing.assert_allclose(outcome.return_sum, returns, atol=1e-5)
+    np.testing.assert_array_equal(outcome.length_sum, counted.sum(axis=0))
+
+
+def test_scoring_gives_the_outcomes_of_the_same_rollout(problem):
+    prepared = problem.env.prepare(problem.levels)
+    scored = jax.jit(lambda key: score(problem.policy, problem.params, problem.env, prepared, key, STEPS))
+    expected = problem.play(problem.levels, jax.random.key(1), 0)[-1]
+    jax.tree.map(np.testing.assert_array_equal, scored(jax.random.key(1)), expected)
+
+
+def test_equal_worlds_act_differently_and_keys_matter(problem):
+    trajectory = problem.play(problem.levels, jax.random.key(1), 0)[0]
+    actions = np.asarray(trajectory.actions)
+    assert not np.array_equal(actions[:, 0], actions[:, 2])  # worlds 0 and 2 have the same level
+    assert not np.array_equal(actions, problem.play(problem.levels, jax.random.key(2), 0)[0].actions)
+    assert len(np.unique(actions, axis=0)) > 1
+
+
+def test_a_part_of_the_worlds_acts_as_it_does_in_the_whole(problem):
+    whole = problem.play(problem.levels, jax.random.key(1), 0)[0]
+    second_half = jax.tree.map(lambda x: x[2:], problem.levels)
+    part = problem.play(second_half, jax.random.key(1), 2)[0]
+    np.testing.assert_array_equal(part.actions, whole.actions[:, 2:])
+    np.testing.assert_allclose(part.rewards, whole.rewards[:, 2:], atol=1e-5)
+
+
+def test_inside_shard_map_the_trajectory_is_the_same(problem):
+    def local(levels, key):
+        prepared = problem.env.prepare(levels)
+        first = jax.lax.axis_index(DATA_AXIS) * levels.position.shape[0]
+        start = problem.env.reset(prepared)
+        return unroll(problem.policy, problem.params, problem.env, prepared, *start, key, STEPS, first_world=first)[0]
+
+    on_mesh = jax.shard_map(
+        local,
+        mesh=data_mesh(jax.devices()[:1]),
+        in_specs=(PartitionSpec(DATA_AXIS), PartitionSpec()),
+        out_specs=PartitionSpec(None, DATA_AXIS),
+        check_vma=False,
+    )
+    found = jax.jit(on_mesh)(problem.levels, jax.random.key(1))
+    expected = problem.play(problem.levels, jax.random.key(1), 0)[0]
+    np.testing.assert_array_equal(found.actions, expected.actions)
+    np.testing.assert_allclose(found.rewards, expected.rewards, atol=1e-5)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ended:
+    solved: jax.Array
+    failed: jax.Array
+    episode_return: jax.Array
+    episode_length: jax.Array
+
+
+def test_outcomes_by_hand():
+    info = _Ended(
+        solved=jnp.asarray([True, False, False]),
+        failed=jnp.asarray([False, True, False]),
+        episode_return=jnp.asarray([1.5, -1.0, 0.25]),
+        episode_length=jnp.asarray([7, 3, 9]),
+    )
+    one = add_step(no_outcomes(3), jnp.asarray([True, True, False]), info)
+    both = add_outcomes(one, one)
+    assert both.num_finished.tolist() == [2, 2, 0]
+    assert both.num_solved.tolist() == [2, 0, 0]
+    assert both.num_failed.tolist() == [0, 2, 0]
+    assert both.return_sum.tolist() == [3.0, -2.0, 0.0]
+    assert both.length_sum.tolist() == [14, 6, 0]
+    np.testing.assert_array_equal(success_rate(both), [1.0, 0.0, np.nan])
