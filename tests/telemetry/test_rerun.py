@@ -14,7 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from jax2d.draw import ROLE_PALETTE
+from kinetix_dist.env.roles import Role
 from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
 from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout
 
@@ -62,7 +65,7 @@ def test_a_flame_shows_only_while_its_thruster_fires(rrd: Path) -> None:
 
 def test_a_motor_is_coloured_while_it_drives(rrd: Path) -> None:
     rollout = falling_rollout(20)
-    colours = np.array(column(rrd, "/world/shape_02/joint_0/motor", "colors"))[:, 0]
+    colours = np.array(column(rrd, "/world/shape_02/joint_0/motor", "albedo_factor"))[:, 0]
     forward = int.from_bytes([*MOTOR_FORWARD, 255], "big")
     np.testing.assert_array_equal(colours == forward, rollout.motor[:, 0] > 0)
 
@@ -114,3 +117,20 @@ def test_a_place_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 def test_a_missing_folder_is_an_error_and_not_a_warning(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no directory"):
         rollout_to_rrd(falling_rollout(3), tmp_path / "missing" / "a.rrd")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not list(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="needs a Vulkan driver (lavapipe)")
+def test_rerun_paints_filled_shapes_in_the_colours_of_their_roles(rrd: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "a.png"
+    command = [sys.executable, "-m", "rerun", str(rrd), "--headless", "--screenshot-to", str(picture)]
+    subprocess.run([*command, "--window-size", "1400x800", "--port", "auto"], check=True, timeout=60)
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
+    filled = {
+        role: int((np.abs(pixels.astype(int) - ROLE_PALETTE[role]).max(axis=-1) <= 2).sum())
+        for role in (Role.GREEN, Role.BLUE)
+    }
+    # 0.48 m^2 of green, 0.5 m^2 of blue: as large as each other, and thousands of pixels.
+    assert filled[Role.GREEN] > 5000
+    assert filled[Role.GREEN] == pytest.approx(filled[Role.BLUE] * 0.48 / 0.5, rel=0.1)

@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 
 APPLICATION = "kinetix-dist"
 CONNECT_SECONDS = 10.0
-LENS = 1000.0  # focal length, pixels, and distance: long, so that depth moves nothing by a pixel
+LENS = 20000.0  # focal length, pixels, and distance: long, so that depth moves nothing by a pixel
 PIXELS_PER_METRE = 100.0
 CIRCLE_CORNERS = 48
-# Depths, camera units nearer than the plane of the shapes. Shapes are 0.05 apart so that they do not flicker.
-SHAPE_SPACING, OUTLINE_DEPTH, MARK_DEPTH = 0.05, 0.02, 2.0
+# Depths, camera units nearer than the plane of the shapes: lines of a shape behind another must not shine through.
+SHAPE_SPACING, OUTLINE_DEPTH, MARK_DEPTH = 1.0, 0.2, 40.0
 MOTOR_IDLE = (255, 255, 255)
 REWARD_COLOUR, RETURN_COLOUR = (240, 170, 50), (90, 170, 250)
 ACTION_PALETTE = MOTOR_PALETTE + THRUSTER_PALETTE  # of six action dimensions: four motor colours, two thruster colours
@@ -188,6 +188,19 @@ def _at_depth(points: np.ndarray, nearer: float) -> np.ndarray:
     return np.concatenate([points, depth], axis=-1).astype(np.float32)
 
 
+def _circle(radius: float) -> np.ndarray:
+    """Corners of a circle, [CIRCLE_CORNERS, 2] m, counter-clockwise."""
+    turn = np.linspace(0, 2 * np.pi, CIRCLE_CORNERS, endpoint=False)
+    return radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+
+
+def _filled(corners: np.ndarray, nearer: float) -> dict[str, np.ndarray]:
+    """Arguments of a Mesh3D that fills a convex polygon [k, 2]: a fan of triangles from its first corner."""
+    second = np.arange(1, len(corners) - 1)
+    fan = np.stack([np.zeros_like(second), second, second + 1], axis=-1)
+    return {"vertex_positions": _at_depth(corners, nearer), "triangle_indices": fan.astype(np.uint32)}
+
+
 def _log_shape(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
     import rerun as rr
 
@@ -198,20 +211,13 @@ def _log_shape(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
         spokes = []
     else:
         radius = float(np.asarray(scene.radius)[i - num_polygons])
-        turn = np.linspace(0, 2 * np.pi, CIRCLE_CORNERS, endpoint=False)
-        outline = radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        outline = _circle(radius)
         spokes = [_at_depth(np.array([[0.0, 0.0], [0.9 * radius, 0.0]]), OUTLINE_DEPTH)]
     colour = shape_colours(scene, rollout.level.shape_role)[i]
-    fan = np.stack([np.zeros(len(outline) - 2, int), np.arange(1, len(outline) - 1), np.arange(2, len(outline))], -1)
-    stream.log(
-        f"{path}/fill",
-        rr.Mesh3D(
-            vertex_positions=_at_depth(outline, 0.0),
-            triangle_indices=fan.astype(np.uint32),
-            vertex_colors=np.tile(colour, (len(outline), 1)),  # uint8: rerun reads floats as 0..1
-        ),
-        static=True,
-    )
+    fill = rr.Mesh3D(
+        **_filled(outline, 0.0), vertex_colors=np.tile(colour, (len(outline), 1))
+    )  # uint8: floats are 0..1
+    stream.log(f"{path}/fill", fill, static=True)
     ring = _at_depth(np.concatenate([outline, outline[:1]]), OUTLINE_DEPTH)
     ink = (colour * OUTLINE_SHADE).astype(np.uint8)
     stream.log(
@@ -246,18 +252,20 @@ def _log_joint(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
         strips = [_at_depth(anchor + arm, MARK_DEPTH) for arm in arms]
         stream.log(path, rr.LineStrips3D(strips, colors=[INK], radii=rr.Radius.ui_points(1.5)), static=True)
         return
-    place = _at_depth(anchor[None], MARK_DEPTH)
-    rim = rr.Points3D(place, colors=[INK], radii=rr.Radius.ui_points(6.0))
-    stream.log(f"{path}/rim", rim, static=True)
-    middle = rr.Points3D(_at_depth(anchor[None], MARK_DEPTH + 1.0), colors=[MOTOR_IDLE], radii=rr.Radius.ui_points(4.0))
+    rim, middle = (
+        _filled(_circle(radius) + anchor, MARK_DEPTH + nearer)
+        for radius, nearer in ((JOINT_RADIUS_M, 0.0), (0.65 * JOINT_RADIUS_M, 1.0))
+    )
+    stream.log(f"{path}/rim", rr.Mesh3D(**rim, albedo_factor=INK), static=True)
+    motor_path = f"{path}/motor"
     if not np.asarray(scene.motor_on)[k]:
-        stream.log(f"{path}/motor", middle, static=True)
+        stream.log(motor_path, rr.Mesh3D(**middle, albedo_factor=MOTOR_IDLE), static=True)
         return
+    stream.log(motor_path, rr.Mesh3D(**middle), static=True)
     drive = rollout.motor[:, k, None]
     colours = np.where(drive > 0, MOTOR_FORWARD, np.where(drive < 0, MOTOR_BACKWARD, MOTOR_IDLE)).astype(np.uint8)
-    stream.log(f"{path}/motor", rr.Points3D.from_fields(positions=place - [0, 0, 1.0], radii=[-4.0]), static=True)
-    columns = rr.Points3D.columns(colors=colours)
-    stream.send_columns(f"{path}/motor", indexes=_times(rollout, slice(None, -1)), columns=columns)
+    columns = rr.Mesh3D.columns(albedo_factor=colours)
+    stream.send_columns(motor_path, indexes=_times(rollout, slice(None, -1)), columns=columns)
 
 
 def _log_thruster(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
