@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from tests.engine.worlds import builder, run
+
 from jax2d import measure, preset
+from tests.engine.worlds import builder, run
 
 G = 9.81
 STANDARD = preset("standard")

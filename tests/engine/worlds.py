@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
+
 from jax2d import BuiltWorld, Capacity, Controls, Engine, SceneBuilder, Settings, State, preset
 
 CAPACITY = Capacity(polygons=7, circles=3, joints=3, thrusters=2)

@@ -1,0 +1,88 @@
+"""SceneBuilder: what it builds is right, and what cannot be built is refused with the remedy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from jax2d import Capacity, SceneBuilder, SceneError, SceneFullError
+from tests.engine.worlds import builder
+
+
+def test_triangle_has_the_mass_centroid_and_inertia_of_the_textbook_wherever_it_is_authored():
+    for offset in (0.0, 3.0):
+        b = builder()
+        b.add_polygon([(offset, 0), (offset + 3, 0), (offset, 3)], density=2.0)
+        scene, position, *_ = b.build()
+        mass = 2.0 * 4.5
+        assert scene.inverse_mass[0] == pytest.approx(1 / mass)
+        assert scene.inverse_inertia[0] == pytest.approx(1 / (mass * (9 + 9) / 18))
+        np.testing.assert_allclose(position[0], [offset + 1, 1], atol=1e-6)
+
+
+def test_disc_has_half_m_r_squared_of_inertia():
+    b = builder()
+    disc = b.add_circle(radius=0.5, density=3.0)
+    scene = b.build().scene
+    mass = 3.0 * math.pi * 0.25
+    assert scene.inverse_inertia[disc] == pytest.approx(1 / (0.5 * mass * 0.25))
+
+
+def test_jointed_shapes_may_not_touch():
+    b = builder()
+    a, c = b.add_box(width=1, height=1), b.add_circle(radius=0.5)
+    b.add_revolute_joint(a, c, at=(0, 0))
+    scene = b.build().scene
+    assert not scene.can_touch[a, c]
+    assert not scene.can_touch[c, a]
+
+
+@pytest.mark.parametrize(
+    ("vertices", "message"),
+    [
+        ([(0, 0), (1, 0), (0.2, 0.2), (0, 1)], "not convex"),
+        ([(0, 0), (0, 1), (1, 1), (1, 0)], "clockwise"),
+        ([(0, 0), (1, 0), (2, 0)], "area"),
+        ([(0, 0), (1, 0), (1, 0), (0, 1)], "same point"),
+        ([(0, 0), (1, 0), (math.nan, 1)], "NaN"),
+        ([(0, 0), (1, 0)], "2 vertices"),
+        ([(math.cos(4 * k * math.pi / 5), math.sin(4 * k * math.pi / 5)) for k in range(5)], "not convex"),
+    ],
+)
+def test_polygons_that_cannot_be_simulated_are_refused(vertices, message):
+    b = SceneBuilder(Capacity(polygons=1, circles=0, joints=0, thrusters=0, vertices=5))
+    with pytest.raises(SceneError, match=message):
+        b.add_polygon(vertices)
+
+
+def test_full_scene_names_the_capacity_to_build_with():
+    b = SceneBuilder(Capacity(polygons=1, circles=0, joints=0, thrusters=0))
+    b.add_box(width=1, height=1)
+    with pytest.raises(SceneFullError, match=r"1 of 1 polygons used; build with Capacity\(polygons=2\)"):
+        b.add_box(width=1, height=1)
+
+
+def test_joint_to_itself_or_to_a_missing_shape_is_refused():
+    b = builder()
+    a = b.add_box(width=1, height=1)
+    with pytest.raises(SceneError, match="itself"):
+        b.add_fixed_joint(a, a, at=(0, 0))
+    with pytest.raises(SceneError, match="no shape"):
+        b.add_fixed_joint(a, 5, at=(0, 0))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"density": 0.0}, "density"),
+        ({"friction": -1.0}, "friction"),
+        ({"restitution": 1.5}, "restitution"),
+        ({"position": (math.inf, 0)}, "position"),
+        ({"fixed": True, "velocity": (1, 0)}, "fixed"),
+    ],
+)
+def test_numbers_that_make_no_body_are_refused(options, message):
+    with pytest.raises(SceneError, match=message):
+        builder().add_circle(radius=1.0, **options)

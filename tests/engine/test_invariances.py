@@ -1,0 +1,158 @@
+"""What must not change a simulation: the batch, the slot, the place, padding, a pause, the process."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from jax2d import BuiltWorld, Controls, SceneBuilder, Settings, index_worlds, preset, stack_worlds
+from tests.engine.worlds import CAPACITY, builder, engine, run
+
+PRESETS = [preset("standard"), preset("paper")]
+
+
+def tumble(b: SceneBuilder, x: float = 0.0, y: float = 0.0, turn: float = 0.3) -> list[int]:
+    """A floor and four bodies that fall, hit, roll and hang together."""
+    b.add_box(width=20, height=1, position=(x, y - 0.5), fixed=True, restitution=0.3)
+    box = b.add_box(width=0.6, height=0.4, position=(x, y + 1), angle=turn, restitution=0.5)
+    arm = b.add_box(width=0.8, height=0.2, position=(x + 0.6, y + 1), density=2)
+    ball = b.add_circle(radius=0.25, position=(x + 0.1, y + 1.8), velocity=(0.5, -1))
+    b.add_revolute_joint(box, arm, at=(x + 0.25, y + 1), motor_speed=1.0, limits=(-1, 2))
+    b.add_thruster(arm, at=(x + 0.9, y + 1), angle=1.0, power=0.5)
+    return [box, arm, ball]
+
+
+def batch_of(worlds: list[BuiltWorld]):
+    one = engine()
+    return stack_worlds([w.scene for w in worlds]), stack_worlds([one.initial_state(*w) for w in worlds])
+
+
+def controls(batch: int) -> Controls:
+    return Controls(
+        motor=np.ones((batch, CAPACITY.joints), np.float32), thruster=np.ones((batch, CAPACITY.thrusters), np.float32)
+    )
+
+
+def assert_same_bits(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
+
+
+def test_world_in_a_batch_is_bitwise_the_world_alone():
+    worlds = []
+    for turn in (0.0, 0.3, 0.6, 0.9):
+        b = builder()
+        tumble(b, turn=turn)
+        worlds.append(b.build())
+    scene, state = batch_of(worlds)
+    together, _ = engine().step(scene, state, controls(4), num_steps=90)
+    for i in range(4):
+        alone, _ = engine().step(*index_worlds((scene, state), slice(i, i + 1)), controls(1), num_steps=90)
+        assert_same_bits(index_worlds(together, slice(i, i + 1)), alone)
+
+
+def test_two_calls_are_bitwise_one_call_and_a_saved_state_goes_on_the_same():
+    b = builder()
+    tumble(b)
+    scene, state = batch_of([b.build()])
+    once, _ = engine().step(scene, state, controls(1), num_steps=60)
+    half, _ = engine().step(scene, state, controls(1), num_steps=25)
+    saved = jax.tree.map(np.asarray, half)
+    twice, _ = engine().step(scene, jax.tree.map(np.array, saved), controls(1), num_steps=35)
+    assert_same_bits(once, twice)
+
+
+def test_same_start_gives_bitwise_the_same_end():
+    b = builder()
+    tumble(b)
+    scene, state = batch_of([b.build()])
+    assert_same_bits(
+        engine().step(scene, state, controls(1), num_steps=90), engine().step(scene, state, controls(1), num_steps=90)
+    )
+
+
+def test_rows_that_a_step_does_not_write_would_be_seen():
+    """Every output is written: a call after one with other contents gives the same bits."""
+    b = builder()
+    tumble(b)
+    scene, state = batch_of([b.build()])
+    reference = engine().step(scene, state, controls(1), num_steps=40)
+    dirty = jax.tree.map(lambda x: np.asarray(x).copy(), state)
+    dirty.contact_impulse[:] = np.nan  # slots without a key are never read
+    again = engine().step(scene, dirty, controls(1), num_steps=40)
+    np.testing.assert_array_equal(reference[0].position, again[0].position)
+    np.testing.assert_array_equal(reference[1].at_end, again[1].at_end)
+
+
+def test_values_in_inactive_slots_change_nothing():
+    b = builder()
+    tumble(b)
+    scene, state = batch_of([b.build()])
+    reference, _ = engine().step(scene, state, controls(1), num_steps=60)
+    noisy = jax.tree.map(lambda x: np.asarray(x).copy(), scene)
+    off = ~noisy.shape_active
+    noisy.inverse_mass[off] = 3.0
+    noisy.inverse_inertia[off] = 9.0
+    noisy.can_touch[:] |= off[:, :, None] | off[:, None, :]
+    result, _ = engine().step(noisy, state, controls(1), num_steps=60)
+    for i in np.flatnonzero(noisy.shape_active[0]):
+        np.testing.assert_array_equal(result.position[0, i], reference.position[0, i])
+
+
+@pytest.mark.parametrize("settings", PRESETS, ids=["standard", "paper"])
+def test_mirrored_world_moves_as_the_mirror_image(settings: Settings):
+    def world(side: int) -> BuiltWorld:
+        b = builder()
+        b.add_box(width=20, height=1, position=(0, -0.5), fixed=True)
+        b.add_box(width=0.6, height=0.4, position=(side * 0.2, 1), angle=side * 0.3)
+        b.add_circle(radius=0.25, position=(side * 0.9, 1.5), velocity=(-side * 1.0, 0))
+        return b.build()
+
+    left, right = (run(world(side), 0.5, settings=settings) for side in (-1, 1))
+    # Vertex order differs between the two, so rounding does too.
+    np.testing.assert_allclose(left.position[:, 0], -right.position[:, 0], atol=2e-4)
+    np.testing.assert_allclose(left.position[:, 1], right.position[:, 1], atol=2e-4)
+    np.testing.assert_allclose(left.angle, -right.angle, atol=1e-3)
+
+
+def test_world_moved_by_ten_metres_moves_the_same():
+    ends = []
+    for x, y in ((0.0, 0.0), (10.0, 20.0)):
+        b = builder()
+        bodies = tumble(b, x, y)
+        end = run(b.build(), 0.7)
+        ends.append(end.position[bodies] - [x, y])
+    np.testing.assert_allclose(ends[0], ends[1], atol=2e-3)  # float32 has 2e-6 m there; contacts amplify it
+
+
+def test_coincident_circles_come_apart():
+    b = builder(gravity=(0, 0))
+    one, two = b.add_circle(radius=0.3), b.add_circle(radius=0.3)
+    end = run(b.build(), 2.0)
+    assert np.isfinite(end.position).all()
+    assert np.linalg.norm(end.position[one] - end.position[two]) > 0.59
+
+
+@pytest.mark.parametrize("speed", [5.0, 15.0, 40.0, 90.0])
+def test_fast_ball_never_passes_a_thin_wall(speed: float):
+    one = engine()
+    worlds = []
+    for phase in range(32):
+        b = builder(gravity=(0, 0))
+        b.add_box(width=0.1, height=4, fixed=True)
+        b.add_circle(radius=0.1, position=(-3 - speed / 60 * phase / 32, 0.01 * phase), velocity=(speed, 0))
+        worlds.append(b.build())
+    scene, state = batch_of(worlds)
+    end, _ = one.step(scene, state, one.no_controls(32), num_steps=120)
+    ball = CAPACITY.polygons
+    assert (np.asarray(end.position)[:, ball, 0] < 0).all()
+
+
+def test_engine_refuses_arrays_of_another_capacity():
+    b = SceneBuilder(CAPACITY)
+    tumble(b)
+    world = b.build()
+    state = engine().initial_state(*world)
+    with pytest.raises(ValueError, match=r"controls\.motor has shape"):
+        engine().step(world.scene, state, Controls(motor=np.zeros(1), thruster=np.zeros(2)))
