@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -33,6 +34,7 @@ def generate_filtered(
     return keep_unsolved(drawn, noop_outcome_fn(drawn), num_levels)
 
 
+@functools.partial(jax.jit, static_argnames="num_levels")
 def keep_unsolved(levels: Level, is_solved: Array, num_levels: int) -> Level:
     """The first `num_levels` of a batch that are not solved, then solved ones if there are not enough."""
     order = jnp.argsort(is_solved, stable=True)[:num_levels]

@@ -2,7 +2,7 @@
 
     levels, names = load_level_set("designed_s")
 
-A name is a designed set of levels/sets.toml, one designed level ("s/first_roll"), a held-out random set ("random_s",
+A name is a designed set of levels/sets.toml, one designed level ("s/hop_home"), a held-out random set ("random_s",
 "random_m", "random_l"), or a file or directory of level files, ours or of the public Kinetix package.
 """
 
@@ -25,7 +25,7 @@ from kinetix_dist.level.kinetix_format import is_kinetix_document, load_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.schema import load_level
+from kinetix_dist.level.schema import LevelInfo, load_level
 from kinetix_dist.level.validate import LevelFormatError
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
@@ -49,7 +49,7 @@ def load_level_set(
         capacity_of_size(size)
     if name in RANDOM_SETS:
         return _random_set(RANDOM_SETS[name], size, num_levels, noop_outcome_fn)
-    return _stack(_files_of(name), size)
+    return _stack(files_of_set(name), size)
 
 
 def designed_sets() -> dict[str, dict[str, Any]]:
@@ -58,13 +58,36 @@ def designed_sets() -> dict[str, dict[str, Any]]:
         return tomllib.load(file)
 
 
-def load_any(path: Path) -> Level:
-    """One level of a file in either format, in arrays of the size the file says."""
+def read_level(path: Path) -> tuple[Level, LevelInfo]:
+    """One level of a file in either format, in arrays of the size the file says, and what is known about it."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
-    return load_kinetix(path) if is_kinetix_document(document) else load_level(path)[0]
+    if not is_kinetix_document(document):
+        return load_level(path)
+    level = load_kinetix(path)
+    return level, LevelInfo(name=path.stem, size=smallest_size(level), source="public Kinetix level file")
+
+
+def files_of_set(name: str) -> list[Path]:
+    """The level files of a designed set, a designed level, a file or a directory."""
+    sets = designed_sets()
+    if name in sets:
+        return [levels_root() / file for file in sets[name]["levels"]]
+    designed = levels_root() / f"{name}.json"
+    if designed.is_file():
+        return [designed]
+    path = Path(name)
+    if path.is_file():
+        return [path]
+    if path.is_dir():
+        files = sorted(path.glob("*.json")) or sorted(path.glob("*/*.json"))
+        if not files:
+            raise FileNotFoundError(f"no .json level files in {path}; give a directory of level files")
+        return files
+    known = ", ".join([*sets, *RANDOM_SETS])
+    raise ValueError(f"unknown level set {name!r}; sets are {known}, or give a level file or a directory of them")
 
 
 def held_out_key(size: str) -> Array:
@@ -84,27 +107,8 @@ def _random_set(
     return stack_worlds([fit_level(level, capacity_of_size(size)) for level in singles]), names
 
 
-def _files_of(name: str) -> list[Path]:
-    sets = designed_sets()
-    if name in sets:
-        return [levels_root() / file for file in sets[name]["levels"]]
-    designed = levels_root() / f"{name}.json"
-    if designed.is_file():
-        return [designed]
-    path = Path(name)
-    if path.is_file():
-        return [path]
-    if path.is_dir():
-        files = sorted(path.glob("*.json")) or sorted(path.glob("*/*.json"))
-        if not files:
-            raise FileNotFoundError(f"no .json level files in {path}; give a directory of level files")
-        return files
-    known = ", ".join([*sets, *RANDOM_SETS])
-    raise ValueError(f"unknown level set {name!r}; sets are {known}, or give a level file or a directory of them")
-
-
 def _stack(files: Sequence[Path], size: str | None) -> tuple[Level, list[str]]:
-    levels = [load_any(file) for file in files]
+    levels = [read_level(file)[0] for file in files]
     if size is None:
         order = list(SIZES)
         size = max((smallest_size(level) for level in levels), key=order.index)

@@ -1,0 +1,241 @@
+"""`kinetix-dist levels list|show|validate|render|import|export`: look at levels, check them, convert them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from kinetix_dist.cli.errors import UserError, user_errors
+
+_EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
+
+
+@dataclasses.dataclass(frozen=True)
+class List:
+    """List the level sets, or the levels of one set, file or directory."""
+
+    set: tyro.conf.Positional[str | None] = None
+    """A set, a directory of level files, or a file; left out: all sets."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Show:
+    """Describe one level: shapes, joints, thrusters, what is controlled by what."""
+
+    level: tyro.conf.Positional[str]
+    """A level file, or a designed level such as s/hop_home."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Validate:
+    """Check level files; exit status 1 when one is wrong, with one line for each."""
+
+    files: tyro.conf.Positional[tuple[Path, ...]]
+    """Level files or directories of them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Render:
+    """Draw the starting position of a level as a PNG, without a display."""
+
+    level: tyro.conf.Positional[str]
+    """A level file, or a designed level such as s/hop_home."""
+    out: tyro.conf.Positional[Path]
+    """The PNG to write."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Import:
+    """Turn a level file of the public Kinetix package into the format of this one."""
+
+    file: tyro.conf.Positional[Path]
+    """The public level file."""
+    out: tyro.conf.Positional[Path]
+    """The level file to write."""
+    name: str | None = None
+    """Name of the level; left out: that of the file."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """Turn a level into a file of the public Kinetix package."""
+
+    level: tyro.conf.Positional[str]
+    """A level file, or a designed level such as s/hop_home."""
+    out: tyro.conf.Positional[Path]
+    """The public level file to write."""
+
+
+Args = (
+    Annotated[List, tyro.conf.subcommand("list")]
+    | Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Validate, tyro.conf.subcommand("validate")]
+    | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+)
+
+
+def run(args: Any) -> int:
+    """Runs the chosen subcommand; 0, or 1 where `validate` found something wrong."""
+    if isinstance(args, Validate):
+        return _validate(args)
+    actions: dict[type, Callable[[Any], None]] = {
+        List: _list,
+        Show: _show,
+        Render: _render,
+        Import: _import,
+        Export: _export,
+    }
+    with user_errors(*_EXPECTED):
+        actions[type(args)](args)
+    return 0
+
+
+def _list(args: List) -> None:
+    from kinetix_dist.level.sets import HELD_OUT_LEVELS, RANDOM_SETS, designed_sets, files_of_set
+
+    if args.set is None:
+        rows = [
+            {"set": name, "levels": len(entry["levels"]), "description": entry["description"]}
+            for name, entry in designed_sets().items()
+        ]
+        rows += [
+            {
+                "set": name,
+                "levels": HELD_OUT_LEVELS,
+                "description": f"Random levels of size {size.upper()} that training never draws",
+            }
+            for name, size in RANDOM_SETS.items()
+        ]
+    elif args.set in RANDOM_SETS:
+        raise UserError(f"{args.set!r} is drawn when it is used; there are no files to list")
+    else:
+        rows = [_row(path) for path in files_of_set(args.set)]
+    if args.json:
+        print(json.dumps(rows, indent=2))
+        return
+    columns = list(rows[0])
+    widths = {key: max(len(key), *(len(str(row[key])) for row in rows)) for key in columns[:-1]}
+    for row in [dict(zip(columns, columns)), *rows]:
+        cells = [f"{row[key]!s:<{width}}" for key, width in widths.items()]
+        print("  ".join([*cells, str(row[columns[-1]])]))
+
+
+def _row(path: Path) -> dict[str, Any]:
+    from kinetix_dist.level.fit import smallest_size, usage
+
+    level, info = _read(path)
+    return {
+        "level": info.name,
+        "size": smallest_size(level),
+        **usage(level),
+        "description": info.description or str(path),
+    }
+
+
+def _show(args: Show) -> None:
+    from kinetix_dist.level.document import level_to_json
+    from kinetix_dist.level.kinetix_format import is_kinetix_document
+
+    path = _one_file(args.level)
+    level, info = _read(path)
+    document = json.loads(path.read_text(encoding="utf-8"))
+    if is_kinetix_document(document):
+        document = level_to_json(level, info)
+    print(f"{info.name}  size {info.size}")
+    if info.description:
+        print(info.description)
+    for wall, surface in document.get("walls", {}).items():
+        print(f"  wall      {wall}: {_fields(surface)}")
+    for shape in document["shapes"]:
+        print(f"  shape     {shape['id']}: {_fields(shape, without=('id', 'vertices'))}")
+    for joint in document.get("joints", []):
+        motor = joint.pop("motor", {"on": False})
+        drive = f"; motor {_fields(motor)}" if motor.get("on", True) else ""
+        print(f"  joint     {joint['a']} - {joint['b']}: {_fields(joint, without=('a', 'b'))}{drive}")
+    for thruster in document.get("thrusters", []):
+        print(f"  thruster  {thruster['shape']}: {_fields(thruster, without=('shape',))}")
+
+
+def _fields(entry: dict[str, Any], without: tuple[str, ...] = ()) -> str:
+    return ", ".join(f"{key} {_text(value)}" for key, value in entry.items() if key not in without)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "(" + ", ".join(_text(item) for item in value) + ")"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _validate(args: Validate) -> int:
+    files: list[Path] = []
+    for given in args.files:
+        found = sorted(given.glob("**/*.json")) if given.is_dir() else [given]
+        files += [path for path in found if path.name != "schema.json"]
+    if not files:
+        raise UserError("no level files to check; give files or directories that hold .json files")
+    num_wrong = 0
+    for path in files:
+        try:
+            _read(path)
+        except _EXPECTED as error:
+            num_wrong += 1
+            text = " ".join(str(error).split())
+            print(text if str(path) in text else f"{path}: {text}")
+    print(f"{len(files) - num_wrong} of {len(files)} level files are valid")
+    return 1 if num_wrong else 0
+
+
+def _render(args: Render) -> None:
+    from jax2d.draw import draw, write_png
+    from kinetix_dist.level.start import start_state
+
+    level, _ = _read(_one_file(args.level))
+    write_png(args.out, draw(level.scene, start_state(level), roles=level.shape_role))
+    print(f"wrote {args.out}")
+
+
+def _import(args: Import) -> None:
+    from kinetix_dist.level.document import LevelInfo
+    from kinetix_dist.level.fit import smallest_size
+    from kinetix_dist.level.kinetix_format import load_kinetix
+    from kinetix_dist.level.schema import save_level
+
+    level = load_kinetix(args.file)
+    info = LevelInfo(name=args.name or args.file.stem, size=smallest_size(level), source="public Kinetix level file")
+    save_level(level, args.out, info)
+    print(f"wrote {args.out} (size {info.size})")
+
+
+def _export(args: Export) -> None:
+    from kinetix_dist.level.fit import capacity_of_size, fit_level
+    from kinetix_dist.level.kinetix_format import export_kinetix
+
+    level, info = _read(_one_file(args.level))
+    document = export_kinetix(fit_level(level, capacity_of_size(info.size)))
+    args.out.write_text(json.dumps(document), encoding="utf-8")
+    print(f"wrote {args.out}")
+
+
+def _one_file(name: str) -> Path:
+    from kinetix_dist.level.sets import files_of_set
+
+    files = files_of_set(name)
+    if len(files) != 1:
+        raise UserError(f"{name!r} is a set of {len(files)} levels; name one level")
+    return files[0]
+
+
+def _read(path: Path) -> tuple[Any, Any]:
+    """The level of a file in either format, and what is known about it."""
+    from kinetix_dist.level.sets import read_level
+
+    return read_level(path)
