@@ -99,7 +99,11 @@ def measure(args: argparse.Namespace) -> dict[str, Any]:
     config = PpoConfig(epochs=args.epochs, minibatches=num_samples // args.minibatch)
     policy = make_policy(
         PolicyConfig(
-            network=args.network, dtype=args.dtype, encoder_size=args.encoder_size, hidden_size=args.encoder_size
+            network=args.network,
+            dtype=args.dtype,
+            encoder_size=args.encoder_size,
+            hidden_size=args.encoder_size,
+            fused_gate=args.fused_gate,
         ),
         HEAD_SIZES,
     )
@@ -140,6 +144,7 @@ def measure(args: argparse.Namespace) -> dict[str, Any]:
         "parameters": num_parameters(params),
         "size": args.size,
         "dtype": args.dtype,
+        "fused_gate": args.fused_gate,
         "minibatch": args.minibatch,
         "gradient_steps": gradient_steps,
         "compile_seconds": round(compile_seconds, 2),
@@ -154,6 +159,7 @@ def main() -> None:
     parser.add_argument("--size", choices=sorted(SIZES), default="m")
     parser.add_argument("--dtype", choices=("float32", "bfloat16"), default="bfloat16")
     parser.add_argument("--network", choices=("transformer", "flat"), default="transformer")
+    parser.add_argument("--fused-gate", action="store_true", help="gates as one CUDA kernel each")
     parser.add_argument("--encoder-size", type=int, default=128)
     parser.add_argument("--minibatch", type=int, default=16_384, help="samples, over all devices together")
     parser.add_argument("--worlds", type=int, default=2_048)

@@ -28,6 +28,7 @@ from jax2d.scene import Array
 from kinetix_dist.models.attention import attend, pack_mask
 from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
+from kinetix_dist.models.gate_fused import fused_gate
 from kinetix_dist.models.rows import add_rows, take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
@@ -52,6 +53,7 @@ class EntityTransformer(nn.Module):
     hidden_layers: int
     head_sizes: tuple[int, ...]
     dtype: Any
+    is_gate_fused: bool = False
 
     @nn.compact
     def __call__(self, obs: EntityObs) -> tuple[tuple[Array, ...], Array]:
@@ -116,7 +118,8 @@ class EntityTransformer(nn.Module):
 
     def _gate(self, name: str, x: Array, update: Array) -> Array:
         size = self.encoder_size
-        return gate(
+        function = fused_gate if self.is_gate_fused else gate
+        return function(
             x,
             update,
             self.param(f"{name}_gate_update_kernel", lecun_normal(), (size, 3 * size)),

@@ -54,14 +54,14 @@ def _gate_backward(residuals: tuple[Array, ...], grad: Array) -> tuple[Array, ..
     return (
         grad_x,
         grad_y,
-        _outer(y, grad_all),
-        _outer(x, grad_rz),
-        _outer(rx, grad_h),
+        outer(y, grad_all),
+        outer(x, grad_rz),
+        outer(rx, grad_h),
         grad_bias.astype(bias.dtype),
     )
 
 
-def _outer(x: Array, grad: Array) -> Array:
+def outer(x: Array, grad: Array) -> Array:
     """Gradient of a kernel in float32: sum over rows of x^T grad."""
     rows = x.reshape(-1, x.shape[-1])
     return jnp.matmul(rows.T, grad.reshape(-1, grad.shape[-1]), preferred_element_type=jnp.float32)
