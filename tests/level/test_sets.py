@@ -1,0 +1,110 @@
+"""Level sets by name, the designed levels, and the no-op filter on the engine."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax2d.scene import stack_worlds
+from kinetix_dist.level.fit import capacity_of
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.noop import noop_solved
+from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.schema import LevelFormatError, level_from_json, load_level
+from kinetix_dist.level.sets import designed_sets, held_out_key, load_level_set
+from tests.level.documents import cart_document
+
+
+def nothing_solved(levels: Level) -> jax.Array:
+    return jnp.zeros(levels.position.shape[0], bool)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_designed_sets_hold_all_levels_of_their_size(size: str) -> None:
+    levels, names = load_level_set(f"designed_{size}")
+    files = {path.stem for path in (levels_root() / size).glob("*.json")}
+    assert set(names) == files and len(names) >= 4
+    assert capacity_of(levels) == SIZES[size] and levels.position.shape[0] == len(names)
+
+
+def test_designed_levels_are_named_after_their_files_described_and_controllable() -> None:
+    for entry in designed_sets().values():
+        for file in entry["levels"]:
+            level, info = load_level(levels_root() / file)
+            assert info.name == Path(file).stem and info.size == entry["size"] and info.description
+            scene = level.scene
+            motors = scene.joint_active & scene.motor_on & ~scene.joint_is_fixed & ~level.motor_auto
+            assert motors.any() or scene.thruster_active.any()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_designed_levels_do_not_solve_themselves(size: str) -> None:
+    levels, names = load_level_set(f"designed_{size}")
+    solved = np.asarray(noop_solved(levels, num_steps=256))
+    assert not [name for name, done in zip(names, solved) if done]
+
+
+def test_a_ball_that_falls_on_the_goal_solves_itself_and_one_that_meets_red_first_does_not() -> None:
+    def fall(red_height: float) -> Level:
+        document = cart_document()
+        document |= {"joints": [], "thrusters": []}
+        document["shapes"] = [
+            {"id": "ball", "type": "circle", "radius": 0.2, "position": [2.5, 3.0], "role": "green"},
+            {"id": "goal", "type": "circle", "radius": 0.3, "position": [2.5, 1.0], "role": "blue", "fixed": True},
+            {
+                "id": "red",
+                "type": "circle",
+                "radius": 0.05,
+                "position": [2.5, red_height],
+                "role": "red",
+                "fixed": True,
+            },
+        ]
+        return level_from_json(document)
+
+    np.testing.assert_array_equal(noop_solved(stack_worlds([fall(0.45), fall(2.0)])), [True, False])
+
+
+def test_random_sets_are_held_out_and_fit_larger_sizes() -> None:
+    levels, names = load_level_set("random_s", "m", num_levels=4, noop_outcome_fn=nothing_solved)
+    assert names == ["random_s_0", "random_s_1", "random_s_2", "random_s_3"]
+    assert capacity_of(levels) == SIZES["m"]
+    again, _ = load_level_set("random_s", num_levels=4, noop_outcome_fn=nothing_solved)
+    np.testing.assert_array_equal(again.position[:, :5], levels.position[:, :5])
+    keys = {tuple(jax.random.key_data(held_out_key(size)).tolist()) for size in SIZES}
+    seeds = {tuple(jax.random.key_data(jax.random.key(seed)).tolist()) for seed in range(100)}
+    assert len(keys) == 3 and not keys & seeds
+
+
+def test_one_designed_level_a_file_and_a_directory_are_sets_too(tmp_path: Path) -> None:
+    assert load_level_set("s/hop_home")[1] == ["hop_home"]
+    for name in ("b", "a"):
+        (tmp_path / f"{name}.json").write_text(json.dumps(cart_document()))
+    assert load_level_set(str(tmp_path))[1] == ["a", "b"]
+    levels, names = load_level_set(str(tmp_path / "b.json"), "l")
+    assert names == ["b"] and capacity_of(levels) == SIZES["l"]
+
+
+def test_a_directory_of_public_levels_is_a_set(public_levels: Path) -> None:
+    levels, names = load_level_set(str(public_levels / "s"))
+    assert len(names) == 10 and capacity_of(levels) == SIZES["s"]
+
+
+def test_wrong_names_are_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"unknown level set 'designed_xl'; sets are designed_s, .*random_l, or give"):
+        load_level_set("designed_xl")
+    with pytest.raises(ValueError, match="unknown size 'xl'; sizes are s, m, l"):
+        load_level_set("designed_s", "xl")
+    with pytest.raises(FileNotFoundError, match=r"no \.json level files"):
+        load_level_set(str(tmp_path))
+    (tmp_path / "a.json").write_text(json.dumps(cart_document()))
+    with pytest.raises(ValueError, match=r"a\.json: level has 6 polygons"):
+        load_level_set(str(tmp_path), "s")
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(LevelFormatError, match=r"a\.json: size: is missing"):
+        load_level_set(str(tmp_path))
