@@ -1,30 +1,20 @@
-"""Types that cross processes or parts: weights, trajectories, batches of levels and what became of them.
+"""Types that cross parts and processes: what a rollout hands to the learner and to the curator.
 
-All are pytrees (policy versions included), so that they can be sharded, moved with `jax.device_get` and kept in
-checkpoints. Time comes first, then worlds: [T, W, ...]; worlds are what is sharded over devices.
+Both are pytrees, so that they can be sharded, moved with `jax.device_get` and kept in checkpoints. Time comes first,
+then worlds: [T, W, ...]; worlds are what is sharded over devices.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 
 from jax2d.scene import Array
-from kinetix_dist.level.level import Level
 
 if TYPE_CHECKING:
     from kinetix_dist.env.observations.entities import DynamicObs
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Weights:
-    """Parameters of a policy and how many updates made them."""
-
-    params: Any
-    policy_version: Array | int  # number of learner updates behind `params`
 
 
 @jax.tree_util.register_dataclass
@@ -38,16 +28,6 @@ class Trajectory:
     values: Array  # [T, W] float32
     rewards: Array  # [T, W] float32
     done_after: Array  # [T, W] bool, the episode ended with this step (also at the time limit)
-
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class LevelBatch:
-    """Levels to roll out, and where they came from."""
-
-    levels: Level  # [W, ...] on every field
-    is_from_buffer: Array  # [W] bool, replayed from the curator's buffer rather than fresh
-    buffer_version: Array | int  # policy version with which the buffer was scored; -1 without a buffer
 
 
 @jax.tree_util.register_dataclass
