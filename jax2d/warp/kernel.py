@@ -18,7 +18,6 @@ MODULE_OPTIONS = {"max_unroll": 0, "enable_backward": False}
 def make_kernel(capacity: Capacity, solver: str, friction_mixing: str) -> wp.Kernel:
     """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time."""
     settings = Settings(solver=solver, friction_mixing=friction_mixing)  # type: ignore[arg-type]
-    wp.config.quiet = True
 
     @wp.func_native(kernel_source(capacity, settings))
     def step_world(

@@ -1,4 +1,4 @@
-"""Whether Warp works on this machine at all: one small kernel compiled for the CPU and run.
+"""Whether Warp works on this machine at all: one small kernel compiled for each kind of device and run.
 
 Run as a program (`python jax2d/warp/self_check.py`) it prints its findings as JSON. `kinetix-dist doctor` does
 that in a process of its own, because a broken compiler may take the process with it. Imports nothing but Warp.
@@ -17,23 +17,28 @@ def _double_of_index(doubled: wp.array(dtype=float)):  # type: ignore[valid-type
 
 
 def self_check() -> dict:
-    """Returns Warp's version, the CUDA devices it sees and the seconds the CPU kernel took to compile and run.
+    """Returns Warp's version, the CUDA devices it sees, and for the CPU and the first of these what became of a kernel:
 
-    Raises RuntimeError where the kernel runs and computes something else than it should.
+    `{"cpu": {"seconds": to compile and run} or {"error": one line}, "cuda:0": ...}` under "kernel".
     """
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     wp.init()
+    cuda_devices = wp.get_cuda_devices()
+    kernel = {name: _try(name) for name in ["cpu", *[device.alias for device in cuda_devices[:1]]]}
+    return {"version": wp.config.version, "cuda_devices": [device.name for device in cuda_devices], "kernel": kernel}
+
+
+def _try(device: str) -> dict:
     started = time.perf_counter()
-    doubled = wp.zeros(4, dtype=float, device="cpu")
-    wp.launch(_double_of_index, dim=4, inputs=[doubled], device="cpu")
-    values = doubled.numpy().tolist()
+    try:
+        doubled = wp.zeros(4, dtype=float, device=device)
+        wp.launch(_double_of_index, dim=4, inputs=[doubled], device=device)
+        values = doubled.numpy().tolist()
+    except Exception as error:  # whatever a driver or a compiler may raise is the finding
+        return {"error": " ".join(f"{type(error).__name__}: {error}".split())}
     if values != [0.0, 2.0, 4.0, 6.0]:
-        raise RuntimeError(f"a kernel that doubles its index wrote {values}, not [0, 2, 4, 6]")
-    return {
-        "version": wp.config.version,
-        "cuda_devices": [device.name for device in wp.get_cuda_devices()],
-        "compile_seconds": round(time.perf_counter() - started, 2),
-    }
+        return {"error": f"a kernel that doubles its index wrote {values}, not [0, 2, 4, 6]"}
+    return {"seconds": round(time.perf_counter() - started, 2)}
 
 
 if __name__ == "__main__":

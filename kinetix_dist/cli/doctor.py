@@ -68,7 +68,7 @@ def diagnose(args: Args) -> Iterator[Check]:
     yield check_python()
     yield check_hardware()
     yield from check_packages()
-    yield _probed("warp", _judge_warp, f"the physics kernel cannot be compiled; {_INSTALL}")
+    yield check_warp(_probed("warp", _judge_warp, f"the physics kernel cannot be compiled; {_INSTALL}"))
     yield _probed("ray", _judge_ray, f"{_INSTALL}; without ray only local mode runs", failure="warning")
     jax_check = _probed("jax", _judge_jax, f"{_INSTALL}; to leave a broken GPU aside set JAX_PLATFORMS=cpu")
     yield jax_check
@@ -148,8 +148,21 @@ def _judge_jax(facts: dict[str, Any]) -> str:
 
 
 def _judge_warp(facts: dict[str, Any]) -> str:
-    seen = f"{len(facts['cuda_devices'])} CUDA device(s)"
-    return f"{facts['version']}, CPU kernel compiled and run in {facts['compile_seconds']} s, {seen}"
+    kernels = []
+    for device, result in facts["kernel"].items():
+        works = f"compiled and run in {result['seconds']} s" if "seconds" in result else result["error"]
+        kernels.append(f"kernel on {device}: {works}")
+    return f"{facts['version']}, {'; '.join(kernels)}; {len(facts['cuda_devices'])} CUDA device(s)"
+
+
+def check_warp(probed: Check) -> Check:
+    """A backend that works on one kind of device only is a warning, on none an error."""
+    broken = [device for device, result in probed.facts.get("kernel", {}).items() if "error" in result]
+    if not broken:
+        return probed
+    works_somewhere = len(broken) < len(probed.facts["kernel"])
+    remedy = f"nothing can be simulated on {', '.join(broken)}; {_INSTALL}"
+    return dataclasses.replace(probed, status="warning" if works_somewhere else "error", remedy=remedy)
 
 
 def _judge_ray(facts: dict[str, Any]) -> str:

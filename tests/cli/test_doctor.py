@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.cli.doctor import Check, check_disk, check_gpu
+from kinetix_dist.cli.doctor import Check, check_disk, check_gpu, check_warp
 from tests.cli.test_main import run_command
 
 
@@ -30,7 +30,7 @@ def test_doctor_reports_each_thing_that_training_depends_on(report: dict) -> Non
 
 def test_doctor_compiles_a_kernel_and_names_the_devices(report: dict) -> None:
     facts = {check["name"]: check["facts"] for check in report["checks"]}
-    assert facts["warp"]["compile_seconds"] >= 0.0
+    assert facts["warp"]["kernel"]["cpu"]["seconds"] >= 0.0
     assert len(facts["jax"]["devices"]) >= 1
 
 
@@ -48,6 +48,20 @@ def test_a_broken_jax_costs_one_check_and_the_exit_status(tmp_path: Path) -> Non
     broken = [check for check in report["checks"] if check["status"] == "error"]
     assert [check["name"] for check in broken] == ["jax"]
     assert "libxla.so is broken" in broken[0]["detail"]
+
+
+@pytest.mark.parametrize(
+    ("kernel", "status"),
+    [
+        ({"cpu": {"seconds": 0.1}}, "ok"),
+        ({"cpu": {"error": "no compiler"}}, "error"),
+        ({"cpu": {"error": "no compiler"}, "cuda:0": {"seconds": 0.1}}, "warning"),
+        ({"cpu": {"error": "no compiler"}, "cuda:0": {"error": "no driver"}}, "error"),
+    ],
+)
+def test_a_kernel_must_work_on_some_device(kernel: dict, status: str) -> None:
+    probed = Check(name="warp", status="ok", detail="", facts={"kernel": kernel})
+    assert check_warp(probed).status == status
 
 
 def test_a_run_folder_that_cannot_be_written_is_an_error_that_names_it(tmp_path: Path) -> None:
