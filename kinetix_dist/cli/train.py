@@ -128,15 +128,16 @@ def _print_report(report: dict[str, Any], run: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{run}: {report['env_steps']:,} env steps, {report['policy_updates']} updates")
-    table.add_column("solve rate (95 % interval)")
-    names = {"random_policy": "random actions", "before": "before training", "after": "after training"}
+    table = Table(title=f"Solve rates, % (95 % interval), after {report['env_steps']:,} env steps")
+    table.add_column("level set")
+    table.add_column("attempts", justify="right")
+    names = {"random_policy": "random actions", "before": "before", "after": "after"}
     for header in names.values():
         table.add_column(header, justify="right")
     sets = report["solve_rate"]["after"]
     for name in sets:
         cells = [_cell(report["solve_rate"].get(column), name) for column in names]
-        table.add_row(f"{name} ({sets[name]['attempts']} attempts)", *cells)
+        table.add_row(name, str(sets[name]["attempts"]), *cells)
     console = Console()
     console.print(table)
     seconds = report["seconds_by_role"]
@@ -156,7 +157,7 @@ def _cell(rates: dict[str, dict[str, float]] | None, name: str) -> str:
     if rates is None or name not in rates:
         return "-"
     rate = rates[name]
-    return f"{rate['rate']:.1%}  ({rate['low']:.1%} to {rate['high']:.1%})"
+    return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f}-{100 * rate['high']:.1f})"
 
 
 def _written(run: Path) -> list[str]:

@@ -76,7 +76,7 @@ class RayBackend:
         address = os.environ.get("RAY_ADDRESS")
         if address:
             os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
-            ray.init(address=address, logging_level=logging.WARNING)
+            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
         else:
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
             ray.init(
@@ -84,8 +84,8 @@ class RayBackend:
                 num_cpus=max(os.cpu_count() or 1, 64),
                 num_gpus=num_gpus,
                 include_dashboard=False,
-                logging_level=logging.WARNING,
-                log_to_driver=True,
+                logging_level=logging.ERROR,
+                log_to_driver=False,  # actors log to Ray's session directory; what fails is raised here
                 _node_ip_address="127.0.0.1",
             )
 

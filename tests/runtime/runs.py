@@ -1,0 +1,76 @@
+"""Small runs that several tests of the runtime use."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from kinetix_dist.checkpoint import load_checkpoint, newest_good
+from kinetix_dist.config import EvaluationConfig, TrainConfig
+from kinetix_dist.recipes import recipe
+from kinetix_dist.runtime.controller import Controller
+from kinetix_dist.runtime.run_directory import RunDirectory
+
+
+class QuietReporter:
+    """Keeps metrics; calls `at_update(number)` after each."""
+
+    def __init__(self, at_update: Callable[[int], None] = lambda number: None) -> None:
+        self.rows: list[dict[str, float]] = []
+        self._at_update = at_update
+
+    def phase(self, name: str) -> None:
+        pass
+
+    def note(self, message: str) -> None:
+        pass
+
+    def metrics(self, num_updates: int, metrics: Mapping[str, float], seconds_left: float | None) -> None:
+        self.rows.append({"update": num_updates, **metrics})
+        self._at_update(num_updates)
+
+
+def tiny_config(*, num_updates: int, **run: Any) -> TrainConfig:
+    """The recipe `tiny` for `num_updates` updates."""
+    config = recipe("tiny")
+    run = {"total_env_steps": num_updates * config.rollout.steps_per_update, **run}
+    return dataclasses.replace(
+        config,
+        evaluation=EvaluationConfig(sets=("s/kick",), min_attempts=4),
+        run=dataclasses.replace(config.run, **run),
+    )
+
+
+def run_updates(
+    config: TrainConfig,
+    path: Path,
+    trainer: Any,
+    curator: Any,
+    *,
+    reporter: QuietReporter | None = None,
+    resume: bool = False,
+) -> Controller:
+    """Trains without evaluations to the configured end; a checkpoint is left there."""
+    run = RunDirectory.create(path, numbered=True)
+    try:
+        controller = Controller(config, run, trainer, curator, reporter or QuietReporter())
+        controller.restore(resume=resume)
+        controller.train()
+        return controller
+    finally:
+        run.close()
+
+
+def final_arrays(path: Path) -> dict[str, np.ndarray]:
+    checkpoint, rejected = newest_good(path / "checkpoints")
+    assert checkpoint is not None and not rejected
+    return load_checkpoint(checkpoint.path).arrays
+
+
+def assert_same_bits(ours: Mapping[str, np.ndarray], theirs: Mapping[str, np.ndarray]) -> None:
+    assert ours.keys() == theirs.keys()
+    for name in ours:
+        np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)

@@ -1,0 +1,139 @@
+"""A run in one process: buffers are adopted on time, and a killed run goes on as if nothing had happened."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from kinetix_dist.checkpoint import CheckpointError, list_checkpoints
+from kinetix_dist.runtime.colocated import ColocatedTrainer
+from kinetix_dist.runtime.curation import CuratorClient
+from kinetix_dist.runtime.local import LocalBackend
+from kinetix_dist.runtime.placement import ProcessPlan, plan
+from kinetix_dist.runtime.split import SplitTrainer
+
+from tests.helpers import REPOSITORY
+from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
+
+WORKER = ProcessPlan(role="worker", index=0, gpu_share=0.0, env_vars={})
+CURATOR = ProcessPlan(role="curator", index=0, gpu_share=0.0, env_vars={})
+
+
+def _run_local(config, path, reporter=None, *, resume=False):
+    backend = LocalBackend()
+    trainer, curator = ColocatedTrainer(config, backend, [WORKER]), CuratorClient(config, backend, CURATOR)
+    return run_updates(config, path, trainer, curator, reporter=reporter, resume=resume)
+
+
+def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(tmp_path):
+    config = tiny_config(num_updates=8)  # refresh every 3, adopted after 2; the first at once
+    reporter = QuietReporter()
+    _run_local(config, tmp_path / "run", reporter)
+    events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
+    adopted = [(e["policy_version"], e["update"]) for e in events if e["event"] == "buffer_adopted"]
+    assert adopted == [(0, 0), (3, 5)]
+    assert [row["curriculum/buffer_age"] for row in reporter.rows] == [0, 1, 2, 3, 4, 2, 3, 4]
+    assert all(row["runtime/policy_lag"] == 0 for row in reporter.rows)
+
+
+def test_shares_of_time_add_up_to_one(tmp_path):
+    reporter = QuietReporter()
+    _run_local(tiny_config(num_updates=3), tmp_path / "run", reporter)
+    for row in reporter.rows:
+        assert sum(value for name, value in row.items() if name.startswith("time/")) == pytest.approx(1.0)
+
+
+def test_a_run_killed_by_sigkill_and_resumed_equals_an_unbroken_one_bit_for_bit(tmp_path):
+    num_updates = 100
+    options = ["--run.total_env_steps", str(tiny_config(num_updates=num_updates).run.total_env_steps)]
+    options += ["--evaluation.sets", "s/kick", "--evaluation.min_attempts", "4"]
+    command = [sys.executable, "-m", "kinetix_dist.cli.main", "train"]
+    killed = tmp_path / "killed"
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "JAX_PLATFORMS": "cpu"}
+    process = subprocess.Popen(
+        [*command, "--recipe", "tiny", "--run", str(killed), *options],
+        env=environment,
+        cwd=REPOSITORY,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        deadline = time.monotonic() + 300
+        while not any(int(path.name) >= 6 for path in list_checkpoints(killed / "checkpoints")):
+            assert process.poll() is None, "the run ended before it could be killed"
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        os.kill(process.pid, signal.SIGKILL)
+    finally:
+        process.kill()
+        process.wait()
+    assert not (killed / "report.json").exists()
+    saved_at = int(list_checkpoints(killed / "checkpoints")[-1].name)
+    assert 0 < saved_at < num_updates
+    resumed = subprocess.run(
+        [*command, "--run", str(killed), "--resume"], env=environment, cwd=REPOSITORY, capture_output=True, text=True
+    )
+    assert resumed.returncode == 0, resumed.stderr
+
+    _run_local(tiny_config(num_updates=num_updates), tmp_path / "unbroken")
+    assert_same_bits(final_arrays(killed), final_arrays(tmp_path / "unbroken"))
+    rows = [json.loads(line) for line in (killed / "metrics" / "metrics.jsonl").read_text().splitlines()]
+    assert [row["update"] for row in rows] == list(range(1, num_updates + 1))
+    assert json.loads((killed / "report.json").read_text())["policy_updates"] == num_updates
+
+
+def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
+    config = tiny_config(num_updates=4, checkpoint_every=4)  # asked for at 3, adopted at 5
+    _run_local(config, tmp_path / "run")
+    arrays = final_arrays(tmp_path / "run")
+    assert any(name.startswith("pending/") for name in arrays)
+    longer = tiny_config(num_updates=7)
+    backend = LocalBackend()
+    from kinetix_dist.runtime.controller import Controller
+    from kinetix_dist.runtime.run_directory import RunDirectory
+
+    (tmp_path / "run" / "config.json").write_text("{}")
+    run = RunDirectory.open_existing(tmp_path / "run")
+    controller = Controller(
+        longer, run, ColocatedTrainer(longer, backend, [WORKER]), CuratorClient(longer, backend, CURATOR), QuietReporter()
+    )
+    controller.restore(resume=True)
+    controller.train()
+    run.close()
+    _run_local(longer, tmp_path / "unbroken")
+    assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(tmp_path / "unbroken"))
+
+
+def test_a_checkpoint_of_another_config_is_refused_with_the_field(tmp_path):
+    _run_local(tiny_config(num_updates=2), tmp_path / "run")
+    other = tiny_config(num_updates=4, seed=1)
+    from kinetix_dist.runtime.controller import Controller
+    from kinetix_dist.runtime.run_directory import RunDirectory
+
+    (tmp_path / "run" / "config.json").write_text("{}")
+    run = RunDirectory.open_existing(tmp_path / "run")
+    backend = LocalBackend()
+    controller = Controller(other, run, ColocatedTrainer(other, backend, [WORKER]), None, QuietReporter())
+    with pytest.raises(CheckpointError, match=r"another config: run.seed 1 instead of 0"):
+        controller.restore(resume=True)
+    run.close()
+
+
+def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_path):
+    config = tiny_config(num_updates=6, placement="split", num_rollout_actors=2)
+    backend = LocalBackend()
+    placement = plan(config, num_gpus=0)
+    reporter = QuietReporter()
+    trainer = SplitTrainer(config, backend, placement)
+    run_updates(
+        config, tmp_path / "run", trainer, CuratorClient(config, backend, placement.of("curator")[0]), reporter=reporter
+    )
+    assert [row["runtime/policy_lag"] for row in reporter.rows] == [0, 1, 1, 1, 1, 1]
+    assert reporter.rows[-1]["runtime/dropped_steps"] == 0
+    _run_local(tiny_config(num_updates=6), tmp_path / "lag0")
+    lagged, direct = final_arrays(tmp_path / "run"), final_arrays(tmp_path / "lag0")
+    assert any(not np.array_equal(lagged[name], direct[name]) for name in direct)
