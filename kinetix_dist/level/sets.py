@@ -2,8 +2,8 @@
 
     levels, names = load_level_set("designed_s")
 
-A name is a designed set of levels/sets.toml, one designed level ("s/hop_home"), a held-out random set ("random_s",
-"random_m", "random_l"), or a file or directory of level files, ours or of the public Kinetix package.
+A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
+("random_s", "random_m", "random_l"), or a file or directory of level files, ours or of the public Kinetix package.
 """
 
 from __future__ import annotations
@@ -75,9 +75,12 @@ def files_of_set(name: str) -> list[Path]:
     sets = designed_sets()
     if name in sets:
         return [levels_root() / file for file in sets[name]["levels"]]
-    designed = levels_root() / f"{name}.json"
-    if designed.is_file():
-        return [designed]
+    designed = [levels_root() / f"{folder}{name}.json" for folder in ("", *(f"{size}/" for size in SIZES))]
+    found = [file for file in designed if file.is_file() and file.parent != levels_root()]
+    if found:
+        if len(found) > 1:
+            raise ValueError(f"level {name!r} is in more than one size; name one of {', '.join(map(str, found))}")
+        return found
     path = Path(name)
     if path.is_file():
         return [path]

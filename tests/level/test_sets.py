@@ -82,7 +82,7 @@ def test_random_sets_are_held_out_and_fit_larger_sizes() -> None:
 
 
 def test_one_designed_level_a_file_and_a_directory_are_sets_too(tmp_path: Path) -> None:
-    assert load_level_set("s/hop_home")[1] == ["hop_home"]
+    assert load_level_set("s/hop_home")[1] == load_level_set("hop_home")[1] == ["hop_home"]
     for name in ("b", "a"):
         (tmp_path / f"{name}.json").write_text(json.dumps(cart_document()))
     assert load_level_set(str(tmp_path))[1] == ["a", "b"]
