@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -61,6 +62,8 @@ class Args:
 def run(args: Args) -> int:
     """Measures, prints a table while it goes, writes the JSON. 1 when any measurement failed, else 0."""
     _validate(args)
+    if args.peers:  # two processes share a GPU in turns: neither may take all its memory (read when jax starts)
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     with user_errors(ImportError):
         from kinetix_dist.cli import bench_engine
 
