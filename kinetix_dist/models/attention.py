@@ -54,7 +54,7 @@ def _attend(qkv: Array, mask_words: Array) -> tuple[Array, Array]:
     total = jnp.zeros_like(query)
     weighted = jnp.zeros_like(query)
     for j, score in enumerate(scores):
-        weight = jnp.where(_bit(words, j), jnp.exp(score - highest), 0.0)
+        weight = _masked_exp(_bit(words, j), score - highest)
         total = total + weight
         weighted = weighted + weight * value[..., j : j + 1]
     is_empty = words == 0
@@ -83,11 +83,11 @@ def _attend_backward(residuals: tuple[Array, ...], grad_out: Array) -> tuple[Arr
     for t in range(num_tokens):
         at = slice(t, t + 1)
         # Rows i of the weights, at column t.
-        weight = jnp.where(_bit(words, t), jnp.exp(_dot(query, key[..., at]) - log_sum_exp), 0.0)
+        weight = _masked_exp(_bit(words, t), _dot(query, key[..., at]) - log_sum_exp)
         grad_score = weight * (_sum_over_features(grad * value[..., at]) - delta) * scale
         grad_query = grad_query + grad_score * key[..., at]
         # Columns j of the weights, at row t.
-        weight = jnp.where(_bit(words[..., at], tokens), jnp.exp(_dot(query[..., at], key) - log_sum_exp[..., at]), 0.0)
+        weight = _masked_exp(_bit(words[..., at], tokens), _dot(query[..., at], key) - log_sum_exp[..., at])
         grad_score = weight * (_sum_over_features(grad[..., at] * value) - delta[..., at]) * scale
         grad_key = grad_key + grad_score * query[..., at]
         grad_value = grad_value + weight * grad[..., at]
@@ -99,6 +99,11 @@ attend.defvjp(_attend_forward, _attend_backward)
 
 def _bit(words: Array, index: int | Array) -> Array:
     return ((words >> jnp.asarray(index, jnp.uint32)) & 1) != 0
+
+
+def _masked_exp(is_seen: Array, exponent: Array) -> Array:
+    """exp where a token is seen, else 0. Selects the argument: a select of the result compiles to a branch on CPUs."""
+    return jnp.exp(jnp.where(is_seen, exponent, _MASKED_SCORE))
 
 
 def _dot(query: Array, key: Array) -> Array:

@@ -155,7 +155,9 @@ def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Arra
     words = pack_mask(attention_masks) | jnp.where(shape_mask, dummy_bit, 0).astype(jnp.uint32)[:, None]
     words = jnp.where(shape_mask[:, None], words, 0)
     of_dummy = jnp.broadcast_to(pack_mask(token_mask)[:, None, None], (*words.shape[:2], 1))
-    return token_mask, jnp.moveaxis(jnp.concatenate([words, of_dummy], axis=-1), 1, 0)
+    words = jnp.moveaxis(jnp.concatenate([words, of_dummy], axis=-1), 1, 0)
+    # Stored once: fused into the loops of attention, words would be packed again for every pair of tokens.
+    return token_mask, jax.lax.optimization_barrier(words)
 
 
 def _masked_mean(x: Array, mask: Array) -> Array:

@@ -45,12 +45,10 @@ class PolicyConfig:
             raise ValueError(f"PolicyConfig.network is {self.network!r}; choose one of {', '.join(NETWORKS)}")
         if self.dtype not in DTYPES:
             raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
-        for name in ("encoder_size", "attention_features", "num_heads", "hidden_size", "flat_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be 1 or more")
-        for name in ("num_layers", "hidden_layers"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be 0 or more")
+        at_least_one = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
+        for name, least in (*((name, 1) for name in at_least_one), ("hidden_layers", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be {least} or more")
         if self.num_heads % NUM_MASKS:
             raise ValueError(f"PolicyConfig.num_heads is {self.num_heads}; it must be a multiple of {NUM_MASKS} masks")
         if self.attention_features % self.num_heads:

@@ -150,7 +150,7 @@ def test_each_mask_joint_and_thruster_has_influence(small):
         ("num_heads", 6, "6; it must be a multiple of 4"),
         ("attention_features", 12, "12; it must be a multiple of num_heads, 8"),
         ("encoder_size", 0, "0; it must be 1 or more"),
-        ("num_layers", -1, "-1; it must be 0 or more"),
+        ("num_layers", 0, "0; it must be 1 or more"),
     ],
 )
 def test_a_bad_configuration_is_refused(field, value, message):
