@@ -175,6 +175,9 @@ class WarpBackend:
         worlds = state.bodies.shape[1]
         control_rows = [_worlds_last(x, jnp.float32) for x in (controls.motor, controls.thruster) if x.shape[-1]]
         control_table = jnp.concatenate(control_rows) if control_rows else jnp.zeros((1, worlds), jnp.float32)
+        # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by what
+        # it says instead, equal programs are equal in every process and found in the compile cache.
+        self._call.launch_id = (num_steps << 32) | worlds
         bodies, impulses, keys, out = self._call(
             scene.floats,
             scene.ints,

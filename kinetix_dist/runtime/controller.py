@@ -186,9 +186,9 @@ class Controller:
             metrics |= self._evaluate_metrics()
         if _is_due(self.config.recording.every, self.num_updates):
             self.record(self.config.recording.num_rollouts)
+        self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
         if _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._save()
-        self._report(metrics)
 
     def _curate(self) -> None:
         """Asks for refreshes and adopts buffers at update indices that are fixed beforehand."""
