@@ -1,7 +1,8 @@
 """What a run is: one frozen dataclass whose sections are the configs of the parts. What is printed is what runs.
 
-`TrainConfig` goes to `config.json` of a run directory and back. Its hash covers what changes the numbers (not: how long, where to, how often
-it is evaluated or saved); a checkpoint carries it and is only resumed by a config of the same hash.
+`TrainConfig` goes to `config.json` of a run directory and back. Its hash covers what changes the numbers (not: how
+long, where to, how often it is evaluated or saved); a checkpoint carries it and is only resumed by a config of the
+same hash.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class RolloutConfig:
 
     num_envs: int = 2048  # worlds, over all devices
     num_steps: int = 256  # environment steps of each world in an update
-    num_groups: int = 8  # world groups with random streams of their own; any number of devices that divides it gives the same run
+    num_groups: int = 8  # of worlds, with levels drawn from a key each; the number of devices must divide it
 
     def __post_init__(self) -> None:
         for name in ("num_envs", "num_steps", "num_groups"):
@@ -189,7 +190,9 @@ def _build(kind: Any, data: Any, where: str) -> Any:
         hints = typing.get_type_hints(kind)
         names = {field.name for field in dataclasses.fields(kind)}
         if unknown := sorted(set(data) - names):
-            raise ConfigError(f"config field {_join(where, unknown[0])} is unknown; fields are {', '.join(sorted(names))}")
+            raise ConfigError(
+                f"config field {_join(where, unknown[0])} is unknown; fields are {', '.join(sorted(names))}"
+            )
         return kind(**{name: _build(hints[name], value, _join(where, name)) for name, value in data.items()})
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is tuple:

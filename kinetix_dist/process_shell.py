@@ -1,7 +1,8 @@
 """What a process of a run is apart from its work: it joins a group, builds its core, answers calls and pings.
 
-The Ray actors (`actors/rollout_actor.py`, `learner/learner_actor.py`, `curator/curator_actor.py`, `runtime/worker_actor.py`) are this class
-with a name; the work itself is a core that knows nothing of processes and is called the same way in local mode.
+The Ray actors (`actors/rollout_actor.py`, `learner/learner_actor.py`, `curator/curator_actor.py`,
+`runtime/worker_actor.py`) are this class with a name; the work itself is a core that knows nothing of processes and
+is called the same way in local mode.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Named configurations. A recipe is a function that returns a `TrainConfig`; every field can be overridden on the command line."""
+"""Named configurations: a recipe is a function that returns a `TrainConfig`. The command line overrides any field."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinetix_dist.models.policy import PolicyConfig
 
 
 def quickstart() -> TrainConfig:
-    """SFL on size S for two CPU cores and a few minutes: small network, few worlds, large steps (docs/training.md says why)."""
+    """SFL on size S for two CPU cores and a few minutes: small network, few worlds (docs/training.md says why)."""
     return TrainConfig(
         env=EnvConfig(size="s", dense_reward_scale=1.0),
         policy=PolicyConfig(encoder_size=32, num_layers=1, hidden_size=64, hidden_layers=1),
@@ -48,7 +48,9 @@ def single_level() -> TrainConfig:
         rollout=base.rollout,
         evaluation=EvaluationConfig(sets=("levels/s",), attempts=100, every=10),
         recording=RecordingConfig(num_rollouts=4),
-        run=RunConfig(name="single_level", total_env_steps=600_000, placement="local", device="cpu", checkpoint_every=25),
+        run=RunConfig(
+            name="single_level", total_env_steps=600_000, placement="local", device="cpu", checkpoint_every=25
+        ),
     )
 
 

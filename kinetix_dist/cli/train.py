@@ -1,7 +1,7 @@
 """`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]`: pretrain a policy.
 
-Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every field of the
-configuration is an option; `--help` lists them with the values of the recipe.
+Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
+field of the configuration is an option; `--help` lists them with the values of the recipe.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Args:
 
 
 def parse(argv: Sequence[str]) -> Args:
-    """Options of the command itself first; what is left overrides fields of the recipe (or of the run that is resumed)."""
+    """Options of the command itself first; the rest overrides fields of the recipe, or of the run that is resumed."""
     own = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     own.add_argument("--recipe")
     own.add_argument("--run", type=Path)
@@ -144,7 +144,8 @@ def _print_report(report: dict[str, Any], run: Path) -> None:
     total = max(sum(seconds.values()), 1e-9)
     shares = ", ".join(f"{role} {value / total:.0%}" for role, value in seconds.items() if value / total >= 0.005)
     console.print(
-        f"{report['env_steps_per_second']:,.0f} env steps/s in training, {report['wall_seconds']:.0f} s in all ({shares})",
+        f"{report['env_steps_per_second']:,.0f} env steps/s in training, "
+        f"{report['wall_seconds']:.0f} s in all ({shares})",
         highlight=False,
         soft_wrap=True,
     )

@@ -1,4 +1,4 @@
-"""Which levels are played next. A curriculum is `propose` (levels for an update) and, where it keeps a buffer, a way to refresh it.
+"""Which levels are played next: `propose` gives those of an update, from a buffer that is refreshed now and then.
 
 | name | levels of an update |
 |---|---|
@@ -6,8 +6,8 @@
 | `domain_randomization` | all fresh from the generator |
 | `fixed` | a given set, spread evenly |
 
-`propose` runs inside jit on each device for the world groups that live there. Its keys are those of the groups, so the levels of an update
-are the same on any number of devices.
+`propose` runs inside jit on each device for the world groups that live there. Its keys are those of the groups, so
+the levels of an update are the same on any number of devices.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class CurriculumConfig:
     scoring_steps: int = 512  # L, environment steps played on each candidate
     scoring_batch: int = 4096  # candidates scored at once, bounds memory
     refresh_every: int = 128  # T, updates between refreshes
-    adopt_after: int = 4  # updates from the request of a refresh to its adoption: the time that scoring may take for free
+    adopt_after: int = 4  # updates from the request of a refresh to its adoption, while scoring is free
     buffer_size: int = 1024  # K, levels kept
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
@@ -135,7 +135,7 @@ def from_buffer(config: CurriculumConfig, worlds_per_group: int) -> int:
     exact = config.buffer_share * worlds_per_group
     if abs(exact - round(exact)) > 1e-6:
         raise ValueError(
-            f"buffer_share {config.buffer_share} of {worlds_per_group} worlds a group is {exact:g}, not a whole number; "
+            f"buffer_share {config.buffer_share} of {worlds_per_group} worlds a group is {exact:g}, no whole number; "
             "change buffer_share or the number of environments"
         )
     return round(exact)
@@ -153,6 +153,6 @@ def _propose_fixed(levels: Level, worlds_per_group: int) -> Propose:
 
 
 def observe(buffer: LevelBuffer | None, outcomes: Any) -> LevelBuffer | None:
-    """What training episodes change in the buffer: nothing for SFL, which learns about levels from its own scoring only."""
+    """What training episodes change in the buffer: nothing for SFL, which knows levels from its own scoring only."""
     del outcomes
     return buffer

@@ -1,7 +1,8 @@
 """Fresh random levels, without those that solve themselves.
 
-Levels are drawn in groups, each from a key of its own: a group draws twice as many as it needs, plays them without acting and keeps the first
-that did not solve themselves. Groups are what is spread over devices, so the levels do not depend on how many there are.
+Levels are drawn in groups, each from a key of its own: a group draws twice as many as it needs, plays them without
+acting and keeps the first that did not solve themselves. Groups are what is spread over devices, so the levels do not
+depend on how many there are.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ def fresh_levels(
 ) -> Level:
     """[groups * levels_per_group] levels, group by group.
 
-    group_keys: [groups] PRNG keys, consumed. noop_solved: batch of levels -> [W] bool. A group in which more than half of the draws solve
-    themselves is filled up with such levels, in the order drawn.
+    group_keys: [groups] PRNG keys, consumed. noop_solved: batch of levels -> [W] bool. A group in which more than
+    half of the draws solve themselves is filled up with such levels, in the order drawn.
     """
     num_groups, num_drawn = group_keys.shape[0], OVERSAMPLING * levels_per_group
     drawn = jax.vmap(lambda key: generate_levels(key, num_drawn, capacity, generator))(group_keys)

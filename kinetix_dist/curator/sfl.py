@@ -1,7 +1,8 @@
 """Sampling For Learnability: score random levels with the current policy, keep those it solves sometimes.
 
-Every `refresh_every` updates: N fresh candidates, `scoring_steps` environment steps of the policy on each, score p(1-p), keep the best K. The
-result depends on the key and the parameters alone; `scoring_batch` only bounds memory (each batch has keys of its own).
+Every `refresh_every` updates: N fresh candidates, `scoring_steps` environment steps of the policy on each, score
+p(1-p), keep the best K. The result depends on the key and the parameters alone; `scoring_batch` only bounds memory
+(each batch has keys of its own).
 """
 
 from __future__ import annotations

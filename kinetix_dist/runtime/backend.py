@@ -1,7 +1,7 @@
 """How the controller talks to cores, wherever they are: `Handle.call` gives a `Ticket` for the answer.
 
-Two backends: `local.LocalBackend` (the same process, no ray) and `ray_backend.RayBackend`. Everything above this line of the runtime is
-written once.
+Two backends: `local.LocalBackend` (the same process, no ray) and `ray_backend.RayBackend`. Everything above this line
+of the runtime is written once.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Colocated placement: every worker holds worlds and a learner shard, so a rollout never leaves its device. Lag 0.
 
-One worker in this process is local mode; N workers in Ray actors form one JAX world and run the same programs in the same order.
+One worker in this process is local mode; N workers in Ray actors form one JAX world and run the same programs in the
+same order.
 """
 
 from __future__ import annotations

@@ -13,13 +13,13 @@ One loop a role:
 
 | role | consumes | produces | waits for | unblocked by |
 |---|---|---|---|---|
-| controller | metrics of an update | orders | the trainer; the curator where a buffer is due | their answer or their death |
+| controller | metrics of an update | orders | the trainer; the curator when a buffer is due | an answer or a death |
 | trainer | weights, buffer | the next weights | its workers (colocated) or whole batches (split) | the slowest worker |
 | curator | weights of version k, key k | a buffer | nothing | - |
 
-The controller is the same for all placements: it drives a `Trainer` and a `Curator`, which are plain objects in local mode and Ray actors
-behind a handle otherwise. It holds no state that is not in the last checkpoint, so a lost worker, a lost curator and a lost driver are
-all the same case: restore, re-issue what was in flight, go on.
+The controller is the same for all placements: it drives a `Trainer` and a `Curator`, which are plain objects in local
+mode and Ray actors behind a handle otherwise. It holds no state that is not in the last checkpoint, so a lost worker,
+a lost curator and a lost driver are all the same case: restore, re-issue what was in flight, go on.
 """
 
 from __future__ import annotations
@@ -217,7 +217,9 @@ class Controller:
         self._is_stale = buffer is None
         if buffer is None:
             self.run.event("refresh_lost", policy_version=self._pending[0], update=self.num_updates)
-            self.reporter.note(f"the refresh of policy version {self._pending[0]} was lost; the old buffer stays in use")
+            self.reporter.note(
+                f"the refresh of policy version {self._pending[0]} was lost; the old buffer stays in use"
+            )
         else:
             self.trainer.adopt(buffer)
             self.run.event("buffer_adopted", policy_version=self._pending[0], update=drawn_next)

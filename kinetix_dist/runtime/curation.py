@@ -1,6 +1,7 @@
 """The controller's side of the curator: asks for refreshes, takes buffers, replaces a curator that was lost.
 
-A lost curator costs time only: the refresh is asked for again with the same weights and key and gives the identical buffer.
+A lost curator costs time only: the refresh is asked for again with the same weights and key and gives the identical
+buffer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Solve rates and recordings of a policy on the evaluation sets of a config: all sets in one batch, one program each."""
+"""Solve rates and recordings of a policy on the evaluation sets of a config: all sets in one batch."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Who runs where: processes, their devices and their environment variables. Pure: no process is started here.
 
-    colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
-    split       one learner process, and rollout actors on devices of their own; lag 1
-    both        one curator: on the GPU of the first worker with a share of its memory, on CPU in a process of its own
+colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
+split       one learner process, and rollout actors on devices of their own; lag 1
+both        one curator: on the GPU of the first worker with a share of its memory, on CPU in a process of its own
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
         num_rollout = config.run.num_rollout_actors
         if use_gpu and num_gpus < 1 + num_rollout:
             raise PlacementError(
-                f"split placement with {num_rollout} rollout actors needs {1 + num_rollout} GPUs; there are {num_gpus}; "
+                f"split placement with {num_rollout} rollout actors needs {1 + num_rollout} GPUs of {num_gpus}; "
                 "use run.placement colocated"
             )
         share = 1.0 - CURATOR_GPU_SHARE if has_curator else 1.0
@@ -72,9 +72,9 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
 
 
 def resolve_device(device: str, *, num_gpus: int) -> str:
-    """"cpu" or "gpu"; raises PlacementError when a GPU is asked for and none is there."""
+    """Which of "cpu" and "gpu"; raises PlacementError when a GPU is asked for and none is there."""
     if device == "gpu" and num_gpus == 0:
-        raise PlacementError("run.device is gpu, but no GPU is visible here; use --run.device cpu, or see `kinetix-dist doctor`")
+        raise PlacementError("run.device is gpu, but no GPU is visible here; use --run.device cpu, or ask `doctor` why")
     if device == "auto":
         return "gpu" if num_gpus else "cpu"
     return device

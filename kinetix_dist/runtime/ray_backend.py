@@ -1,4 +1,4 @@
-"""Cores in Ray actors. Ray is the control plane only: it starts, kills and calls processes; gradients go through JAX."""
+"""Cores in Ray actors. Ray is the control plane only: it starts, calls and kills; gradients go through JAX."""
 
 from __future__ import annotations
 

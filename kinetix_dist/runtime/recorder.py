@@ -36,7 +36,7 @@ class Recorder:
         self.last_file = path
 
     def make_pictures(self) -> list[Path]:
-        """`solved.rrd`, `solved.png`, `failed.rrd`, `failed.png` of the last recording, as far as there are such rollouts."""
+        """`solved.rrd`, `solved.png`, `failed.rrd`, `failed.png` of the last recording, where it has such rollouts."""
         from kinetix_dist.telemetry.pictures import write_rollout_picture
         from kinetix_dist.telemetry.sinks.rerun import rollout_to_rrd
 

@@ -5,11 +5,11 @@
 
 | role | consumes | produces | waits for | bound |
 |---|---|---|---|---|
-| rollout actor | weights of version u, buffer in force for u + 1 | its part of batch u + 1 | - | one batch ahead of the learner |
+| rollout actor | weights of version u, buffer for u + 1 | its part of batch u + 1 | - | one batch ahead |
 | learner | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
 
-Levels and random streams belong to world groups and update numbers, so a part that was lost with its actor is played again by a new actor
-with the same weights and comes out the same.
+Levels and random streams belong to world groups and update numbers, so a part that was lost with its actor is played
+again by a new actor with the same weights and comes out the same.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Whether processes are alive, and making sure that dead ones are gone.
 
-A process counts as lost when Ray says that it died, or when it has not answered a ping for `heartbeat_seconds` (a stopped or hung process
-does not exit). The remedy is always the same: kill the whole group, see that every process is gone, start afresh from a checkpoint.
+A process counts as lost when Ray says that it died, or when it has not answered a ping for `heartbeat_seconds` (a
+stopped or hung process does not exit). The remedy is always the same: kill the whole group, see that every process is
+gone, start afresh from a checkpoint.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A run from beginning to end: evaluate, train, evaluate, record, report.
 
-    config -> placement -> backend (this process or Ray) -> trainer, curator -> controller -> report.json
+config -> placement -> backend (this process or Ray) -> trainer, curator -> controller -> report.json
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from kinetix_dist.telemetry.sinks.console import ConsoleSink
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
 
 
-def train(config: TrainConfig, run: RunDirectory, *, resume: bool, console: ConsoleSink | None = None) -> dict[str, Any]:
+def train(
+    config: TrainConfig, run: RunDirectory, *, resume: bool, console: ConsoleSink | None = None
+) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
 
     Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed.
@@ -101,7 +103,12 @@ def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:
 
 
 def _report(
-    config: TrainConfig, controller: Controller, evaluations: dict[str, Any], device: dict[str, Any], *, wall_seconds: float
+    config: TrainConfig,
+    controller: Controller,
+    evaluations: dict[str, Any],
+    device: dict[str, Any],
+    *,
+    wall_seconds: float,
 ) -> dict[str, Any]:
     seconds = {role: round(value, 3) for role, value in controller.clock.totals.items()}
     return {

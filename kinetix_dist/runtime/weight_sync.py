@@ -1,7 +1,7 @@
 """Versions of the policy on their way from the learner to those who act with it.
 
-Weights are put into the object store once and passed on by reference. A version is kept as long as someone may still need it:
-rollout actors (lag 1) the last two, a curator the one its refresh was asked for with, also after a restart.
+Weights are put into the object store once and passed on by reference. A version is kept as long as someone may still
+need it: rollout actors (lag 1) the last two, a curator the one its refresh was asked for with, also after a restart.
 """
 
 from __future__ import annotations

@@ -54,7 +54,9 @@ class WorkBuffer:
             self.drop(work.num_env_steps)
             return False
         if work.update not in self._batches and len(self._batches) >= self._capacity:
-            raise WorkBufferFullError(f"{len(self._batches)} batches of {self._capacity} wait; batch {work.update} does not fit")
+            raise WorkBufferFullError(
+                f"{len(self._batches)} batches of {self._capacity} wait; batch {work.update} does not fit"
+            )
         self._batches.setdefault(work.update, {})[work.part] = work
         return True
 

@@ -5,8 +5,8 @@
     Worker        both, for the colocated placement and local mode
     CuratorCore   a buffer of learnable levels, from parameters and a key
 
-Everything random follows from (seed, stream, update, world): there is no generator state to keep, and no result depends on how worlds are
-spread over devices.
+Everything random follows from (seed, stream, update, world): there is no generator state to keep, and no result
+depends on how worlds are spread over devices.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class RolloutCore:
             capacity=env.capacity,
             worlds_per_group=config.rollout.worlds_per_group,
             noop_solved=lambda levels: noop_solved(env, levels),
-            fixed_levels=load_level_set(config.curriculum.levels, config.env.size)[0] if config.curriculum.levels else None,
+            fixed_levels=_fixed_levels(config),
         )
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._play = jax.jit(
@@ -87,7 +87,9 @@ class RolloutCore:
             )
         )
 
-    def play(self, params: Any, buffer: LevelBuffer | None, num_updates: int) -> tuple[Any, Any, Array, dict[str, Array]]:
+    def play(
+        self, params: Any, buffer: LevelBuffer | None, num_updates: int
+    ) -> tuple[Any, Any, Array, dict[str, Array]]:
         """(static_obs [W, ...], trajectory [T, W, ...], last_value [W], sums over all worlds) of one update."""
         return self._play(params, buffer, jnp.uint32(num_updates))
 
@@ -105,7 +107,15 @@ class RolloutCore:
         prepared = env.prepare(levels)
         env_state, obs = env.reset(prepared)
         trajectory, _, _, last_value, outcome = unroll(
-            self._policy, params, env, prepared, env_state, obs, play_key, config.rollout.num_steps, first_world=groups[0] * worlds_per_group
+            self._policy,
+            params,
+            env,
+            prepared,
+            env_state,
+            obs,
+            play_key,
+            config.rollout.num_steps,
+            first_world=groups[0] * worlds_per_group,
         )
         return prepared.static_obs, trajectory, last_value, _sums(outcome, trajectory.rewards)
 
@@ -346,6 +356,13 @@ def build_curator(plan: ProcessPlan, num_processes: int, config: TrainConfig) ->
 
 
 # Pieces
+
+
+def _fixed_levels(config: TrainConfig) -> Level | None:
+    """The levels of curriculum `fixed`."""
+    if not config.curriculum.levels:
+        return None
+    return load_level_set(config.curriculum.levels, config.env.size)[0]
 
 
 def describe_devices(mesh: Mesh) -> dict[str, Any]:

@@ -27,8 +27,12 @@ _ALL = (
     # Progress
     Metric("progress/updates", "updates", "policy updates done since the start of the run"),
     Metric("progress/env_steps", "env steps", "environment steps trained on since the start of the run"),
-    Metric("progress/seconds", "s", "time spent since the start of the run, earlier sessions of a resumed run included"),
-    Metric("progress/env_steps_per_second", "env steps/s", "training speed since the previous update, everything included"),
+    Metric(
+        "progress/seconds", "s", "time spent since the start of the run, earlier sessions of a resumed run included"
+    ),
+    Metric(
+        "progress/env_steps_per_second", "env steps/s", "training speed since the previous update, everything included"
+    ),
     # Where the time went since the previous update; the shares add up to 1
     Metric("time/rollout", "share", "drawing levels and playing them"),
     Metric("time/learn", "share", "advantages and gradient steps"),
@@ -44,7 +48,9 @@ _ALL = (
     Metric("train/mean_return", "reward", "mean return of those episodes, undiscounted, dense reward included"),
     Metric("train/mean_reward", "reward", "mean reward of an environment step"),
     # Curriculum
-    Metric("curriculum/learnability", "p(1-p)", "mean score of the levels in the buffer, p = solved / finished episodes"),
+    Metric(
+        "curriculum/learnability", "p(1-p)", "mean score of the levels in the buffer, p = solved / finished episodes"
+    ),
     Metric("curriculum/solve_rate", "share", "mean solve rate of the levels in the buffer when they were scored"),
     Metric("curriculum/learnable_share", "share", "of the candidates scored, how many had a score above zero"),
     Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, kept or not"),
@@ -57,11 +63,13 @@ _ALL = (
     Metric("learner/entropy", "nat", "entropy of the policy, summed over action heads"),
     Metric("learner/approx_kl", "nat", "estimated KL divergence from the policy that acted"),
     Metric("learner/clip_fraction", "share", "of ratios that were clipped"),
-    Metric("learner/gradient_norm", "1", "global norm of the gradients before clipping"),
+    Metric("learner/grad_norm", "1", "global norm of the gradients before clipping"),
     Metric("learner/explained_variance", "share", "of the variance of returns that the value function explains"),
     Metric("learner/skipped_steps", "gradient steps", "skipped in this update because a gradient was not finite"),
     # Runtime
-    Metric("runtime/policy_lag", "updates", "versions between the policy that acted and the policy that was updated, mean"),
+    Metric(
+        "runtime/policy_lag", "updates", "versions between the policy that acted and the policy that was updated, mean"
+    ),
     Metric("runtime/policy_lag_max", "updates", "the same, maximum"),
     Metric("runtime/dropped_steps", "env steps", "rolled out but not trained on, since the start of this session"),
     Metric("runtime/restarts", "processes", "replaced after a failure, since the start of this session"),

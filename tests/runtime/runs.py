@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from kinetix_dist.checkpoint import load_checkpoint, newest_good
 from kinetix_dist.config import EvaluationConfig, TrainConfig
 from kinetix_dist.recipes import recipe

@@ -9,13 +9,13 @@ import time
 
 import numpy as np
 import pytest
+
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints
 from kinetix_dist.runtime.colocated import ColocatedTrainer
 from kinetix_dist.runtime.curation import CuratorClient
 from kinetix_dist.runtime.local import LocalBackend
 from kinetix_dist.runtime.placement import ProcessPlan, plan
 from kinetix_dist.runtime.split import SplitTrainer
-
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
@@ -99,7 +99,11 @@ def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
     (tmp_path / "run" / "config.json").write_text("{}")
     run = RunDirectory.open_existing(tmp_path / "run")
     controller = Controller(
-        longer, run, ColocatedTrainer(longer, backend, [WORKER]), CuratorClient(longer, backend, CURATOR), QuietReporter()
+        longer,
+        run,
+        ColocatedTrainer(longer, backend, [WORKER]),
+        CuratorClient(longer, backend, CURATOR),
+        QuietReporter(),
     )
     controller.restore(resume=True)
     controller.train()

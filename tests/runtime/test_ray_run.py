@@ -5,12 +5,12 @@ import signal
 
 import numpy as np
 import pytest
+
 from kinetix_dist.runtime.colocated import ColocatedTrainer
 from kinetix_dist.runtime.curation import CuratorClient
 from kinetix_dist.runtime.local import LocalBackend
 from kinetix_dist.runtime.placement import plan
 from kinetix_dist.runtime.split import SplitTrainer
-
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
 

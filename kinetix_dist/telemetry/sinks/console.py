@@ -1,6 +1,6 @@
 """What a person watches: one live line on a terminal, one line every few seconds in a log.
 
-    training  12,288 / 1,000,000 env steps  3,912 steps/s  solved 31 %  learnability 0.12  4:10 left
+training  12,288 / 1,000,000 env steps  3,912 steps/s  solved 31 %  learnability 0.12  4:10 left
 """
 
 from __future__ import annotations
