@@ -1,0 +1,101 @@
+"""What a curriculum proposes: a share from the buffer, the rest fresh, the same however worlds are spread."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kinetix_dist.curator.curriculum import CurriculumConfig, from_buffer, make_propose
+from kinetix_dist.curator.level_buffer import keep_best
+from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.level import SIZES
+
+CAPACITY = SIZES["s"]
+GROUPS, PER_GROUP = 4, 4
+
+
+def _nothing_solves_itself(levels):
+    return jnp.zeros(levels.position.shape[0], bool)
+
+
+def _propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fixed_levels=None):
+    propose = make_propose(
+        config, capacity=CAPACITY, worlds_per_group=PER_GROUP, noop_solved=noop_solved, fixed_levels=fixed_levels
+    )
+    groups = jnp.asarray(groups)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(3), groups)
+    return jax.jit(propose)(keys, groups, buffer)
+
+
+@pytest.fixture(scope="module")
+def buffer():
+    levels = generate_levels(jax.random.key(0), 6, CAPACITY, CurriculumConfig().generator)
+    return keep_best(levels, np.full(6, 1), np.full(6, 2), size=6, policy_version=0)
+
+
+def _is_in(level_positions, positions):
+    return (np.abs(np.asarray(level_positions)[:, None] - np.asarray(positions)[None]).max(axis=(2, 3)) == 0).any(
+        axis=1
+    )
+
+
+def test_sfl_takes_its_share_of_every_group_from_the_buffer(buffer):
+    levels = _propose(CurriculumConfig(buffer_share=0.5), range(GROUPS), buffer)
+    from_it = _is_in(levels.position, buffer.levels.position).reshape(GROUPS, PER_GROUP)
+    np.testing.assert_array_equal(from_it, np.tile([True, True, False, False], (GROUPS, 1)))
+
+
+def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn(buffer):
+    together = _propose(CurriculumConfig(), range(GROUPS), buffer)
+    apart = [_propose(CurriculumConfig(), groups, buffer) for groups in ([0, 1], [2, 3])]
+    joined = jax.tree.map(lambda *xs: np.concatenate(xs), *apart)
+    jax.tree.map(np.testing.assert_array_equal, together, joined)
+
+
+def test_domain_randomization_never_repeats_a_level():
+    levels = _propose(CurriculumConfig(name="domain_randomization"), range(GROUPS))
+    assert len(np.unique(np.asarray(levels.position).reshape(GROUPS * PER_GROUP, -1), axis=0)) == GROUPS * PER_GROUP
+
+
+def test_levels_that_solve_themselves_are_left_out_while_there_are_others():
+    config = CurriculumConfig(name="domain_randomization")
+    plain = _propose(config, [0])
+
+    def first_two_solve_themselves(levels):
+        return jnp.arange(levels.position.shape[0]) < 2
+
+    filtered = _propose(config, [0], noop_solved=first_two_solve_themselves)
+    np.testing.assert_array_equal(filtered.position[:2], plain.position[2:])
+
+
+def test_fixed_levels_are_spread_evenly_over_worlds():
+    levels = generate_levels(jax.random.key(1), 3, CAPACITY, CurriculumConfig().generator)
+    played = _propose(CurriculumConfig(name="fixed", levels="some"), range(GROUPS), fixed_levels=levels)
+    np.testing.assert_array_equal(played.position, np.asarray(levels.position)[np.arange(GROUPS * PER_GROUP) % 3])
+
+
+def test_a_share_that_is_no_whole_number_of_worlds_is_refused():
+    with pytest.raises(ValueError, match=r"buffer_share 0\.3 of 4 worlds a group is 1\.2"):
+        from_buffer(CurriculumConfig(buffer_share=0.3), 4)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"name": "plr2"}, "curricula are sfl"),
+        ({"name": "fixed"}, "level set is needed"),
+        ({"num_candidates": 10, "scoring_batch": 4}, "not a multiple of scoring_batch"),
+        ({"num_candidates": 8, "scoring_batch": 4, "buffer_size": 9}, "larger than num_candidates 8"),
+        ({"adopt_after": 200}, "larger than refresh_every 128"),
+        ({"buffer_share": 0.0}, "must be above 0"),
+    ],
+)
+def test_a_curriculum_that_cannot_run_is_refused_with_its_numbers(fields, message):
+    with pytest.raises(ValueError, match=message):
+        CurriculumConfig(**fields)
+
+
+def test_the_first_buffer_is_used_at_once_and_later_ones_at_a_fixed_distance():
+    config = CurriculumConfig(refresh_every=10, adopt_after=3)
+    assert [k for k in range(25) if config.is_refresh_due(k)] == [0, 10, 20]
+    assert [config.adopted_at(k) for k in (0, 10, 20)] == [0, 13, 23]

@@ -1,0 +1,51 @@
+"""Learnability p (1 - p) and the order in which levels are kept, by hand-worked cases."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kinetix_dist.curator.level_buffer import buffer_metrics, keep_best
+from kinetix_dist.curator.scores import learnability, learnability_interval, solve_rate
+
+
+def test_a_level_that_is_never_or_always_solved_teaches_nothing():
+    np.testing.assert_array_equal(learnability(np.array([0, 4]), np.array([4, 4])), [0.0, 0.0])
+
+
+def test_a_level_solved_every_other_time_is_worth_a_quarter():
+    assert float(learnability(np.array(3), np.array(6))) == 0.25
+
+
+def test_nothing_is_claimed_of_a_level_without_a_finished_episode():
+    assert float(solve_rate(np.array(0), np.array(0))) == 0.0
+    assert float(learnability(np.array(0), np.array(0))) == 0.0
+
+
+def test_one_success_in_two_says_little_and_fifty_in_a_hundred_much():
+    low, high = learnability_interval(np.array([1, 50]), np.array([2, 100]))
+    # Wilson at 95 %: 1 of 2 is 0.095..0.905, 50 of 100 is 0.404..0.596
+    np.testing.assert_allclose(low, [0.095 * 0.905, 0.404 * 0.596], atol=1e-3)
+    np.testing.assert_allclose(high, [0.25, 0.25])
+
+
+def _levels(count):
+    return {"number": jnp.arange(count)}
+
+
+def test_the_most_learnable_are_kept_and_ties_prefer_the_higher_solve_rate():
+    solved, finished = np.array([0, 1, 3, 2, 4, 1]), np.array([4, 4, 4, 4, 4, 4])
+    buffer = keep_best(_levels(6), solved, finished, size=4, policy_version=7)
+    # scores 0, 3/16, 3/16, 4/16, 0, 3/16: first the half-solved, then 3 of 4 before 1 of 4, then the lower number
+    np.testing.assert_array_equal(buffer.candidate, [3, 2, 1, 5])
+    np.testing.assert_array_equal(buffer.levels["number"], [3, 2, 1, 5])
+    assert int(buffer.policy_version) == 7
+    metrics = buffer_metrics(buffer, 10)
+    assert metrics["curriculum/buffer_age"] == 3
+    assert float(metrics["curriculum/learnability"]) == pytest.approx((4 + 3 + 3 + 3) / 16 / 4)
+    assert float(metrics["curriculum/mean_candidate_score"]) == pytest.approx((3 + 3 + 4 + 3) / 16 / 6)
+    assert float(metrics["curriculum/learnable_share"]) == pytest.approx(4 / 6)
+
+
+def test_a_buffer_larger_than_its_candidates_is_refused():
+    with pytest.raises(ValueError, match="8 levels cannot be filled from 6"):
+        keep_best(_levels(6), np.zeros(6), np.ones(6), size=8, policy_version=0)

@@ -1,0 +1,187 @@
+"""Pieces of the runtime that need no training: placement, queues, weights, config, clock, metric files."""
+
+import dataclasses
+import io
+import json
+import math
+
+import pytest
+from rich.console import Console
+
+from kinetix_dist.config import ConfigError, differences, from_dict, to_dict
+from kinetix_dist.recipes import RECIPES, recipe
+from kinetix_dist.runtime.clock import RoleClock
+from kinetix_dist.runtime.placement import PlacementError, plan, resolve_device
+from kinetix_dist.runtime.weight_sync import WeightStore
+from kinetix_dist.runtime.work_buffer import Work, WorkBuffer, WorkBufferFullError
+from kinetix_dist.telemetry.names import METRICS, UnknownMetricError, check_metrics
+from kinetix_dist.telemetry.sinks.console import ConsoleSink
+from kinetix_dist.telemetry.sinks.jsonl import JsonlSink, read_jsonl
+from tests.runtime.runs import tiny_config
+
+# Config
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_config_survives_its_json_file(name):
+    config = recipe(name)
+    assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
+
+
+def test_the_hash_covers_what_changes_the_numbers_and_nothing_else():
+    config = tiny_config(num_updates=4)
+    longer = tiny_config(num_updates=40, checkpoint_every=7, placement="colocated")
+    assert longer.hash == config.hash
+    assert tiny_config(num_updates=4, seed=1).hash != config.hash
+    assert tiny_config(num_updates=4, placement="split").hash != config.hash  # lag 1
+    faster = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, learning_rate=1.0))
+    assert differences(faster, config) == ["ppo.learning_rate 1.0 instead of 0.001"]
+
+
+def test_an_unknown_field_of_a_config_file_is_named():
+    data = to_dict(recipe("tiny"))
+    data["ppo"]["speed"] = 3
+    with pytest.raises(ConfigError, match=r"ppo\.speed is unknown"):
+        from_dict(data)
+
+
+def test_paper_recipes_have_the_papers_numbers():
+    for size in "sml":
+        config = recipe(f"sfl_{size}")
+        assert config.env.size == size
+        assert (config.rollout.num_envs, config.rollout.num_steps) == (2048, 256)
+        assert (config.ppo.epochs, config.ppo.minibatches, config.ppo.clip) == (8, 32, 0.02)
+        curriculum = config.curriculum
+        assert (curriculum.num_candidates, curriculum.scoring_steps, curriculum.buffer_size) == (12288, 512, 1024)
+        assert (curriculum.refresh_every, curriculum.buffer_share) == (128, 0.5)
+
+
+# Placement
+
+
+def test_colocated_is_one_worker_a_gpu_and_a_curator_on_one_of_them():
+    placement = plan(dataclasses.replace(recipe("sfl_s")), num_gpus=2)
+    assert [(p.role, p.gpu_share) for p in placement.processes] == [
+        ("worker", 0.75),
+        ("worker", 0.75),
+        ("curator", 0.25),
+    ]
+    assert all("XLA_PYTHON_CLIENT_MEM_FRACTION" in p.env_vars for p in placement.processes)
+
+
+def test_on_cpu_every_process_is_told_to_leave_gpus_alone():
+    placement = plan(tiny_config(num_updates=1, placement="split", num_rollout_actors=2), num_gpus=0)
+    assert [p.role for p in placement.processes] == ["learner", "rollout", "rollout", "curator"]
+    assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} for p in placement.processes)
+
+
+def test_a_gpu_that_is_not_there_is_refused():
+    with pytest.raises(PlacementError, match="no GPU is visible"):
+        resolve_device("gpu", num_gpus=0)
+    with pytest.raises(PlacementError, match="needs 2 GPUs of 1"):
+        config = recipe("sfl_s")
+        plan(dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split")), num_gpus=1)
+
+
+# Queues and weights
+
+
+def _work(update, version, part=0, steps=10):
+    return Work(update=update, policy_version=version, part=part, num_env_steps=steps, content=(update, part))
+
+
+def test_a_batch_is_taken_whole_and_in_order_of_its_parts():
+    buffer = WorkBuffer(num_parts=2, lag=1)
+    assert buffer.put(_work(0, 0, part=1))
+    assert buffer.missing(0) == [0]
+    with pytest.raises(LookupError, match="lacks parts"):
+        buffer.take(0)
+    assert buffer.put(_work(0, 0, part=0))
+    assert [work.part for work in buffer.take(0)] == [0, 1]
+
+
+def test_work_of_another_lag_or_for_a_past_update_is_dropped_and_counted():
+    buffer = WorkBuffer(num_parts=1, lag=1)
+    assert not buffer.put(_work(3, 1))  # lag 2
+    assert not buffer.put(_work(3, 3))  # lag 0
+    assert buffer.put(_work(3, 2))
+    buffer.take(3)
+    assert not buffer.put(_work(2, 1))  # late
+    assert buffer.dropped_steps == 30
+
+
+def test_the_work_buffer_is_bounded():
+    buffer = WorkBuffer(num_parts=1, lag=1, capacity=2)
+    buffer.put(_work(0, 0))
+    buffer.put(_work(1, 0))
+    with pytest.raises(WorkBufferFullError, match="batch 2 does not fit"):
+        buffer.put(_work(2, 1))
+
+
+def test_weights_are_kept_while_recent_or_pinned():
+    store = WeightStore(keep_last=2)
+    store.publish(0, "a")
+    store.pin(0)
+    for version in (1, 2, 3):
+        store.publish(version, version)
+    assert 0 in store and 1 not in store and 2 in store
+    store.unpin(0)
+    store.publish(4, 4)
+    with pytest.raises(LookupError, match="version 0 is not kept"):
+        store.get(0)
+
+
+# Clock and metrics
+
+
+def test_roles_that_work_at_the_same_time_are_scaled_to_the_time_there_was():
+    clock = RoleClock()
+    clock.start()
+    clock.add({"rollout": 1000.0, "learn": 1000.0})
+    _, shares = clock.lap()
+    assert shares["rollout"] == pytest.approx(0.5)
+    assert shares["idle"] == pytest.approx(0.0)
+
+
+def test_a_metric_that_nobody_described_is_refused():
+    with pytest.raises(UnknownMetricError, match=r"names\.py"):
+        check_metrics({"learner/magic": 1.0})
+    check_metrics({"evaluation/random_s/solve_rate": 0.5})
+    assert all(metric.unit and metric.meaning for metric in METRICS.values())
+
+
+def test_metric_lines_of_a_killed_session_are_cut_off_where_it_is_resumed(tmp_path):
+    sink = JsonlSink(tmp_path / "metrics.jsonl")
+    for update in (1, 2, 3):
+        sink.write(update, {"train/solve_rate": update / 10, "train/mean_return": math.nan})
+    sink.close()
+    with (tmp_path / "metrics.jsonl").open("a") as file:
+        file.write('{"update": 4, "tr')  # killed while writing
+    sink = JsonlSink(tmp_path / "metrics.jsonl", resume_at=2)
+    sink.write(3, {"train/solve_rate": 0.9})
+    sink.close()
+    rows = list(read_jsonl(tmp_path / "metrics.jsonl"))
+    assert [(row["update"], row["train/solve_rate"]) for row in rows] == [(1, 0.1), (2, 0.2), (3, 0.9)]
+    assert rows[0]["train/mean_return"] is None
+
+
+def test_the_console_line_shows_what_a_person_follows():
+    text = io.StringIO()
+    sink = ConsoleSink(total_env_steps=1000, console=Console(file=text, width=200))
+    sink.set_phase("compiling")
+    sink.set_seconds_left(65)
+    sink.write(
+        3,
+        {
+            "progress/env_steps": 500,
+            "progress/env_steps_per_second": 1234.5,
+            "train/solve_rate": 0.31,
+            "curriculum/learnability": 0.12,
+        },
+    )
+    sink.set_phase("evaluating")
+    sink.close()
+    last = text.getvalue().splitlines()[-1]
+    assert last.startswith("evaluating")
+    for part in ("500 / 1,000 env steps", "1,234 steps/s", "solved 31%", "learnability 0.120", "1:05 left"):
+        assert part in last
