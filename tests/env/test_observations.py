@@ -40,7 +40,20 @@ def test_polygon_row_has_the_27_features_in_the_published_order() -> None:
     row = observe_start(batch(level)).polygons[0, BOX]
     mass, inertia = 0.25, 0.25 * 0.25 / 6
     vertices = [-0.25, -0.25, 0.25, -0.25, 0.25, 0.25, -0.25, 0.25]
-    expected = [1.0, 1.0, 0.5, -0.25, 1 / mass, 1 / inertia, 1.0, np.tanh(-0.5), 0, 1, 0, 0]
+    expected = [
+        1.0,
+        1.0,
+        0.5,
+        -0.25,
+        0.2 * np.log1p(1 / mass),
+        0.2 * np.log1p(1 / inertia),
+        1.0,
+        np.tanh(-0.5),
+        0,
+        1,
+        0,
+        0,
+    ]
     expected += [np.sin(0.3), np.cos(0.3), 0.5, 0.0, 0.0, *vertices, 0.0, -0.981]
     assert row.shape == (27,)
     np.testing.assert_allclose(row, expected, rtol=1e-6)  # float32

@@ -19,6 +19,9 @@ Features, in the order of the public package:
                 the last 6 also without limits)                                                           22
     thruster    active, position 2, colour one-hot 2, sin, cos, power                                      8
 
+Inverse mass and inertia x stand as 0.2 log(1 + x). This is the one difference from the public package: small shapes
+have 1/inertia of 100 to 2,500, which saturates a first layer of tanh and hides all other features of such a shape.
+
 Rows of things that do not exist are zero. Units: m, m/s, rad, 1/kg; powers and speeds in units of the engine
 settings, as in `Scene`. Every joint gives two rows: row j goes from a to b, row J + j from b to a.
 
@@ -44,6 +47,7 @@ NUM_CIRCLE_FEATURES = 19
 NUM_JOINT_FEATURES = 22
 NUM_THRUSTER_FEATURES = 8
 NUM_ATTENTION_MASKS = 4
+INVERSE_MASS_SCALE = 0.2  # 0.2 log(1 + 2,500) = 1.6
 ANGULAR_VELOCITY_SCALE = 10.0  # rad/s; tanh squashes what spins faster
 GRAVITY_SCALE = 10.0  # m/s^2
 
@@ -144,8 +148,8 @@ def static_obs(levels: Level) -> StaticObs:
     num_polygons = scene.vertices.shape[1]
     shape = jnp.concatenate(
         [
-            scene.inverse_mass[..., None],
-            scene.inverse_inertia[..., None],
+            _compressed(scene.inverse_mass)[..., None],
+            _compressed(scene.inverse_inertia)[..., None],
             scene.density[..., None],
             jax.nn.one_hot(levels.shape_role, len(Role)),
             scene.friction[..., None],
@@ -245,6 +249,11 @@ def _thruster_features(levels: Level) -> Array:
     direction = jnp.stack([jnp.sin(scene.thruster_angle), jnp.cos(scene.thruster_angle), scene.thruster_power], axis=-1)
     active = scene.thruster_active[..., None].astype(jnp.float32)
     return jnp.concatenate([active, scene.thruster_position, colour, direction], axis=-1)
+
+
+def _compressed(inverse_mass: Array) -> Array:
+    """An inverse mass or inertia as a number of order one, 0 for fixed shapes."""
+    return INVERSE_MASS_SCALE * jnp.log1p(inverse_mass)
 
 
 def _masked(features: Array, mask: Array) -> Array:
