@@ -44,9 +44,9 @@ def single_level() -> TrainConfig:
         env=base.env,
         policy=base.policy,
         ppo=base.ppo,
-        curriculum=CurriculumConfig(name="fixed", levels="levels/s"),
+        curriculum=CurriculumConfig(name="fixed", levels="hop_home"),
         rollout=base.rollout,
-        evaluation=EvaluationConfig(sets=("levels/s",), attempts=100, every=10),
+        evaluation=EvaluationConfig(sets=("hop_home",), attempts=100, every=10),
         recording=RecordingConfig(num_rollouts=4),
         run=RunConfig(
             name="single_level", total_env_steps=600_000, placement="local", device="cpu", checkpoint_every=25

@@ -62,7 +62,27 @@ def test_polygon_row_has_the_27_features_in_the_published_order() -> None:
 def test_circle_row_has_the_19_features_in_the_published_order() -> None:
     row = observe_start(batch(small_level(gravity=-9.81))).circles[0, 0]
     mass = np.pi * RADIUS_M**2
-    expected = [3, 1, 0, 0, 1 / mass, 2 / (mass * RADIUS_M**2), 1, 0, 0, 0, 1, 0, 0, 1, 0.5, 0, RADIUS_M, 1, -0.981]
+    expected = [
+        3,
+        1,
+        0,
+        0,
+        0.2 * np.log1p(1 / mass),
+        0.2 * np.log1p(2 / (mass * RADIUS_M**2)),
+        1,
+        0,
+        0,
+        0,
+        1,
+        0,
+        0,
+        1,
+        0.5,
+        0,
+        RADIUS_M,
+        1,
+        -0.981,
+    ]
     assert row.shape == (19,)
     np.testing.assert_allclose(row, expected, rtol=1e-6)
 
