@@ -88,7 +88,7 @@ def describe(name: str) -> Metric:
     """The description of a metric; raises UnknownMetricError for a name nobody described."""
     if name in METRICS:
         return METRICS[name]
-    pattern = re.sub(r"^evaluation/[^/]+/", "evaluation/<set>/", name)
+    pattern = re.sub(r"^evaluation/.+/", "evaluation/<set>/", name)  # a set may be a path
     if pattern in METRICS:
         return METRICS[pattern]
     raise UnknownMetricError(f"metric {name!r} is not described; add it to kinetix_dist/telemetry/names.py")
