@@ -73,6 +73,8 @@ def run(args: Args) -> int:
         resolve_device(config.run.device, num_gpus=count_gpus())
         if config.run.placement != "local":
             plan(config, num_gpus=count_gpus())
+    with user_errors(ValueError, OSError):
+        _check_levels(config)
     with user_errors(RunDirectoryError):
         directory = _open(args)
     try:
@@ -111,6 +113,19 @@ def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
         raise UserError(f"{run} holds no run (no config.json); start one without --resume")
     with user_errors(ValueError, KeyError, prefix=f"{path}: "):
         return run, from_dict(json.loads(path.read_text())["config"])
+
+
+def _check_levels(config: TrainConfig) -> None:
+    """Loads what training and evaluation will load, so that a wrong name or file is found at once."""
+    from kinetix_dist.level.level import SIZES
+    from kinetix_dist.level.sets import RANDOM_SETS, load_level_set
+
+    order = list(SIZES)
+    for name in filter(None, (*config.evaluation.sets, config.curriculum.levels)):
+        if name not in RANDOM_SETS:
+            load_level_set(name, config.env.size)
+        elif order.index(RANDOM_SETS[name]) > order.index(config.env.size):
+            raise ValueError(f"level set {name!r} does not fit size {config.env.size!r}; choose a larger env.size")
 
 
 def _open(args: Args) -> RunDirectory:
