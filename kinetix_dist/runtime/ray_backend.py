@@ -17,6 +17,7 @@ from kinetix_dist.learner.learner_actor import LearnerActor
 from kinetix_dist.runtime.controller import WorkerLostError
 from kinetix_dist.runtime.placement import ProcessPlan
 from kinetix_dist.runtime.supervise import Heartbeats, gather, wait_until_gone
+from kinetix_dist.runtime.watchdog import Watchdog
 from kinetix_dist.runtime.worker_actor import WorkerActor
 
 _ACTOR_CLASSES = {
@@ -67,6 +68,7 @@ class RayBackend:
 
     def __init__(self, *, num_gpus: int, heartbeat_seconds: float) -> None:
         self._heartbeats = Heartbeats(heartbeat_seconds)
+        self._watchdog: Watchdog | None = None
         if ray.is_initialized():
             self._owns_ray = False
             return
@@ -78,6 +80,7 @@ class RayBackend:
             os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
             ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
         else:
+            self._watchdog = Watchdog(os.getpid())
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
             ray.init(
                 address="local",
@@ -130,6 +133,8 @@ class RayBackend:
     def stop(self) -> None:
         if self._owns_ray:
             ray.shutdown()
+        if self._watchdog is not None:
+            self._watchdog.stop()
 
 
 def _references(arguments: Sequence[Any]) -> list[Any]:
