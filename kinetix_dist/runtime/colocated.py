@@ -35,7 +35,7 @@ class ColocatedTrainer:
         self._handles = []
         self._handles = self._backend.spawn(self._plans, build_worker, self._config)
         stored = None if arrays is None else self._backend.put(dict(arrays))
-        self._all("start", num_updates, stored)
+        self._all("start", stored)
 
     def weights(self) -> Ticket:
         return self._handles[0].call("weights")

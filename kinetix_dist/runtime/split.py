@@ -23,10 +23,11 @@ from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.backend import Backend, Handle, Ticket
 from kinetix_dist.runtime.controller import WorkerLostError, nested, resolve
+from kinetix_dist.runtime.cores import ACTING
 from kinetix_dist.runtime.placement import Placement
 from kinetix_dist.runtime.weight_sync import WeightStore
 from kinetix_dist.runtime.work_buffer import Work, WorkBuffer
-from kinetix_dist.runtime.worker import ACTING, build_learner, build_rollout
+from kinetix_dist.runtime.worker import build_learner, build_rollout
 
 _MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
 
@@ -57,7 +58,7 @@ class SplitTrainer:
         self._learner = self._backend.spawn(self._learner_plan, build_learner, self._config)[0]
         self._actors = [self._spawn_actor(part) for part in range(len(self._rollout_plans))]
         stored = None if arrays is None else self._backend.put(dict(arrays))
-        self._buffer = self._ask_learner("start", num_updates, stored)
+        self._buffer = self._ask_learner("start", stored)
         self._weights.publish(num_updates, self._learner.call("weights"))
         if arrays is not None and num_updates > 0:
             # The batch that was being played when the checkpoint was taken: same weights, same buffer.

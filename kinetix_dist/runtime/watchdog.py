@@ -1,7 +1,8 @@
-"""Ends what a killed driver leaves behind. `python -m kinetix_dist.runtime.watchdog PID` with a pipe from the driver as stdin.
+"""Ends what a killed driver leaves behind: `python -m kinetix_dist.runtime.watchdog PID`, stdin a pipe from the driver.
 
-Ray ends its servers and actors with the driver, but its agents can outlive a SIGKILL for minutes. This process remembers the
-descendants of the driver; when the pipe closes, whichever way the driver went, those that are still there are killed.
+Ray ends its servers and actors with the driver, but its agents can outlive a SIGKILL for minutes. This process
+remembers the descendants of the driver; when the pipe closes, whichever way the driver went, it kills those that are
+still there.
 
     consumes      nothing; the pipe is never written to
     waits for     the end of the pipe
