@@ -18,27 +18,24 @@ from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.update import PpoConfig
 from kinetix_dist.models.policy import PolicyConfig
 
-# 28,737 parameters, a twenty-seventh of the paper's network: what two cores can train in minutes.
-_SMALL_POLICY = PolicyConfig(encoder_size=32, num_layers=1, hidden_size=64, hidden_layers=1)
-
 
 def quickstart() -> TrainConfig:
     """SFL on size S for two CPU cores and a few minutes: small network, long actions (docs/training.md says why)."""
     return TrainConfig(
         # An action lasts 8 physics steps, 2/15 s: an episode is as long as ever, but has a quarter of the decisions.
         env=EnvConfig(size="s", frame_skip=8, max_steps=64, dense_reward_scale=0.3),
-        policy=_SMALL_POLICY,
+        policy=PolicyConfig(encoder_size=48, num_layers=1, hidden_size=64, hidden_layers=1),
         ppo=PpoConfig(
-            epochs=4, minibatches=8, clip=0.2, value_clip=False, learning_rate=2e-3, max_grad_norm=0.5, discount=0.98
+            epochs=3, minibatches=8, clip=0.2, value_clip=False, learning_rate=1.5e-3, max_grad_norm=0.5, discount=0.98
         ),
         curriculum=CurriculumConfig(
             num_candidates=512, scoring_batch=256, scoring_steps=192, refresh_every=16, adopt_after=2, buffer_size=128
         ),
-        rollout=RolloutConfig(num_envs=512, num_steps=64),
+        rollout=RolloutConfig(num_envs=256, num_steps=64),
         evaluation=EvaluationConfig(sets=("random_s", "designed_s"), attempts=4, min_attempts=400),
         recording=RecordingConfig(num_rollouts=8),
         run=RunConfig(
-            name="quickstart", total_env_steps=2_000_000, placement="local", device="cpu", checkpoint_every=10
+            name="quickstart", total_env_steps=1_700_000, placement="local", device="cpu", checkpoint_every=20
         ),
     )
 
@@ -47,7 +44,7 @@ def single_level() -> TrainConfig:
     """One hand-designed S level until it is solved: shows that learning works, on CPU, in a minute or two."""
     return TrainConfig(
         env=EnvConfig(size="s", dense_reward_scale=1.0),
-        policy=_SMALL_POLICY,
+        policy=PolicyConfig(encoder_size=32, num_layers=1, hidden_size=64, hidden_layers=1),
         ppo=PpoConfig(
             epochs=4, minibatches=8, clip=0.2, value_clip=False, learning_rate=1e-3, max_grad_norm=0.5, discount=0.99
         ),
