@@ -50,10 +50,10 @@ def single_level() -> TrainConfig:
         ),
         curriculum=CurriculumConfig(name="fixed", levels="s/hop_home"),
         rollout=RolloutConfig(num_envs=128, num_steps=64),
-        evaluation=EvaluationConfig(sets=("s/hop_home",), attempts=100, every=5),
+        evaluation=EvaluationConfig(sets=("s/hop_home",), attempts=100, every=1),
         recording=RecordingConfig(num_rollouts=4),
         run=RunConfig(
-            name="single_level", total_env_steps=400_000, placement="local", device="cpu", checkpoint_every=10
+            name="single_level", total_env_steps=200_000, placement="local", device="cpu", checkpoint_every=10
         ),
     )
 

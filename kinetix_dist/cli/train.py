@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,10 +70,11 @@ def run(args: Args) -> int:
     from kinetix_dist.runtime.training_run import train
 
     config = args.config
-    with user_errors(PlacementError):  # before a directory is made
-        resolve_device(config.run.device, num_gpus=count_gpus())
-        if config.run.placement != "local":
-            plan(config, num_gpus=count_gpus())
+    if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
+        with user_errors(PlacementError):  # before a directory is made; a cluster is asked when it is connected
+            resolve_device(config.run.device, num_gpus=count_gpus())
+            if config.run.placement != "local":
+                plan(config, num_gpus=count_gpus())
     with user_errors(ValueError, OSError):
         _check_levels(config)
     with user_errors(RunDirectoryError):

@@ -58,8 +58,8 @@ class ColocatedTrainer:
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         return self._first("record", num_rollouts, num_updates)
 
-    def device(self) -> dict[str, Any]:
-        return self._first("device")
+    def facts(self) -> dict[str, Any]:
+        return self._first("facts")
 
     def stop(self) -> None:
         self._backend.kill(self._handles)

@@ -75,8 +75,8 @@ class Trainer(Protocol):
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
 
-    def device(self) -> dict[str, Any]:
-        """Platform, kind and number of the devices that learn."""
+    def facts(self) -> dict[str, Any]:
+        """For the report: "device" (platform, kind and number of those that learn) and "compile_seconds"."""
 
     def stop(self) -> None: ...
 

@@ -15,7 +15,7 @@ from kinetix_dist.actors.rollout_actor import RolloutActor
 from kinetix_dist.curator.curator_actor import CuratorActor
 from kinetix_dist.learner.learner_actor import LearnerActor
 from kinetix_dist.runtime.controller import WorkerLostError
-from kinetix_dist.runtime.placement import ProcessPlan
+from kinetix_dist.runtime.placement import ProcessPlan, count_gpus
 from kinetix_dist.runtime.supervise import Heartbeats, gather, wait_until_gone
 from kinetix_dist.runtime.watchdog import Watchdog
 from kinetix_dist.runtime.worker_actor import WorkerActor
@@ -66,7 +66,7 @@ class RayHandle:
 class RayBackend:
     """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
 
-    def __init__(self, *, num_gpus: int, heartbeat_seconds: float) -> None:
+    def __init__(self, *, heartbeat_seconds: float) -> None:
         self._heartbeats = Heartbeats(heartbeat_seconds)
         self._watchdog: Watchdog | None = None
         if ray.is_initialized():
@@ -85,12 +85,17 @@ class RayBackend:
             ray.init(
                 address="local",
                 num_cpus=max(os.cpu_count() or 1, 64),
-                num_gpus=num_gpus,
+                num_gpus=count_gpus(),
                 include_dashboard=False,
                 logging_level=logging.ERROR,
                 log_to_driver=False,  # actors log to Ray's session directory; what fails is raised here
                 _node_ip_address="127.0.0.1",
             )
+
+    @property
+    def num_gpus(self) -> int:
+        """Of the whole cluster."""
+        return int(ray.cluster_resources().get("GPU", 0))
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
         actors = []

@@ -105,8 +105,8 @@ class SplitTrainer:
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         return self._ask_learner("record", num_rollouts, num_updates)
 
-    def device(self) -> dict[str, Any]:
-        return self._ask_learner("device")
+    def facts(self) -> dict[str, Any]:
+        return self._ask_learner("facts")
 
     def stop(self) -> None:
         handles = [*self._actors, *([self._learner] if self._learner is not None else [])]

@@ -56,7 +56,7 @@ def train(
             if config.recording.make_pictures:
                 recorder.make_pictures()
         controller.clock.lap()
-        report = _report(config, controller, evaluations, trainer.device(), wall_seconds=time.monotonic() - began)
+        report = _report(config, controller, evaluations, trainer.facts(), wall_seconds=time.monotonic() - began)
         run.write_json(run.report_path, report)
         reporter.phase("done")
         return report
@@ -70,23 +70,26 @@ def train(
 def _start_roles(config: TrainConfig) -> tuple[Backend, Trainer, CuratorClient | None]:
     import jax
 
-    num_gpus = count_gpus()
-    device = resolve_device(config.run.device, num_gpus=num_gpus)
     if config.run.placement == "local":
         from kinetix_dist.runtime.local import LocalBackend
 
+        device = resolve_device(config.run.device, num_gpus=count_gpus())
         if device == "cpu":
             jax.config.update("jax_platforms", "cpu")
         worker = ProcessPlan(role="worker", index=0, gpu_share=float(device == "gpu"), env_vars={})
-        backend: Backend = LocalBackend()
-        trainer: Trainer = ColocatedTrainer(config, backend, [worker])
+        local = LocalBackend()
+        trainer: Trainer = ColocatedTrainer(config, local, [worker])
         curator_plan = ProcessPlan(role="curator", index=0, gpu_share=0.0, env_vars={})
-        return backend, trainer, CuratorClient(config, backend, curator_plan) if config.curriculum.has_buffer else None
-    placement = plan(config, num_gpus=num_gpus)
+        return local, trainer, CuratorClient(config, local, curator_plan) if config.curriculum.has_buffer else None
     from kinetix_dist.runtime.ray_backend import RayBackend
 
     jax.config.update("jax_platforms", "cpu")  # the driver computes nothing and must not hold a GPU
-    backend = RayBackend(num_gpus=num_gpus if device == "gpu" else 0, heartbeat_seconds=config.run.heartbeat_seconds)
+    backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds)
+    try:
+        placement = plan(config, num_gpus=backend.num_gpus)
+    except ValueError:
+        backend.stop()
+        raise
     if config.run.placement == "split":
         from kinetix_dist.runtime.split import SplitTrainer
 
@@ -106,7 +109,7 @@ def _report(
     config: TrainConfig,
     controller: Controller,
     evaluations: dict[str, Any],
-    device: dict[str, Any],
+    facts: dict[str, Any],
     *,
     wall_seconds: float,
 ) -> dict[str, Any]:
@@ -120,7 +123,7 @@ def _report(
         "policy_updates": controller.num_updates,
         "solve_rate": {name: evaluations.get(name) for name in ("random_policy", "before", "after")},
         "seconds_by_role": seconds,
-        "device": device,
+        **facts,
         "versions": {"python": platform.python_version(), **_versions()},
         "config_hash": config.hash,
     }

@@ -22,7 +22,7 @@ from kinetix_dist.curator.level_buffer import LevelBuffer, buffer_metrics
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, shard_worlds
 from kinetix_dist.models.policy import make_policy
-from kinetix_dist.runtime.compile_cache import enable_compile_cache
+from kinetix_dist.runtime.compile_cache import compile_seconds, enable_compile_cache
 from kinetix_dist.runtime.cores import BUFFER, LEARNER, CuratorCore, LearnerCore, RolloutCore, stored_buffer
 from kinetix_dist.runtime.evaluator import Evaluator
 from kinetix_dist.runtime.placement import ProcessPlan
@@ -79,10 +79,11 @@ class LearnerWorker:
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         return self._evaluator.record(self.weights(), num_rollouts, num_updates)
 
-    def device(self) -> dict[str, Any]:
-        """What a report says of the devices that learn."""
+    def facts(self) -> dict[str, Any]:
+        """What a report says of this process."""
         device = self._mesh.devices.flat[0]
-        return {"platform": device.platform, "kind": device.device_kind, "count": int(self._mesh.devices.size)}
+        devices = {"platform": device.platform, "kind": device.device_kind, "count": int(self._mesh.devices.size)}
+        return {"device": devices, "compile_seconds": round(compile_seconds(), 1)}
 
     def _metrics(
         self, num_updates: int, sums: Mapping[str, Any], learner_metrics: Mapping[str, Any]

@@ -18,7 +18,7 @@ from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, ru
 def ray_backend():
     from kinetix_dist.runtime.ray_backend import RayBackend
 
-    backend = RayBackend(num_gpus=0, heartbeat_seconds=120.0)
+    backend = RayBackend(heartbeat_seconds=120.0)
     yield backend
     backend.stop()
 
