@@ -12,9 +12,11 @@ import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints
 from kinetix_dist.runtime.colocated import ColocatedTrainer
+from kinetix_dist.runtime.controller import Controller
 from kinetix_dist.runtime.curation import CuratorClient
 from kinetix_dist.runtime.local import LocalBackend
 from kinetix_dist.runtime.placement import ProcessPlan, plan
+from kinetix_dist.runtime.run_directory import RunDirectory
 from kinetix_dist.runtime.split import SplitTrainer
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
@@ -93,9 +95,6 @@ def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
     assert any(name.startswith("pending/") for name in arrays)
     longer = tiny_config(num_updates=7)
     backend = LocalBackend()
-    from kinetix_dist.runtime.controller import Controller
-    from kinetix_dist.runtime.run_directory import RunDirectory
-
     (tmp_path / "run" / "config.json").write_text("{}")
     run = RunDirectory.open_existing(tmp_path / "run")
     controller = Controller(
@@ -115,9 +114,6 @@ def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
 def test_a_checkpoint_of_another_config_is_refused_with_the_field(tmp_path):
     _run_local(tiny_config(num_updates=2), tmp_path / "run")
     other = tiny_config(num_updates=4, seed=1)
-    from kinetix_dist.runtime.controller import Controller
-    from kinetix_dist.runtime.run_directory import RunDirectory
-
     (tmp_path / "run" / "config.json").write_text("{}")
     run = RunDirectory.open_existing(tmp_path / "run")
     backend = LocalBackend()
@@ -141,3 +137,21 @@ def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_p
     _run_local(tiny_config(num_updates=6), tmp_path / "lag0")
     lagged, direct = final_arrays(tmp_path / "run"), final_arrays(tmp_path / "lag0")
     assert any(not np.array_equal(lagged[name], direct[name]) for name in direct)
+
+
+def test_a_resumed_split_run_plays_the_batch_that_was_in_flight_again(tmp_path):
+    def run(num_updates, path, *, resume=False):
+        config = tiny_config(num_updates=num_updates, placement="split", num_rollout_actors=2)
+        backend, placement = LocalBackend(), plan(config, num_gpus=0)
+        directory = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
+        directory.write_json(directory.config_path, {})
+        curator = CuratorClient(config, backend, placement.of("curator")[0])
+        controller = Controller(config, directory, SplitTrainer(config, backend, placement), curator, QuietReporter())
+        controller.restore(resume=resume)
+        controller.train()
+        directory.close()
+
+    run(5, tmp_path / "run")
+    run(9, tmp_path / "run", resume=True)
+    run(9, tmp_path / "unbroken")
+    assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(tmp_path / "unbroken"))
