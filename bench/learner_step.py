@@ -103,7 +103,6 @@ def measure(args: argparse.Namespace) -> dict[str, Any]:
             dtype=args.dtype,
             encoder_size=args.encoder_size,
             hidden_size=args.encoder_size,
-            fused_gate=args.fused_gate,
         ),
         HEAD_SIZES,
     )
@@ -144,7 +143,6 @@ def measure(args: argparse.Namespace) -> dict[str, Any]:
         "parameters": num_parameters(params),
         "size": args.size,
         "dtype": args.dtype,
-        "fused_gate": args.fused_gate,
         "minibatch": args.minibatch,
         "gradient_steps": gradient_steps,
         "compile_seconds": round(compile_seconds, 2),
@@ -159,7 +157,6 @@ def main() -> None:
     parser.add_argument("--size", choices=sorted(SIZES), default="m")
     parser.add_argument("--dtype", choices=("float32", "bfloat16"), default="bfloat16")
     parser.add_argument("--network", choices=("transformer", "flat"), default="transformer")
-    parser.add_argument("--fused-gate", action="store_true", help="gates as one CUDA kernel each")
     parser.add_argument("--encoder-size", type=int, default=128)
     parser.add_argument("--minibatch", type=int, default=16_384, help="samples, over all devices together")
     parser.add_argument("--worlds", type=int, default=2_048)

@@ -28,7 +28,6 @@ from jax2d.scene import Array
 from kinetix_dist.models.attention import attend, pack_mask
 from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
-from kinetix_dist.models.gate_fused import fused_gate
 from kinetix_dist.models.rows import add_rows, take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
@@ -53,7 +52,6 @@ class EntityTransformer(nn.Module):
     hidden_layers: int
     head_sizes: tuple[int, ...]
     dtype: Any
-    is_gate_fused: bool = False
 
     @nn.compact
     def __call__(self, obs: EntityObs) -> tuple[tuple[Array, ...], Array]:
@@ -118,8 +116,7 @@ class EntityTransformer(nn.Module):
 
     def _gate(self, name: str, x: Array, update: Array) -> Array:
         size = self.encoder_size
-        function = fused_gate if self.is_gate_fused else gate
-        return function(
+        return gate(
             x,
             update,
             self.param(f"{name}_gate_update_kernel", lecun_normal(), (size, 3 * size)),

@@ -38,7 +38,6 @@ class PolicyConfig:
     hidden_layers: int = 5  # before the output layer
     flat_size: int = 512  # encoder of the flat network
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
-    fused_gate: bool = False  # gates as one CUDA kernel each (gate_fused.py); the same function, other rounding
 
     def __post_init__(self) -> None:
         if self.network not in NETWORKS:
@@ -73,7 +72,6 @@ def make_policy(config: PolicyConfig, head_sizes: tuple[int, ...] = (3, 3, 3, 3,
         attention_features=config.attention_features,
         num_heads=config.num_heads,
         num_layers=config.num_layers,
-        is_gate_fused=config.fused_gate,
         **common,
     )
 

@@ -11,7 +11,6 @@ from kinetix_dist.models.attention import attend, pack_mask
 from kinetix_dist.models.contraction import contract
 from kinetix_dist.models.entity_transformer import NORM_EPSILON, normalise
 from kinetix_dist.models.gate import gate
-from kinetix_dist.models.gate_fused import BLOCK_ROWS, fused_gate, interpreted_gate
 from kinetix_dist.models.rows import add_rows, take_rows
 
 ATOL = 1e-5  # float32, sums of at most a few hundred terms of order one
@@ -88,20 +87,6 @@ def test_gate_is_the_gtrxl_formula():
         _random(5, 8),
     )
     _assert_same_with_gradients(gate, reference, *inputs)
-
-
-def test_the_fused_gate_kernels_compute_the_gate():
-    width = 16
-    kernels = [0.3 * _random(seed, width, columns * width) for seed, columns in ((2, 3), (3, 2), (4, 1))]
-    rows = _random(0, 2, BLOCK_ROWS, width), _random(1, 2, BLOCK_ROWS, width)  # two blocks
-    _assert_same_with_gradients(interpreted_gate, gate, *rows, *kernels, _random(5, width))
-
-
-def test_the_fused_gate_works_where_there_is_no_cuda_and_for_rows_that_fill_no_block():
-    for num_rows in (BLOCK_ROWS, 3):
-        rows = _random(0, 1, num_rows, 16), _random(1, 1, num_rows, 16)
-        parameters = _random(2, 16, 48), _random(3, 16, 32), _random(4, 16, 16), _random(5, 16)
-        _assert_same_with_gradients(fused_gate, gate, *rows, *parameters)
 
 
 def test_a_high_gate_bias_keeps_the_stream():
