@@ -1,6 +1,6 @@
 """Draws solve rates of one or several runs against environment steps, with their 95 % intervals.
 
-python bench/plot_runs.py --set random_s --to curve.png "paper=runs/a/metrics/metrics.jsonl" "tuned=runs/b/metrics/metrics.jsonl"
+python bench/plot_runs.py --set random_s --to curve.png a=runs/a/metrics/metrics.jsonl b=runs/b/metrics/metrics.jsonl
 """
 
 from __future__ import annotations
