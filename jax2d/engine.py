@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
 from jax2d.settings import Settings, preset
@@ -22,17 +23,46 @@ from jax2d.settings import Settings, preset
 JOINT_IMPULSES = 5  # point x, point y, angle or motor, lower limit, upper limit
 
 
+def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype) -> Any:
+    from jax2d.warp.ffi import WarpBackend
+
+    if dtype != np.float32:
+        raise ValueError(f"backend 'warp' computes in float32, not {dtype}; use backend='xla'")
+    return WarpBackend(capacity, settings)
+
+
+def _xla_backend(capacity: Capacity, settings: Settings, dtype: np.dtype) -> Any:
+    from jax2d.xla.backend import XlaBackend
+
+    if dtype not in (np.float32, np.float64):
+        raise ValueError(f"backend 'xla' computes in float32 or float64, not {dtype}")
+    if jax.dtypes.canonicalize_dtype(dtype) != dtype:
+        raise ValueError("dtype float64 needs JAX's 64-bit mode: jax.config.update('jax_enable_x64', True)")
+    return XlaBackend(capacity, settings, dtype)
+
+
+BACKENDS = {"warp": _warp_backend, "xla": _xla_backend}
+
+
 class Engine:
     """Steps batches of worlds. Building one compiles nothing; the first step does (a few seconds, then cached)."""
 
-    def __init__(self, capacity: Capacity, *, settings: Settings | None = None, backend: str = "warp"):
-        if backend != "warp":
-            raise ValueError(f"unknown engine backend {backend!r}; known backends: warp")
-        from jax2d.warp.ffi import WarpBackend
-
+    def __init__(
+        self,
+        capacity: Capacity,
+        *,
+        settings: Settings | None = None,
+        backend: str = "warp",
+        dtype: Any = jnp.float32,
+    ):
+        """`backend`: "warp", the fused kernel, or "xla", the reference in plain JAX (slow, differentiable, also in
+        float64). `dtype` is that of states and of the arithmetic."""
+        if backend not in BACKENDS:
+            raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity
         self.settings = settings if settings is not None else preset("standard")
-        self.backend = WarpBackend(capacity, self.settings)
+        self.dtype = np.dtype(dtype)
+        self.backend = BACKENDS[backend](capacity, self.settings, self.dtype)
 
     # Single worlds and batches
 
@@ -45,14 +75,14 @@ class Engine:
         angular_velocity: Array | None = None,
     ) -> State:
         """A state without remembered impulses. Omitted parts are zero. Batched as `position` is."""
-        position = jnp.asarray(position, jnp.float32)
+        position = jnp.asarray(position, self.dtype)
         batch = position.shape[:-2]
         shapes = (*batch, self.capacity.shapes)
         if position.shape != (*shapes, 2):
             raise ValueError(f"position has shape {position.shape}; this engine's scenes need [..., {shapes[-1]}, 2]")
 
         def given(x: Array | None, shape: tuple[int, ...]) -> jax.Array:
-            return jnp.zeros(shape, jnp.float32) if x is None else jnp.asarray(x, jnp.float32).reshape(shape)
+            return jnp.zeros(shape, self.dtype) if x is None else jnp.asarray(x, self.dtype).reshape(shape)
 
         slots = self.backend.num_contact_slots
         return State(
@@ -60,15 +90,16 @@ class Engine:
             angle=given(angle, shapes),
             velocity=given(velocity, (*shapes, 2)),
             angular_velocity=given(angular_velocity, shapes),
-            joint_impulse=jnp.zeros((*batch, self.capacity.joints, JOINT_IMPULSES), jnp.float32),
+            joint_impulse=jnp.zeros((*batch, self.capacity.joints, JOINT_IMPULSES), self.dtype),
             contact_key=jnp.full((*batch, slots), -1, jnp.int32),
-            contact_impulse=jnp.zeros((*batch, slots, 2), jnp.float32),
+            contact_impulse=jnp.zeros((*batch, slots, 2), self.dtype),
         )
 
     def no_controls(self, *batch: int) -> Controls:
         """Controls that do nothing, for a batch of the given shape."""
         return Controls(
-            motor=jnp.zeros((*batch, self.capacity.joints)), thruster=jnp.zeros((*batch, self.capacity.thrusters))
+            motor=jnp.zeros((*batch, self.capacity.joints), self.dtype),
+            thruster=jnp.zeros((*batch, self.capacity.thrusters), self.dtype),
         )
 
     def step(

@@ -49,6 +49,15 @@ class Capacity:
         """Number of 32-bit words that hold one bit per shape."""
         return (self.shapes + 31) // 32
 
+    @property
+    def contact_slots(self) -> int:
+        """Contacts that an engine keeps for a world: two points a polygon pair, one for any other pair, at most six a
+        shape (touching convex shapes that do not overlap have at most three neighbours each on average)."""
+        every_pair = (
+            self.polygons * (self.polygons - 1) + self.polygons * self.circles + self.circles * (self.circles - 1) // 2
+        )
+        return max(1, min(every_pair, 6 * self.shapes))
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -129,6 +138,15 @@ def touch_matrix(bits: Array, num_shapes: int) -> Array:
     columns = np.arange(num_shapes)
     words = jnp.asarray(bits)[..., :, columns // 32]
     return ((words >> (columns % 32).astype(np.uint32)) & 1).astype(bool)
+
+
+def touch_bits(matrix: Array) -> jax.Array:
+    """Packs `[..., n, n]` bool into `[..., n, words]` uint32; the inverse of `touch_matrix`."""
+    num_shapes = matrix.shape[-1]
+    words = (num_shapes + 31) // 32
+    padded = jnp.zeros((*matrix.shape[:-1], words * 32), bool).at[..., :num_shapes].set(matrix)
+    weights = np.uint32(1) << np.arange(32, dtype=np.uint32)
+    return (padded.reshape(*matrix.shape[:-1], words, 32).astype(jnp.uint32) * weights).sum(-1, dtype=jnp.uint32)
 
 
 def index_worlds(tree: Any, index: Any) -> Any:

@@ -15,8 +15,8 @@ Solver = Literal["soft_step", "sequential_impulses"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver` and
-    `friction_mixing` are compiled in."""
+    """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver`,
+    `friction_mixing` and `solver_batch_size` are compiled in."""
 
     solver: Solver = "soft_step"
     dt: float = 1 / 60  # s, one physics step
@@ -54,6 +54,7 @@ class Settings:
     limit_angle_rate: float = 5.0  # 1/s
     motor_decay: float = 0.1  # s/rad, rho in p tanh((w - sA) rho)
     motor_fade_angle: float = 0.1  # rad before a limit within which a motor weakens
+    solver_batch_size: int = 1  # contacts solved at a time from the same velocities; the published package's is 16
 
     def __post_init__(self) -> None:
         if self.solver not in ("soft_step", "sequential_impulses"):
@@ -66,6 +67,13 @@ class Settings:
             raise ValueError(f"Settings.dt is {self.dt}; a step must take a positive time in seconds")
         if self.substeps < 1:
             raise ValueError(f"Settings.substeps is {self.substeps}; at least 1 is needed")
+        if self.solver_batch_size < 1:
+            raise ValueError(f"Settings.solver_batch_size is {self.solver_batch_size}; at least 1 is needed")
+        if self.solver_batch_size > 1 and self.solver == "soft_step":
+            raise ValueError(
+                f"Settings.solver_batch_size is {self.solver_batch_size}, but soft_step solves contacts one after "
+                "another; use 1, or solver='sequential_impulses'"
+            )
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not (math.isfinite(value) and value >= 0):

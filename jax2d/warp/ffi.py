@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
+from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, touch_bits
 from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
-from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout, contact_slots
+from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
 
 
 @jax.tree_util.register_dataclass
@@ -74,9 +74,14 @@ class WarpBackend:
     """Steps batches of worlds of one capacity with one kernel launch a call."""
 
     def __init__(self, capacity: Capacity, settings: Settings):
+        if settings.solver_batch_size > 1:
+            raise ValueError(
+                f"Settings.solver_batch_size is {settings.solver_batch_size}; backend 'warp' solves contacts one after "
+                "another: use 1, or backend='xla'"
+            )
         self.capacity = capacity
         self.settings = settings
-        self.num_contact_slots = contact_slots(capacity)
+        self.num_contact_slots = capacity.contact_slots
         self.rows = Layout(capacity).rows()
         self.parameters = solver_parameters(settings)
         wp.init()
@@ -126,7 +131,7 @@ class WarpBackend:
         owners = jnp.where(jnp.asarray(scene.thruster_active), scene.thruster_body, -1)
         ints = jnp.concatenate(
             [
-                _worlds_last(jax.lax.bitcast_convert_type(_bits(meets, c.touch_words), jnp.int32), jnp.int32),
+                _worlds_last(jax.lax.bitcast_convert_type(touch_bits(meets), jnp.int32), jnp.int32),
                 _worlds_last(scene.num_vertices, jnp.int32),
                 _worlds_last(joints, jnp.int32),
                 _worlds_last(owners, jnp.int32),
@@ -209,10 +214,3 @@ def _jax_call(capacity: Capacity, solver: str, friction_mixing: str) -> Any:
         in_out_argnames=["state_table", "impulse_table", "key_table"],
         block_dim=64,
     )
-
-
-def _bits(matrix: jax.Array, words: int) -> jax.Array:
-    """[..., n] bool -> [..., words] uint32, bit j % 32 of word j // 32."""
-    padded = jnp.zeros((*matrix.shape[:-1], words * 32), bool).at[..., : matrix.shape[-1]].set(matrix)
-    weights = np.uint32(1) << np.arange(32, dtype=np.uint32)
-    return (padded.reshape(*matrix.shape[:-1], words, 32).astype(jnp.uint32) * weights).sum(-1, dtype=jnp.uint32)

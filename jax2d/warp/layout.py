@@ -47,14 +47,6 @@ PARAMS = (
 )
 
 
-def contact_slots(capacity: Capacity) -> int:
-    """Contacts that an engine keeps for a world: two points a polygon pair, one for any other pair, at most
-    six a shape (touching convex shapes that do not overlap have at most three neighbours each on average)."""
-    polygons, circles = capacity.polygons, capacity.circles
-    every_pair = polygons * (polygons - 1) + polygons * circles + circles * (circles - 1) // 2
-    return max(1, min(every_pair, 6 * capacity.shapes))
-
-
 @dataclasses.dataclass(frozen=True)
 class Layout:
     """Rows of the kernel's tables for one capacity."""
@@ -87,7 +79,7 @@ class Layout:
             ),
             "INTS": _stack(PARTNERS=n * c.touch_words, NUM_VERTICES=c.polygons, JOINTS=joints, THRUSTERS=thrusters),
             "STATE": _stack(POSITION=2 * n, ANGLE=n, VELOCITY=2 * n, OMEGA=n),
-            "IMPULSE": _stack(JOINT=5 * joints, CONTACT=2 * contact_slots(c)),
+            "IMPULSE": _stack(JOINT=5 * joints, CONTACT=2 * c.contact_slots),
             "OUT": _stack(AT_END=n * c.touch_words, DURING=n * c.touch_words, OVERFLOW=1, LIMITED=1),
         }
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jax2d.scene import Capacity
 from jax2d.settings import Settings
-from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout, contact_slots
+from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
 
 NATIVE_FILES = (
     "vec2.h",
@@ -36,7 +36,7 @@ def constants(capacity: Capacity, settings: Settings) -> dict[str, int]:
         "NUM_THRUSTERS": capacity.thrusters,
         "MAX_VERTICES": capacity.vertices,
         "NUM_CORNERS": max(1, capacity.polygons * capacity.vertices),
-        "NUM_CONTACTS": contact_slots(capacity),
+        "NUM_CONTACTS": capacity.contact_slots,
         "TOUCH_WORDS": capacity.touch_words,
         "SOFT_STEP": int(settings.solver == "soft_step"),
         "FRICTION_ROOT_SUM_SQUARE": int(settings.friction_mixing == "root_sum_square"),

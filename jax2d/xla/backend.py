@@ -1,0 +1,92 @@
+"""Engine backend in plain JAX: the step of one world mapped over a batch.
+
+Packed scenes and states are `Scene` and `State` themselves, in the engine's precision and with the world axis last.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
+from jax2d.settings import Settings
+from jax2d.xla import step
+from jax2d.xla.parameters import Parameters, Rules, parameters_of, rules_of
+
+
+class XlaBackend:
+    """Steps batches of worlds of one capacity by a compiled JAX program, on any device, with gradients."""
+
+    def __init__(self, capacity: Capacity, settings: Settings, dtype: Any):
+        self.capacity = capacity
+        self.settings = settings
+        self.num_contact_slots = capacity.contact_slots
+        self.dtype = dtype
+        self.parameters = parameters_of(settings)
+        self.rules = rules_of(settings)
+
+    def _worlds_last(self, x: Array) -> jax.Array:
+        x = jnp.asarray(x)
+        x = x.astype(self.dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
+        return jnp.moveaxis(x, 0, -1)
+
+    def pack_scene(self, scene: Scene) -> Scene:
+        """A batch of scenes, worlds last. Inactive shapes get no mass, and `can_touch` keeps each pair once and only
+        where one of the two can move."""
+        active = jnp.asarray(scene.shape_active)
+        movable = (jnp.asarray(scene.inverse_mass) > 0) | (jnp.asarray(scene.inverse_inertia) > 0)
+        movable &= active
+        n = self.capacity.shapes
+        meets = jnp.asarray(scene.can_touch) & active[..., :, None] & active[..., None, :]
+        meets &= movable[..., :, None] | movable[..., None, :]
+        packed = dataclasses.replace(
+            scene,
+            inverse_mass=jnp.where(active, scene.inverse_mass, 0),
+            inverse_inertia=jnp.where(active, scene.inverse_inertia, 0),
+            can_touch=meets & np.triu(np.ones((n, n), bool), 1),
+        )
+        return jax.tree.map(self._worlds_last, packed)
+
+    def pack_state(self, state: State) -> State:
+        return jax.tree.map(self._worlds_last, state)
+
+    def unpack_state(self, packed: State) -> State:
+        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), packed)
+
+    def bodies(self, packed: State) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n])."""
+        state = self.unpack_state(packed)
+        return state.position, state.angle, state.velocity, state.angular_velocity
+
+    def step_packed(self, scene: Scene, state: State, controls: Controls, num_steps: int) -> tuple[State, Touching]:
+        controls = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), controls)
+        return _step_worlds(
+            scene,
+            state,
+            controls,
+            self.parameters,
+            rules=self.rules,
+            capacity=self.capacity,
+            num_steps=num_steps,
+        )
+
+
+@functools.partial(jax.jit, static_argnames=("rules", "capacity", "num_steps"))
+def _step_worlds(
+    scene: Scene,
+    state: State,
+    controls: Controls,
+    params: Parameters,
+    *,
+    rules: Rules,
+    capacity: Capacity,
+    num_steps: int,
+) -> tuple[State, Touching]:
+    run = functools.partial(step.run, rules=rules, capacity=capacity, num_steps=num_steps)
+    # Packed trees have worlds last, controls and Touching first.
+    return jax.vmap(run, in_axes=(-1, -1, 0, None), out_axes=(-1, 0))(scene, state, controls, params)

@@ -1,0 +1,173 @@
+"""Bodies of one world while it is stepped: velocity, and position as a delta from the start of the step, so that
+nothing is lost far from the origin.
+
+Constraints act on pairs of bodies. A `Pair` picks its two bodies by masks instead of indices: picking is a masked sum
+and pushing a masked add, which stay deterministic, fuse, and batch over worlds without gathers or scatters.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Scene, State
+from jax2d.xla import vec2
+from jax2d.xla.parameters import Scalar
+
+
+class Motion(NamedTuple):
+    """What impulses change."""
+
+    velocity: jax.Array  # [n, 2] m/s
+    omega: jax.Array  # [n] rad/s
+
+
+class Bodies(NamedTuple):
+    position: jax.Array  # [n, 2] m, at the start of the step
+    angle: jax.Array  # [n] rad, at the start of the step
+    motion: Motion
+    delta: jax.Array  # [n, 2] m, moved since the start of the step
+    turn: jax.Array  # [n] rad, turned since the start of the step
+    inverse_mass: jax.Array  # [n] 1/kg
+    inverse_inertia: jax.Array  # [n] 1/(kg m^2)
+    limited: jax.Array  # [] int32, times a speed limit acted
+
+    @property
+    def is_dynamic(self) -> jax.Array:
+        return (self.inverse_mass > 0) | (self.inverse_inertia > 0)
+
+
+def load(scene: Scene, state: State) -> Bodies:
+    return Bodies(
+        position=state.position,
+        angle=state.angle,
+        motion=Motion(state.velocity, state.angular_velocity),
+        delta=jnp.zeros_like(state.position),
+        turn=jnp.zeros_like(state.angle),
+        inverse_mass=scene.inverse_mass,
+        inverse_inertia=scene.inverse_inertia,
+        limited=jnp.zeros((), jnp.int32),
+    )
+
+
+def end_step(bodies: Bodies) -> Bodies:
+    return bodies._replace(position=bodies.position + bodies.delta, angle=bodies.angle + bodies.turn)
+
+
+def apply_gravity(bodies: Bodies, gravity: jax.Array, dt: Scalar) -> Bodies:
+    """Semi-implicit Euler: velocity from gravity."""
+    velocity, omega = bodies.motion
+    falls = (bodies.inverse_mass > 0)[:, None]
+    return bodies._replace(motion=Motion(jnp.where(falls, velocity + gravity * dt, velocity), omega))
+
+
+def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bodies:
+    """Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted."""
+    velocity, omega = bodies.motion
+    dynamic = bodies.is_dynamic
+    speed_squared = vec2.dot(velocity, velocity)
+    too_fast = dynamic & (speed_squared > max_speed * max_speed)
+    slowed = max_speed / jnp.sqrt(jnp.where(too_fast, speed_squared, 1))
+    velocity = jnp.where(too_fast[:, None], velocity * slowed[:, None], velocity)
+    spins_too_fast = dynamic & (jnp.abs(omega) > max_omega)
+    omega = jnp.where(spins_too_fast, jnp.sign(omega) * max_omega, omega)
+    return bodies._replace(
+        motion=Motion(velocity, omega),
+        delta=bodies.delta + jnp.where(dynamic[:, None], velocity * dt, 0),
+        turn=bodies.turn + jnp.where(dynamic, omega * dt, 0),
+        limited=bodies.limited + jnp.sum(too_fast, dtype=jnp.int32) + jnp.sum(spins_too_fast, dtype=jnp.int32),
+    )
+
+
+class Pair(NamedTuple):
+    """Bodies a and b of each of any number of constraints: leading axes `...` are the constraints'."""
+
+    is_a: jax.Array  # [..., n] bool, one True at most
+    is_b: jax.Array  # [..., n] bool
+    mass_a: jax.Array  # [...] 1/kg, inverse
+    mass_b: jax.Array
+    inertia_a: jax.Array  # [...] 1/(kg m^2), inverse
+    inertia_b: jax.Array
+
+
+class PairMotion(NamedTuple):
+    """Velocities of the two bodies of each pair."""
+
+    velocity_a: jax.Array  # [..., 2]
+    velocity_b: jax.Array
+    omega_a: jax.Array  # [...]
+    omega_b: jax.Array
+
+
+def pick(mask: jax.Array, x: jax.Array) -> jax.Array:
+    """The row of x ([n] or [n, 2]) that the mask [..., n] marks; zero where it marks none."""
+    if x.ndim == 2:
+        return jnp.sum(jnp.where(mask[..., None], x, 0), -2)
+    return jnp.sum(jnp.where(mask, x, 0), -1)
+
+
+def pair_up(bodies: Bodies, a: jax.Array, b: jax.Array, exists: jax.Array) -> Pair:
+    """Pairs of the bodies with indices a and b; pairs that do not exist pick and push nothing."""
+    index = jnp.arange(bodies.angle.shape[0])
+    is_a = (a[..., None] == index) & exists[..., None]
+    is_b = (b[..., None] == index) & exists[..., None]
+    return Pair(
+        is_a=is_a,
+        is_b=is_b,
+        mass_a=pick(is_a, bodies.inverse_mass),
+        mass_b=pick(is_b, bodies.inverse_mass),
+        inertia_a=pick(is_a, bodies.inverse_inertia),
+        inertia_b=pick(is_b, bodies.inverse_inertia),
+    )
+
+
+def pair_motion(pair: Pair, motion: Motion) -> PairMotion:
+    return PairMotion(
+        velocity_a=pick(pair.is_a, motion.velocity),
+        velocity_b=pick(pair.is_b, motion.velocity),
+        omega_a=pick(pair.is_a, motion.omega),
+        omega_b=pick(pair.is_b, motion.omega),
+    )
+
+
+def relative_velocity(of: PairMotion, arm_a: jax.Array, arm_b: jax.Array) -> jax.Array:
+    """Velocity of b's point over a's, [..., 2]; arms lead from the centres of mass to the points."""
+    at_a = of.velocity_a + vec2.left(arm_a) * of.omega_a[..., None]
+    at_b = of.velocity_b + vec2.left(arm_b) * of.omega_b[..., None]
+    return at_b - at_a
+
+
+def push_pair(of: PairMotion, pair: Pair, arm_a: jax.Array, arm_b: jax.Array, impulse_on_b: jax.Array) -> PairMotion:
+    return PairMotion(
+        velocity_a=of.velocity_a - impulse_on_b * pair.mass_a[..., None],
+        velocity_b=of.velocity_b + impulse_on_b * pair.mass_b[..., None],
+        omega_a=of.omega_a - pair.inertia_a * vec2.cross(arm_a, impulse_on_b),
+        omega_b=of.omega_b + pair.inertia_b * vec2.cross(arm_b, impulse_on_b),
+    )
+
+
+def twist_pair(of: PairMotion, pair: Pair, impulse_on_b: jax.Array) -> PairMotion:
+    return of._replace(
+        omega_a=of.omega_a - pair.inertia_a * impulse_on_b, omega_b=of.omega_b + pair.inertia_b * impulse_on_b
+    )
+
+
+def put_back(motion: Motion, pair: Pair, before: PairMotion, after: PairMotion) -> Motion:
+    """Writes solved velocities into the world. Changes of pairs that share a body add up."""
+    if pair.mass_a.ndim == 0:  # one pair: what was solved is what is stored, with no further rounding
+        return Motion(
+            jnp.where(
+                pair.is_a[:, None], after.velocity_a, jnp.where(pair.is_b[:, None], after.velocity_b, motion.velocity)
+            ),
+            jnp.where(pair.is_a, after.omega_a, jnp.where(pair.is_b, after.omega_b, motion.omega)),
+        )
+    change = jax.tree.map(jnp.subtract, after, before)
+    velocity_a = jnp.where(pair.is_a[..., None], change.velocity_a[..., None, :], 0)
+    velocity_b = jnp.where(pair.is_b[..., None], change.velocity_b[..., None, :], 0)
+    omega_a = jnp.where(pair.is_a, change.omega_a[..., None], 0)
+    omega_b = jnp.where(pair.is_b, change.omega_b[..., None], 0)
+    return Motion(
+        motion.velocity + jnp.sum(velocity_a + velocity_b, axis=0), motion.omega + jnp.sum(omega_a + omega_b, axis=0)
+    )

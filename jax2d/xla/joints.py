@@ -1,0 +1,233 @@
+"""Joints of one world: motor, limits, the relative angle of fixed joints, and the common point.
+
+Body b is held to body a. Angles are angle_b - angle_a - rest angle. Solved one after another, in slot order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Controls, Scene, State
+from jax2d.xla import vec2
+from jax2d.xla.bodies import (
+    Bodies,
+    Motion,
+    Pair,
+    PairMotion,
+    pair_motion,
+    pair_up,
+    pick,
+    push_pair,
+    put_back,
+    relative_velocity,
+    twist_pair,
+)
+from jax2d.xla.parameters import Parameters, Scalar, Softness
+
+
+class JointImpulses(NamedTuple):
+    """Accumulated over steps."""
+
+    point: jax.Array  # [J, 2] N s
+    twist: jax.Array  # [J] N m s, of the motor, or of a fixed joint's angle
+    lower: jax.Array  # [J] N m s
+    upper: jax.Array
+
+
+class Joints(NamedTuple):
+    """`J` joints in one step; what holds nothing (`is_held` False) is masked out."""
+
+    is_held: jax.Array  # [J] bool, active and with a body that can move
+    is_fixed: jax.Array  # [J] bool
+    is_driven: jax.Array  # [J] bool, a motor with a control
+    is_limited: jax.Array  # [J] bool
+    pair: Pair  # of [J]
+    local_a: jax.Array  # [J, 2] m, anchors in the bodies' frames
+    local_b: jax.Array
+    angle_a: jax.Array  # [J] rad, of the bodies at the start of the step
+    angle_b: jax.Array
+    centre_gap: jax.Array  # [J, 2] m, centre of b from centre of a at the start of the step
+    start_angle: jax.Array  # [J] rad, at the start of the step
+    axial_mass: jax.Array  # [J] kg m^2
+    control: jax.Array  # [J]
+    motor_target: jax.Array  # [J] rad/s
+    motor_most: jax.Array  # [J] N m s, largest impulse of one sub-step
+    lower: jax.Array  # [J] rad
+    upper: jax.Array
+    impulses: JointImpulses
+
+
+def prepare(bodies: Bodies, scene: Scene, state: State, controls: Controls, params: Parameters) -> Joints:
+    a, b = scene.joint_a, scene.joint_b
+    is_held = scene.joint_active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
+    pair = pair_up(bodies, a, b, is_held)
+    axial_mass = vec2.inverse_or_zero(pair.inertia_a + pair.inertia_b)
+    is_driven = scene.motor_on & ~scene.joint_is_fixed & (controls.motor != 0)
+    impulse = state.joint_impulse
+    twist = jnp.where(is_driven | scene.joint_is_fixed, impulse[:, 2], 0)
+    return Joints(
+        is_held=is_held,
+        is_fixed=scene.joint_is_fixed,
+        is_driven=is_driven,
+        is_limited=scene.has_limits,
+        pair=pair,
+        local_a=scene.joint_anchor_a,
+        local_b=scene.joint_anchor_b,
+        angle_a=bodies.angle[a],
+        angle_b=bodies.angle[b],
+        centre_gap=bodies.position[b] - bodies.position[a],
+        start_angle=bodies.angle[b] - bodies.angle[a] - scene.joint_rest_angle,
+        axial_mass=axial_mass,
+        control=controls.motor,
+        motor_target=controls.motor * scene.motor_speed * params.base_motor_speed,
+        # The power is the angular acceleration that the motor can give to the pair of bodies alone.
+        motor_most=params.h * params.base_motor_power * scene.motor_power * axial_mass,
+        lower=scene.lower_limit,
+        upper=scene.upper_limit,
+        impulses=JointImpulses(impulse[:, :2], twist, impulse[:, 3], impulse[:, 4]),
+    )
+
+
+def store(joints: Joints, state: State) -> jax.Array:
+    """Impulses as in `State.joint_impulse`; joints that hold nothing keep what they had."""
+    i = joints.impulses
+    solved = jnp.concatenate([i.point, i.twist[:, None], i.lower[:, None], i.upper[:, None]], axis=1)
+    return jnp.where(joints.is_held[:, None], solved, state.joint_impulse)
+
+
+def arms(bodies: Bodies, joints: Joints) -> tuple[jax.Array, jax.Array]:
+    """From the centres of mass to the anchors as the bodies stand now, [J, 2] m."""
+    pair = joints.pair
+    arm_a = vec2.rotated(vec2.rotated(joints.local_a, joints.angle_a), pick(pair.is_a, bodies.turn))
+    arm_b = vec2.rotated(vec2.rotated(joints.local_b, joints.angle_b), pick(pair.is_b, bodies.turn))
+    return arm_a, arm_b
+
+
+def current_angle(bodies: Bodies, joints: Joints) -> jax.Array:
+    return joints.start_angle + pick(joints.pair.is_b, bodies.turn) - pick(joints.pair.is_a, bodies.turn)
+
+
+def current_gap(bodies: Bodies, joints: Joints, arm_a: jax.Array, arm_b: jax.Array) -> jax.Array:
+    """Anchor of b from anchor of a, [J, 2] m."""
+    moved = pick(joints.pair.is_b, bodies.delta) - pick(joints.pair.is_a, bodies.delta)
+    return joints.centre_gap + moved + (arm_b - arm_a)
+
+
+def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
+    arm_a, arm_b = arms(bodies, joints)
+    before = pair_motion(joints.pair, bodies.motion)
+    after = push_pair(before, joints.pair, arm_a, arm_b, joints.impulses.point)
+    after = twist_pair(after, joints.pair, joints.impulses.twist + joints.impulses.lower - joints.impulses.upper)
+    return bodies._replace(motion=put_back(bodies.motion, joints.pair, before, after))
+
+
+class Row(NamedTuple):
+    """What one pass needs of a joint: nothing here changes while velocities are solved."""
+
+    pair: Pair
+    is_fixed: jax.Array
+    is_driven: jax.Array
+    is_limited: jax.Array
+    axial_mass: jax.Array
+    motor_target: jax.Array
+    motor_most: jax.Array
+    angle: jax.Array  # rad
+    lower_room: jax.Array  # rad left before the limit, negative beyond it
+    upper_room: jax.Array
+    arm_a: jax.Array
+    arm_b: jax.Array
+    gap: jax.Array  # m
+    point_mass: jax.Array  # [2, 2], inverse of K
+
+
+def solve_soft(bodies: Bodies, joints: Joints, params: Parameters, *, use_bias: bool) -> tuple[Bodies, Joints]:
+    """One pass over all joints: motor and limits, or the angle of a fixed joint; then the common point."""
+    arm_a, arm_b = arms(bodies, joints)
+    angle = current_angle(bodies, joints)
+    rows = Row(
+        pair=joints.pair,
+        is_fixed=joints.is_fixed,
+        is_driven=joints.is_driven,
+        is_limited=joints.is_limited & ~joints.is_fixed,
+        axial_mass=joints.axial_mass,
+        motor_target=joints.motor_target,
+        motor_most=joints.motor_most,
+        angle=angle,
+        lower_room=angle - joints.lower,
+        upper_room=joints.upper - angle,
+        arm_a=arm_a,
+        arm_b=arm_b,
+        gap=current_gap(bodies, joints, arm_a, arm_b),
+        point_mass=point_mass(joints.pair, arm_a, arm_b),
+    )
+    soft = params.joint_soft if use_bias else Softness(0.0, 1.0, 0.0)
+
+    def solve(motion: Motion, row_and_impulses: tuple[Row, JointImpulses]) -> tuple[Motion, JointImpulses]:
+        row, impulses = row_and_impulses
+        before = of = pair_motion(row.pair, motion)
+        of, impulses = solve_motor_or_angle(of, row, impulses, soft)
+        of, impulses = solve_limits(of, row, impulses, params.h, soft, use_bias=use_bias)
+        of, impulses = solve_point(of, row, impulses, soft)
+        return put_back(motion, row.pair, before, of), impulses
+
+    motion, impulses = jax.lax.scan(solve, bodies.motion, (rows, joints.impulses))
+    return bodies._replace(motion=motion), joints._replace(impulses=impulses)
+
+
+def solve_motor_or_angle(
+    of: PairMotion, row: Row, impulses: JointImpulses, soft: Softness
+) -> tuple[PairMotion, JointImpulses]:
+    """A motor is a velocity constraint with a bounded torque: dt changes neither its target nor its strength."""
+    speed = of.omega_b - of.omega_a
+    driven = jnp.clip(impulses.twist - row.axial_mass * (speed - row.motor_target), -row.motor_most, row.motor_most)
+    corrected = row.axial_mass * soft.mass_scale * (speed + soft.bias_rate * row.angle)
+    held = impulses.twist - corrected - soft.impulse_scale * impulses.twist
+    total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, impulses.twist))
+    return twist_pair(of, row.pair, total - impulses.twist), impulses._replace(twist=total)
+
+
+def solve_limits(
+    of: PairMotion, row: Row, impulses: JointImpulses, h: Scalar, soft: Softness, *, use_bias: bool
+) -> tuple[PairMotion, JointImpulses]:
+    lower = limit_impulse(row, row.lower_room, of.omega_b - of.omega_a, impulses.lower, h, soft, use_bias=use_bias)
+    of = twist_pair(of, row.pair, lower - impulses.lower)
+    upper = limit_impulse(row, row.upper_room, of.omega_a - of.omega_b, impulses.upper, h, soft, use_bias=use_bias)
+    of = twist_pair(of, row.pair, impulses.upper - upper)
+    return of, impulses._replace(lower=lower, upper=upper)
+
+
+def limit_impulse(
+    row: Row, room: jax.Array, speed: jax.Array, accumulated: jax.Array, h: Scalar, soft: Softness, *, use_bias: bool
+) -> jax.Array:
+    """New total of a one-sided limit; `speed` is that at which room grows. Soft only when violated."""
+    has_room = room > 0
+    violated = soft if use_bias else Softness(0.0, 1.0, 0.0)
+    bias = jnp.where(has_room, room / h, violated.bias_rate * room)
+    mass_scale = jnp.where(has_room, 1, violated.mass_scale)
+    impulse_scale = jnp.where(has_room, 0, violated.impulse_scale)
+    impulse = -row.axial_mass * mass_scale * (speed + bias) - impulse_scale * accumulated
+    return jnp.where(row.is_limited, jnp.maximum(accumulated + impulse, 0), accumulated)
+
+
+def solve_point(of: PairMotion, row: Row, impulses: JointImpulses, soft: Softness) -> tuple[PairMotion, JointImpulses]:
+    wrong = relative_velocity(of, row.arm_a, row.arm_b) + row.gap * soft.bias_rate
+    needed = jnp.stack([vec2.dot(row.point_mass[0], wrong), vec2.dot(row.point_mass[1], wrong)])
+    impulse = -needed * soft.mass_scale - impulses.point * soft.impulse_scale
+    of = push_pair(of, row.pair, row.arm_a, row.arm_b, impulse)
+    return of, impulses._replace(point=impulses.point + impulse)
+
+
+def point_mass(pair: Pair, ra: jax.Array, rb: jax.Array) -> jax.Array:
+    """Inverse of K, the 2 x 2 inverse effective mass of the common point, [J, 2, 2]."""
+    mass = pair.mass_a + pair.mass_b
+    k11 = mass + pair.inertia_a * ra[:, 1] * ra[:, 1] + pair.inertia_b * rb[:, 1] * rb[:, 1]
+    k12 = -pair.inertia_a * ra[:, 0] * ra[:, 1] - pair.inertia_b * rb[:, 0] * rb[:, 1]
+    k22 = mass + pair.inertia_a * ra[:, 0] * ra[:, 0] + pair.inertia_b * rb[:, 0] * rb[:, 0]
+    determinant = k11 * k22 - k12 * k12
+    is_regular = determinant != 0
+    inverse = jnp.where(is_regular, 1 / jnp.where(is_regular, determinant, 1), 0)
+    rows = jnp.stack([jnp.stack([k22, -k12], -1), jnp.stack([-k12, k11], -1)], -2)
+    return inverse[:, None, None] * rows

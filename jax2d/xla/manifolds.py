@@ -1,0 +1,246 @@
+"""Contact manifolds: where and along which normal two convex shapes meet. C = (pB - pA) . n >= 0
+
+Everything is relative to the centre of mass of shape a. Normals point from a to b; a separation below zero is a
+penetration depth. All pairs are computed, those out of reach are masked out.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Capacity, Scene
+from jax2d.xla import vec2
+from jax2d.xla.bodies import Bodies
+from jax2d.xla.parameters import Scalar
+
+FAR_M = 1e30  # distance of what does not exist
+COINCIDENT_M = 1e-9  # centres closer than this have no direction of their own
+ON_FACE_M = 1e-7  # a circle's centre this near a face counts as inside
+FLIP_ADVANTAGE_M = 0.0005  # b's face becomes the reference only if clearly better: no flicker between near-equal axes
+# Bits of a feature: which of b's faces or corners meets which of a's. Points of one pair ascend in them.
+FLIPPED, EDGE, CORNER_OUTSIDE, CORNER_INSIDE, INCIDENT = 64, 8, 128, 256, 512
+
+
+class Points(NamedTuple):
+    """Contact points of a pair, or of all pairs: leading axes are the points'."""
+
+    normal: jax.Array  # [..., 2], from a to b
+    point: jax.Array  # [..., 2] m, midway between the surfaces, relative to the centre of mass of a
+    separation: jax.Array  # [...] m
+    feature: jax.Array  # [...] int32, which vertex on which edge: matches the point between steps
+    exists: jax.Array  # [...] bool
+
+
+class Polygons(NamedTuple):
+    """World-oriented polygons, relative to their centres of mass. `V` corner slots."""
+
+    corner: jax.Array  # [P, V, 2] m
+    following: jax.Array  # [P, V, 2] m, the next corner counter-clockwise
+    normal: jax.Array  # [P, V, 2] outward, of the edge from a corner to the following one
+    is_corner: jax.Array  # [P, V] bool
+
+
+class Geometry(NamedTuple):
+    polygons: Polygons
+    radius: jax.Array  # [C] m
+    lower: jax.Array  # [n, 2] m, axis-aligned bounds relative to the centre of mass
+    upper: jax.Array  # [n, 2]
+    core: jax.Array  # [n] m, least distance from centre to surface: what a fast body may not step over
+    extent: jax.Array  # [n] m, largest distance from centre to surface
+
+
+def build(scene: Scene, bodies: Bodies) -> Geometry:
+    """Shapes as they stand at the start of the step."""
+    num_polygons, num_corners = scene.vertices.shape[:2]
+    slot = jnp.arange(num_corners)
+    is_corner = slot < scene.num_vertices[:, None]
+    corner = vec2.rotated(scene.vertices, bodies.angle[:num_polygons, None])
+    is_last = slot + 1 >= scene.num_vertices[:, None]
+    following = jnp.where(is_last[..., None], corner[:, :1], jnp.roll(corner, -1, axis=1))
+    normal = vec2.unit_or_zero(vec2.right(following - corner))
+    real = is_corner[..., None]
+    r = scene.radius
+    radii = jnp.stack([r, r], -1)
+    return Geometry(
+        polygons=Polygons(corner, following, normal, is_corner),
+        radius=r,
+        lower=jnp.concatenate([jnp.min(jnp.where(real, corner, FAR_M), axis=1, initial=FAR_M), -radii]),
+        upper=jnp.concatenate([jnp.max(jnp.where(real, corner, -FAR_M), axis=1, initial=-FAR_M), radii]),
+        core=jnp.concatenate([jnp.min(jnp.where(is_corner, vec2.dot(normal, corner), FAR_M), 1, initial=FAR_M), r]),
+        extent=jnp.concatenate([jnp.max(jnp.where(is_corner, vec2.length(corner), 0), 1, initial=0), r]),
+    )
+
+
+def circle_circle(radius_a: jax.Array, radius_b: jax.Array, d: jax.Array, margin: jax.Array) -> Points:
+    """At most one point, [1]. d [2]: centre of b relative to centre of a."""
+    distance = vec2.length(d)
+    separation = distance - radius_a - radius_b
+    # Coincident centres have no direction of their own: any fixed one separates them.
+    normal = jnp.where(distance > COINCIDENT_M, vec2.unit_or_zero(d), jnp.array([0, 1], d.dtype))
+    point = normal * (radius_a + 0.5 * separation)
+    return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), (separation <= margin)[None])
+
+
+def polygon_circle(polygon: Polygons, radius: jax.Array, centre: jax.Array, margin: jax.Array) -> Points:
+    """At most one point, [1]; one polygon, centre [2] relative to it."""
+    distances = jnp.where(polygon.is_corner, vec2.dot(polygon.normal, centre - polygon.corner), -FAR_M)
+    face = jnp.argmax(distances)
+    face_distance = distances[face]
+    start, end = polygon.corner[face], polygon.following[face]
+    # Outside, the closest feature may be a corner of the face.
+    is_outside = face_distance > ON_FACE_M
+    before = is_outside & (vec2.dot(centre - start, end - start) < 0)
+    after = is_outside & ~before & (vec2.dot(centre - end, start - end) < 0)
+    at_corner = before | after
+    away = centre - jnp.where(before, start, end)
+    distance = jnp.where(at_corner, vec2.length(away), face_distance)
+    normal = jnp.where(at_corner, vec2.unit_or_zero(away), polygon.normal[face])
+    separation = distance - radius
+    point = centre - normal * (radius + 0.5 * separation)
+    exists = (face_distance - radius <= margin) & (separation <= margin)
+    return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), exists[None])
+
+
+def deepest_axis(one: Polygons, one_at: jax.Array, other: Polygons, other_at: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Largest over the edges of one polygon of the least distance of the other's corners to that edge, and the edge."""
+    origin = one.corner + one_at - other_at
+    to_corner = vec2.dot(one.normal[:, None], other.corner[None] - origin[:, None])  # [edge, corner]
+    least = jnp.min(jnp.where(other.is_corner, to_corner, FAR_M), axis=1)
+    least = jnp.where(one.is_corner, least, -FAR_M)
+    edge = jnp.argmax(least)
+    return least[edge], edge
+
+
+def polygon_polygon(a: Polygons, b: Polygons, d: jax.Array, margin: jax.Array) -> Points:
+    """At most two points, [2]: the incident edge clipped to the reference face, or corner against corner."""
+    zero = jnp.zeros_like(d)
+    depth_a, edge_a = deepest_axis(a, zero, b, d)
+    depth_b, edge_b = deepest_axis(b, d, a, zero)
+    flipped = depth_b > depth_a + FLIP_ADVANTAGE_M
+
+    def choose(of_b, of_a):
+        return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)
+
+    ref, inc = choose(b, a), choose(a, b)
+    ref_at, inc_at, edge = choose(d, zero), choose(zero, d), choose(edge_b, edge_a)
+    n = ref.normal[edge]
+    r1, r2 = ref.corner[edge] + ref_at, ref.following[edge] + ref_at
+
+    # The incident edge is the one that faces the reference face most, and runs against the reference edge.
+    incident = jnp.argmin(jnp.where(inc.is_corner, vec2.dot(inc.normal, n), FAR_M))
+    upper_end, lower_end = inc.corner[incident] + inc_at, inc.following[incident] + inc_at
+    along = vec2.left(n)  # from r1 to r2
+    edge_length = vec2.dot(r2 - r1, along)
+    u_upper, u_lower = vec2.dot(upper_end - r1, along), vec2.dot(lower_end - r1, along)
+    base = jnp.where(flipped, FLIPPED, 0) + edge * EDGE
+
+    # Nothing of the incident edge is over the reference face: corner against corner.
+    before_start = u_upper < 0
+    beside = before_start | (u_lower > edge_length)
+    ref_corner, inc_corner = jnp.where(before_start, r1, r2), jnp.where(before_start, upper_end, lower_end)
+    gap = inc_corner - ref_corner
+    distance, face_separation = vec2.length(gap), vec2.dot(n, gap)
+    is_outside = face_separation > 0
+    corner_separation = jnp.where(is_outside, distance, face_separation)
+    corner_point = jnp.where(is_outside, 0.5 * (ref_corner + inc_corner), inc_corner - 0.5 * face_separation * n)
+    corner_feature = jnp.where(is_outside, CORNER_OUTSIDE, CORNER_INSIDE) + base + jnp.where(before_start, 0, 1)
+
+    # Clip the incident edge to the sides of the reference face; depth follows the clipped point.
+    span = u_upper - u_lower
+    is_wide = span > 1e-9
+    share = 1 / jnp.where(is_wide, span, 1)
+    edge_vector = upper_end - lower_end
+    lower_point = jnp.where((u_lower < 0) & is_wide, lower_end - edge_vector * (u_lower * share), lower_end)
+    upper_point = jnp.where(
+        (u_upper > edge_length) & is_wide, lower_end + edge_vector * ((edge_length - u_lower) * share), upper_end
+    )
+    clipped = jnp.stack([lower_point, upper_point])
+    clipped_separation = vec2.dot(clipped - r1, n)
+    clipped_feature = base + incident * INCIDENT + jnp.arange(2)
+
+    normal = jnp.where(beside & is_outside, vec2.unit_or_zero(gap), n)
+    separation = jnp.where(beside, corner_separation, clipped_separation)
+    in_reach = (depth_a <= margin) & (depth_b <= margin)
+    is_one_of = jnp.where(beside, jnp.array([True, False]), True)
+    # A corner below the reference face is a contact however deep; all other points must be within the margin.
+    return Points(
+        normal=jnp.broadcast_to(jnp.where(flipped, -normal, normal), (2, 2)),
+        point=jnp.where(beside, corner_point, clipped - 0.5 * clipped_separation[:, None] * n),
+        separation=separation,
+        feature=jnp.where(beside, corner_feature, clipped_feature).astype(jnp.int32),
+        exists=in_reach & is_one_of & (separation <= margin),
+    )
+
+
+class PairList(NamedTuple):
+    """All pairs a < b of a capacity by kind, and where each of their points stands in the kernel's order. Numpy."""
+
+    polygon_polygon: np.ndarray  # [:, 2] shape indices
+    polygon_circle: np.ndarray
+    circle_circle: np.ndarray
+    order: np.ndarray  # [points] position among points by kind, for each point in order of pairs
+    point_a: np.ndarray  # [points] shape indices of each point, in order of pairs
+    point_b: np.ndarray
+
+
+@functools.cache
+def pair_list(capacity: Capacity) -> PairList:
+    n, polygons = capacity.shapes, capacity.polygons
+    a, b = np.triu_indices(n, 1)
+    pairs = np.stack([a, b], -1).astype(np.int32)
+    kinds = [pairs[b < polygons], pairs[(a < polygons) & (b >= polygons)], pairs[a >= polygons]]
+    points = np.concatenate([np.repeat(kinds[0], 2, axis=0), *kinds[1:]])
+    order = np.lexsort((points[:, 1], points[:, 0]))  # stable: the two points of a pair stay in order
+    return PairList(*kinds, order=order, point_a=points[order, 0], point_b=points[order, 1])
+
+
+def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array) -> Points:
+    """Points of all pairs, in order of pairs. margin [n, n] m: points farther apart than this are left out."""
+    pairs = pair_list(capacity)
+    first_circle = capacity.polygons
+    found = []
+    for kind, collide_one, geometry_a, geometry_b, first_a, first_b in (
+        (pairs.polygon_polygon, polygon_polygon, geometry.polygons, geometry.polygons, 0, 0),
+        (pairs.polygon_circle, polygon_circle, geometry.polygons, geometry.radius, 0, first_circle),
+        (pairs.circle_circle, circle_circle, geometry.radius, geometry.radius, first_circle, first_circle),
+    ):
+        if not len(kind):
+            continue
+        a, b = kind[:, 0], kind[:, 1]
+        d = bodies.position[b] - bodies.position[a]
+        one = jax.tree.map(lambda x, i=a - first_a: x[i], geometry_a)
+        other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
+        points = jax.vmap(collide_one)(one, other, d, margin[a, b])
+        near = bounds_overlap(geometry, a, b, d, margin[a, b])
+        points = points._replace(exists=points.exists & near[:, None])
+        found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))
+    return jax.tree.map(lambda *xs: jnp.concatenate(xs)[pairs.order], *found)
+
+
+def bounds_overlap(geometry: Geometry, a: np.ndarray, b: np.ndarray, d: jax.Array, margin: jax.Array) -> jax.Array:
+    reach = margin[:, None]
+    below = geometry.lower[b] + d <= geometry.upper[a] + reach
+    above = geometry.upper[b] + d >= geometry.lower[a] - reach
+    return jnp.all(below & above, axis=-1)
+
+
+def margins(bodies: Bodies, geometry: Geometry, reach: Scalar, dt: Scalar, *, ahead: bool) -> jax.Array:
+    """Distance at which a contact of each pair is prepared, [n, n] m.
+
+    `ahead`: farther than `reach` by a step's motion where a body could step over what is in its way.
+    """
+    n = bodies.angle.shape[0]
+    velocity, omega = bodies.motion
+    dtype = velocity.dtype
+    if not ahead:
+        return jnp.full((n, n), reach, dtype)
+    spin = jnp.abs(omega) * (geometry.extent - geometry.core)
+    speed = vec2.length(velocity[None] - velocity[:, None])
+    motion = (speed + spin[:, None] + spin[None]) * dt
+    safe = 0.5 * jnp.minimum(geometry.core[:, None], geometry.core[None])
+    return (reach + jnp.where(motion > safe, motion, 0)).astype(dtype)
