@@ -58,3 +58,57 @@ def joint_gaps(scene: Scene, state: State) -> jax.Array:
 
     gap = anchor(scene.joint_b, scene.joint_anchor_b) - anchor(scene.joint_a, scene.joint_anchor_a)
     return jnp.where(scene.joint_active, jnp.linalg.norm(gap, axis=-1), 0.0)
+
+
+def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:
+    """Depth of each pair of shapes that may touch and overlaps, [n, n] m, symmetric; 0 for any other pair.
+
+    By separating axes, as contacts are found: the least distance by which moving along one normal frees the pair.
+    """
+    polygons = scene.vertices.shape[0]
+    x = jnp.asarray(position, jnp.float32)
+    c, s = jnp.cos(angle[:polygons])[:, None], jnp.sin(angle[:polygons])[:, None]
+    local = jnp.asarray(scene.vertices)
+    # Corners relative to the own centre, so that places far from the origin keep their precision.
+    corner = jnp.stack([c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], -1)
+    slot = jnp.arange(corner.shape[1])
+    used = slot < scene.num_vertices[:, None]
+    following = jnp.where(slot + 1 < scene.num_vertices[:, None], slot + 1, 0)
+    edge = jnp.take_along_axis(corner, following[..., None], 1) - corner
+    length = jnp.linalg.norm(edge, axis=-1, keepdims=True)
+    normal = jnp.stack([edge[..., 1], -edge[..., 0]], -1) / jnp.where(length > 0, length, 1.0)
+    between = x[None, :] - x[:, None]  # [n, n, 2] from the first centre to the second
+    face = jnp.sum(normal * corner, -1)  # [P, V] distance of each face from the own centre
+
+    def along(offset: jax.Array) -> jax.Array:  # [P, m, 2] -> [P, m, V]
+        return jnp.einsum("pmd,pvd->pmv", offset, normal) - face[:, None]
+
+    reach = jnp.einsum("pvd,qkd->pqvk", normal, corner)
+    nearest = along(between[:polygons, :polygons]) + jnp.min(jnp.where(used[None, :, None], reach, jnp.inf), -1)
+    polygon_polygon = jnp.max(jnp.where(used[:, None], nearest, -jnp.inf), -1)
+    polygon_polygon = jnp.maximum(polygon_polygon, polygon_polygon.T)
+    radius = jnp.asarray(scene.radius)
+    centres = jnp.where(used[:, None], along(between[:polygons, polygons:]), -jnp.inf)
+    to_corner = jnp.linalg.norm(between[:polygons, polygons:, None] - corner[:, None], axis=-1)
+    inside = jnp.max(centres, -1)
+    # Outside and beyond the ends of its face, a corner is what is nearest.
+    beyond = _beyond_face(between[:polygons, polygons:], corner, edge, jnp.argmax(centres, -1))
+    distance = jnp.where((inside > 0) & beyond, jnp.min(jnp.where(used[:, None], to_corner, jnp.inf), -1), inside)
+    polygon_circle = distance - radius
+    circle_circle = jnp.linalg.norm(between[polygons:, polygons:], axis=-1) - radius[:, None] - radius[None]
+    upper = jnp.concatenate([polygon_polygon, polygon_circle], 1)
+    lower = jnp.concatenate([polygon_circle.T, circle_circle], 1)
+    separation = jnp.concatenate([upper, lower], 0)
+    active = jnp.asarray(scene.shape_active)
+    meets = jnp.asarray(scene.can_touch) & active[:, None] & active[None]
+    movable = active & (jnp.asarray(scene.inverse_mass) + jnp.asarray(scene.inverse_inertia) > 0)
+    meets &= movable[:, None] | movable[None]
+    return jnp.where(meets, jnp.maximum(-separation, 0.0), 0.0)
+
+
+def _beyond_face(point: jax.Array, corner: jax.Array, edge: jax.Array, face: jax.Array) -> jax.Array:
+    """[P, C] bool: the point [P, C, 2] lies beside the ends of the face [P, C] of its polygon."""
+    rows = jnp.arange(corner.shape[0])[:, None]
+    start, run = corner[rows, face], edge[rows, face]
+    share = jnp.sum((point - start) * run, -1)
+    return (share < 0) | (share > jnp.sum(run * run, -1))

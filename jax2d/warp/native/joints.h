@@ -136,15 +136,13 @@ struct Joints {
   // One-sided: room is what is left before the limit, speed that at which room grows.
   KFN static real limit_impulse(const Joint& joint, real room, real speed, real& accumulated, const Softness& soft,
                                 real inverse_h, bool use_bias) {
-    real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
+    real bias = real(0);
     if (room > real(0)) {
       bias = room * inverse_h;
     } else if (use_bias) {
-      bias = soft.bias_rate * room;
-      mass_scale = soft.mass_scale;
-      impulse_scale = soft.impulse_scale;
+      bias = soft.bias_rate * room;  // not softened: a strong motor would lean into a limit that yields
     }
-    real impulse = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * accumulated;
+    real impulse = -joint.axial_mass * (speed + bias);
     real total = Math::max(accumulated + impulse, real(0));
     impulse = total - accumulated;
     accumulated = total;

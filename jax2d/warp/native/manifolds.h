@@ -68,9 +68,9 @@ struct Geometry {
            lower[b].y + d.y <= upper[a].y + margin && upper[b].y + d.y >= lower[a].y - margin;
   }
 
-  // d: centre of b relative to centre of a. Points farther apart than margin are left out.
-  KFN Manifold collide(int a, int b, Vec2 d, real margin) const {
-    if (b < NUM_POLYGONS) return polygon_polygon(a, b, d, margin);
+  // d: centre of b relative to centre of a; motion: how that changes. Points farther apart than margin are left out.
+  KFN Manifold collide(int a, int b, Vec2 d, Vec2 motion, real margin) const {
+    if (b < NUM_POLYGONS) return polygon_polygon(a, b, d, motion, margin);
     if (a < NUM_POLYGONS) return polygon_circle(a, b - NUM_POLYGONS, d, margin);
     return circle_circle(a - NUM_POLYGONS, b - NUM_POLYGONS, d, margin);
   }
@@ -130,6 +130,36 @@ struct Geometry {
     return m;
   }
 
+  // About to meet (or just met) along the reference face's normal, and level with one of its ends to within GRAZING:
+  // what lies ahead there is the next tile of a floor rather than a wall. Such a pair slides along the neighbouring
+  // face, which gives the normal then; with the reference face's every seam of a floor would stop what slides over it.
+  // upper_end, lower_end: the incident edge, relative to the centre of ref; u: how far along the reference face.
+  KFN bool slides_past(int ref, int inc, int edge, Vec2 inc_from_ref, Vec2 lower_end, Vec2 upper_end, real u_lower,
+                       real u_upper, real length, real closing, real margin, Manifold& m) const {
+    const real GRAZING = real(0.005);  // m
+    const real STANDING = real(0.1);   // m/s, slower than this a pair that overlaps rests on its face
+    real overlap = Math::min(u_upper, length) - Math::max(u_lower, real(0));
+    if (overlap > GRAZING || overlap < -GRAZING) return false;
+    if (overlap > real(0.5) * Math::min(u_upper - u_lower, length)) return false;  // a thin shape, met in full
+    bool at_start = u_upper < length - u_lower;
+    Vec2 end = at_start ? upper_end : lower_end;
+    int ref_corner = at_start ? edge : successor(ref, edge);
+    Vec2 origin = corner[ref * MAX_VERTICES + ref_corner];
+    real separation = normal[ref * MAX_VERTICES + edge].dot(end - origin);
+    if (separation <= (closing > STANDING ? -GRAZING : real(0))) return false;
+    int neighbour = at_start ? (edge > 0 ? edge - 1 : corners[ref] - 1) : ref_corner;
+    Vec2 n = normal[ref * MAX_VERTICES + neighbour];
+    real gap = real(1e30);
+    for (int j = 0; j < corners[inc]; ++j)
+      gap = Math::min(gap, n.dot(corner[inc * MAX_VERTICES + j] + inc_from_ref - origin));
+    if (gap < -GRAZING || gap > margin) return false;
+    gap = Math::max(gap, real(0));
+    m.normal = n;
+    m.count = 1;
+    m.points[0] = {end - n * (real(0.5) * gap), gap, at_start ? 0 : 1};
+    return true;
+  }
+
   // Largest over the edges of one polygon of the least distance of the other's corners to that edge.
   KFN real deepest_axis(int one, Vec2 one_at, int other, Vec2 other_at, int& edge) const {
     real best = real(-1e30);
@@ -148,7 +178,7 @@ struct Geometry {
     return best;
   }
 
-  KFN Manifold polygon_polygon(int a, int b, Vec2 d, real margin) const {
+  KFN Manifold polygon_polygon(int a, int b, Vec2 d, Vec2 motion, real margin) const {
     Manifold m;
     m.count = 0;
     Vec2 zero = {real(0), real(0)};
@@ -187,6 +217,14 @@ struct Geometry {
 
     m.normal = flipped ? -n : n;
     int base = (flipped ? 64 : 0) + edge * 8;
+    real closing = n.dot(flipped ? motion : -motion);
+    if (SOFT_STEP && slides_past(ref, inc, edge, inc_at - ref_at, lower_end - ref_at, upper_end - ref_at, u_lower,
+                                 u_upper, length, closing, margin, m)) {
+      m.normal = flipped ? -m.normal : m.normal;
+      m.points[0].point = m.points[0].point + ref_at;
+      m.points[0].feature += 384 + base;
+      return m;
+    }
     if (u_upper < real(0) || u_lower > length) {
       // Nothing of the incident edge is over the reference face: corner against corner.
       Vec2 ref_corner = u_upper < real(0) ? r1 : r2;

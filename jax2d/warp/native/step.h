@@ -24,6 +24,7 @@ struct World {
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {
       bodies.begin_step();
+      for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = 0u;
       joints.load(bodies, scene, ints, impulses);
       if (SOFT_STEP)
         soft_step();
@@ -31,9 +32,6 @@ struct World {
         paper_step();
       bodies.end_step();
       joints.store(impulses);
-      contacts.store(keys, impulses);
-      overflow += contacts.overflow;
-      note_touching();
     }
     bodies.store(state);
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) {
@@ -58,11 +56,21 @@ struct World {
                            params.get(PARAM_JOINT_IMPULSE_SCALE)};
     real push_out_speed = params.get(PARAM_PUSH_OUT_SPEED);
 
+    real reach = params.get(PARAM_SPECULATIVE_DISTANCE);
+
     geometry.build(scene, ints, bodies);
-    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, params.get(PARAM_SPECULATIVE_DISTANCE), dt,
-                  true);
+    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, dt, true);
     joints.prepare(bodies, scene, controls, params, h);
+    bool anew = contacts.swinging;  // contacts are found for every sub-step
     for (int substep = 0; substep < substeps; ++substep) {
+      if (anew && substep > 0) {
+        finish_contacts(gravity, h);
+        bodies.end_step();
+        bodies.begin_step();
+        geometry.build(scene, ints, bodies);
+        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, h, true);
+        joints.prepare(bodies, scene, controls, params, h);
+      }
       bodies.apply_gravity(gravity, h);
       thrusters.apply(bodies, h);
       joints.warm_start(bodies);
@@ -74,7 +82,15 @@ struct World {
       joints.solve_soft(bodies, joint_soft, inverse_h, false);
       contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, false);
     }
-    contacts.apply_restitution(bodies, params.get(PARAM_RESTITUTION_THRESHOLD), gravity, h);
+    finish_contacts(gravity, h);
+  }
+
+  // Bounces what hit, notes who touched, and keeps the impulses for the contacts found next.
+  KFN void finish_contacts(Vec2 gravity, real h) {
+    if (SOFT_STEP) contacts.apply_restitution(bodies, params.get(PARAM_RESTITUTION_THRESHOLD), gravity, h);
+    note_touching();
+    contacts.store(keys, impulses);
+    overflow += contacts.overflow;
   }
 
   // The main loop of the paper's appendix (algorithm 1), constraints solved one after another.
@@ -96,11 +112,11 @@ struct World {
       contacts.solve_hard(bodies, correction_rate, slop);
     }
     bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
+    finish_contacts(scene.get2(SCENE_GRAVITY), dt);
   }
 
   // Shapes touch when their contact carried an impulse in the step or they overlap.
   KFN void note_touching() {
-    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = 0u;
     for (int k = 0; k < contacts.count; ++k) {
       const Contact& c = contacts.list[k];
       if (c.most_impulse <= real(0) && c.separation > real(0)) continue;

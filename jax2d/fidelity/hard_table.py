@@ -1,0 +1,61 @@
+"""Which preset passes which hard scene: `python -m jax2d.fidelity.hard_table [PRESET ...]` prints the table."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Sequence
+
+from jax2d.engine import Engine
+from jax2d.fidelity.hard_scenes import CAPACITY, Check, HardScene, hard_scenes
+from jax2d.fidelity.motion import record
+from jax2d.settings import PRESETS, Settings
+
+
+@functools.cache
+def scenes() -> tuple[HardScene, ...]:
+    return tuple(hard_scenes())
+
+
+@functools.cache
+def outcomes(settings: Settings) -> dict[str, list[Check]]:
+    """Checks of every scene under the given settings, by the scene's name; scenes of equal length run as one batch."""
+    engine = Engine(CAPACITY, settings=settings)
+    results: dict[str, list[Check]] = {}
+    for seconds in sorted({s.seconds for s in scenes()}):
+        batch = [s for s in scenes() if s.seconds == seconds]
+        motions, _ = record([s.world for s in batch], engine, seconds=seconds)
+        for scene, motion in zip(batch, motions):
+            overflow = Check("contacts without a slot", motion.overflow, 0)
+            results[scene.name] = [*scene.judge(motion), overflow]
+    return {scene.name: results[scene.name] for scene in scenes()}
+
+
+def worst(checks: Sequence[Check]) -> Check:
+    """The check that a row of the table shows: one that fails, or that comes closest to it."""
+
+    def order(check: Check) -> tuple[bool, float]:
+        room = check.value / check.limit if check.limit > 0 else float(check.value > check.limit)
+        return (not check.holds, room)
+
+    return max(checks, key=order)
+
+
+def table(presets: Sequence[str]) -> str:
+    """Markdown: a row a scene, a column a preset; each cell has the figure nearest to its limit (or beyond it)."""
+    columns = {name: outcomes(PRESETS[name]) for name in presets}
+    rows = [["scene", "figure, at most", *presets], ["---"] * (2 + len(presets))]
+    for scene in scenes():
+        shown = [worst(columns[name][scene.name]) for name in presets]
+        cells = [f"{'' if c.holds else '**fails** '}{_named(c, shown[0])}{c.value:.2g}" for c in shown]
+        rows.append([scene.name, f"{shown[0].figure}: {shown[0].limit:g}", *cells])
+    rows.append(["fails", "", *(str(sum(not all(c.holds for c in x) for x in columns[n].values())) for n in presets)])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _named(check: Check, first: Check) -> str:
+    return "" if check.figure == first.figure else f"{check.figure}: "
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table(sys.argv[1:] or sorted(PRESETS)) + "\n")
