@@ -13,6 +13,7 @@ import shutil
 from pathlib import Path
 
 from kinetix_dist.checkpoint import load_checkpoint, save_checkpoint
+from kinetix_dist.checkpoint.manifest import write_manifest
 
 PARAMS_PREFIX = "learner/params"
 KEPT = ("config", "config_hash", "env_steps", "training_seconds")
@@ -30,6 +31,10 @@ def main() -> None:
     evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name]
     draft = args.to.parent / f".{args.to.name}-draft"
     written = save_checkpoint(draft, checkpoint.description["num_updates"], arrays, description, keep=1)
+    # Orbax notes the absolute path it wrote to, which means nothing elsewhere.
+    for note in written.rglob("commit_success.txt"):
+        note.write_text("Checkpoint commit was successful\n")
+    write_manifest(written)
     shutil.rmtree(args.to, ignore_errors=True)
     written.rename(args.to)
     draft.rmdir()

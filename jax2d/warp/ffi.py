@@ -20,6 +20,8 @@ from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
 
+MAX_SHAPES = 512  # contact keys give each shape of a pair 9 bits
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,6 +80,11 @@ class WarpBackend:
             raise ValueError(
                 f"Settings.solver_batch_size is {settings.solver_batch_size}; backend 'warp' solves contacts one after "
                 "another: use 1, or backend='xla'"
+            )
+        if capacity.shapes > MAX_SHAPES:
+            raise ValueError(
+                f"the warp backend holds at most {MAX_SHAPES} shapes a world and the capacity has {capacity.shapes}; "
+                "split the world, or use a smaller Capacity"
             )
         self.capacity = capacity
         self.settings = settings

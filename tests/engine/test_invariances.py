@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from jax2d import BuiltWorld, Controls, SceneBuilder, Settings, index_worlds, preset, stack_worlds
+from jax2d import BuiltWorld, Capacity, Controls, Engine, SceneBuilder, Settings, index_worlds, preset, stack_worlds
 from tests.engine.worlds import CAPACITY, builder, engine, run
 
 PRESETS = [preset("standard"), preset("paper")]
@@ -156,3 +156,8 @@ def test_engine_refuses_arrays_of_another_capacity():
     state = engine().initial_state(*world)
     with pytest.raises(ValueError, match=r"controls\.motor has shape"):
         engine().step(world.scene, state, Controls(motor=np.zeros(1), thruster=np.zeros(2)))
+
+
+def test_worlds_with_more_shapes_than_contact_keys_can_name_are_refused():
+    with pytest.raises(ValueError, match="at most 512 shapes"):
+        Engine(Capacity(polygons=500, circles=13, joints=0, thrusters=0))
