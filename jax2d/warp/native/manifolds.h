@@ -188,8 +188,10 @@ struct Geometry {
     real depth_b = deepest_axis(b, d, a, zero, edge_b);
     if (depth_b > margin) return m;
 
-    // The reference face is a's unless b's is clearly better: no flicker between near-equal axes.
-    bool flipped = depth_b > depth_a + real(0.0005);
+    // The reference face is that of the clearly larger shape (a's if neither is) unless the other's is clearly better:
+    // no flicker between near-equal axes, and a floor holds its normal while what stands on it rocks.
+    bool larger_b = extent[b] > real(1.1) * extent[a];
+    bool flipped = depth_b > depth_a + (larger_b ? real(-0.0005) : real(0.0005));
     int ref = flipped ? b : a, inc = flipped ? a : b;
     Vec2 ref_at = flipped ? d : zero, inc_at = flipped ? zero : d;
     int edge = flipped ? edge_b : edge_a;
