@@ -53,7 +53,12 @@ def load(scene: Scene, state: State) -> Bodies:
 
 
 def end_step(bodies: Bodies) -> Bodies:
-    return bodies._replace(position=bodies.position + bodies.delta, angle=bodies.angle + bodies.turn)
+    return bodies._replace(
+        position=bodies.position + bodies.delta,
+        angle=bodies.angle + bodies.turn,
+        delta=jnp.zeros_like(bodies.delta),
+        turn=jnp.zeros_like(bodies.turn),
+    )
 
 
 def apply_gravity(bodies: Bodies, gravity: jax.Array, dt: Scalar) -> Bodies:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Capacity, Scene, State
+from jax2d.scene import Capacity, Scene
 from jax2d.xla import manifolds, vec2
 from jax2d.xla.bodies import Bodies, Motion, Pair, pair_motion, pair_up, pick, push_pair, put_back, relative_velocity
 from jax2d.xla.manifolds import Geometry, Points
@@ -40,30 +40,40 @@ class Contacts(NamedTuple):
     most_impulse: jax.Array  # [K] N s, largest normal impulse in this step
     against_fixed: jax.Array  # [K] bool
     overflow: jax.Array  # [] int32, points that found no slot
+    swinging: jax.Array  # [] bool, a body with a contact turns too far in a step for contacts found once
+
+
+class Memory(NamedTuple):
+    """What is kept of contacts for those found next."""
+
+    key: jax.Array  # [K] int32
+    impulse: jax.Array  # [K, 2] N s
+
+
+def remember(contacts: Contacts) -> Memory:
+    return Memory(contacts.key, jnp.stack([contacts.impulse_normal, contacts.impulse_tangent], -1))
 
 
 def find(
     bodies: Bodies,
     geometry: Geometry,
     scene: Scene,
-    state: State,
+    memory: Memory,
     params: Parameters,
     rules: Rules,
     capacity: Capacity,
-    reach: Scalar,
-    *,
-    ahead: bool,
+    dt: Scalar,
 ) -> Contacts:
-    """Points of all pairs that may touch and are within reach, compacted into the slots of `state`."""
-    points, a, b, overflow = _points_in_use(
-        bodies, geometry, scene, params, capacity, reach, ahead=ahead, slots=state.contact_key.shape[0]
+    """Points of all pairs that may touch within `dt`, compacted into the slots of `memory`."""
+    points, a, b, overflow, swinging = _points_in_use(
+        bodies, geometry, scene, params, rules, capacity, dt, slots=memory.key.shape[0]
     )
     pair = pair_up(bodies, a, b, points.exists)
     friction_a, friction_b = scene.friction[a], scene.friction[b]
     arm_a = points.point
     arm_b = arm_a - (bodies.position[b] - bodies.position[a])
     key = jnp.where(points.exists, (a << FEATURE_BITS + SHAPE_BITS) | (b << FEATURE_BITS) | points.feature, -1)
-    impulse = _remembered(key, state)
+    impulse = _remembered(key, memory)
     velocity = relative_velocity(pair_motion(pair, bodies.motion), arm_a, arm_b)
     dynamic = bodies.is_dynamic
     return Contacts(
@@ -83,6 +93,7 @@ def find(
         most_impulse=jnp.zeros_like(points.separation),
         against_fixed=~(dynamic[a] & dynamic[b]),
         overflow=overflow,
+        swinging=swinging,
     )
 
 
@@ -91,30 +102,35 @@ def _points_in_use(
     geometry: Geometry,
     scene: Scene,
     params: Parameters,
+    rules: Rules,
     capacity: Capacity,
-    reach: Scalar,
+    dt: Scalar,
     *,
-    ahead: bool,
     slots: int,
-) -> tuple[Points, jax.Array, jax.Array, jax.Array]:
-    """Points [slots] that exist, first and in order of pairs, their shapes a and b, and how many found no slot."""
+) -> tuple[Points, jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Points [slots] that exist, first and in order of pairs; their shapes a and b; overflow; swinging."""
+    is_soft = rules.solver == "soft_step"
+    reach = params.speculative_distance if is_soft else 0.0
     if capacity.shapes == 1:  # no pair at all, one slot
         zeros, none = jnp.zeros((slots, 2), bodies.position.dtype), jnp.zeros(slots, jnp.int32)
-        return Points(zeros, zeros, zeros[:, 0], none, none > 0), none, none, none[0]
+        return Points(zeros, zeros, zeros[:, 0], none, none > 0), none, none, none[0], none[0] > 0
     pairs = manifolds.pair_list(capacity)
-    margin = manifolds.margins(bodies, geometry, reach, params.dt, ahead=ahead)
-    points = manifolds.collide(geometry, bodies, capacity, margin)
+    margin = manifolds.margins(bodies, geometry, reach, dt, ahead=is_soft)
+    points = manifolds.collide(geometry, bodies, capacity, margin, seams=is_soft)
+    # Contact points and normals hold for small turns only: a rod that spins fast sweeps over what they say.
+    swings = is_soft & ((geometry.extent - geometry.core) * jnp.square(bodies.motion.omega * dt) > reach)
     exists = points.exists & scene.can_touch[pairs.point_a, pairs.point_b]
+    swinging = jnp.any(exists & (swings[pairs.point_a] | swings[pairs.point_b]))
     source = jnp.argsort(~exists, stable=True)[:slots]
     points = jax.tree.map(lambda x: x[source], points._replace(exists=exists))
     overflow = jnp.maximum(jnp.sum(exists, dtype=jnp.int32) - slots, 0)
-    return points, jnp.asarray(pairs.point_a)[source], jnp.asarray(pairs.point_b)[source], overflow
+    return points, jnp.asarray(pairs.point_a)[source], jnp.asarray(pairs.point_b)[source], overflow, swinging
 
 
-def _remembered(key: jax.Array, state: State) -> jax.Array:
+def _remembered(key: jax.Array, memory: Memory) -> jax.Array:
     """Impulses [K, 2] that the step before stored under these keys, zero for new contacts."""
-    is_same = (key[:, None] == state.contact_key[None]) & (key[:, None] >= 0)
-    old = state.contact_impulse[jnp.argmax(is_same, axis=1)]
+    is_same = (key[:, None] == memory.key[None]) & (key[:, None] >= 0)
+    old = memory.impulse[jnp.argmax(is_same, axis=1)]
     return jnp.where(jnp.any(is_same, axis=1)[:, None], old, 0)
 
 

@@ -15,25 +15,25 @@ from jax2d.xla.parameters import Parameters, Scalar
 
 class Thrusters(NamedTuple):
     is_on: jax.Array  # [T, n] bool, the body a thruster sits on
-    position: jax.Array  # [T, 2] m, world orientation at the start of the step
-    force: jax.Array  # [T, 2] N, world orientation at the start of the step
+    position: jax.Array  # [T, 2] m, body frame
+    force: jax.Array  # [T, 2] N, body frame
 
 
 def load(bodies: Bodies, scene: Scene, controls: Controls, params: Parameters) -> Thrusters:
     index = jnp.arange(bodies.angle.shape[0])
-    angle = bodies.angle[scene.thruster_body]
     force = controls.thruster * scene.thruster_power * params.base_thruster_power
     direction = jnp.stack([jnp.cos(scene.thruster_angle), jnp.sin(scene.thruster_angle)], -1)
     return Thrusters(
         is_on=(scene.thruster_body[:, None] == index) & scene.thruster_active[:, None],
-        position=vec2.rotated(scene.thruster_position, angle),
-        force=vec2.rotated(force[:, None] * direction, angle),
+        position=scene.thruster_position,
+        force=force[:, None] * direction,
     )
 
 
 def apply(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> Bodies:
-    turn = pick(thrusters.is_on, bodies.turn)
-    arm, impulse = vec2.rotated(thrusters.position, turn), vec2.rotated(thrusters.force, turn) * dt
+    angle, turn = pick(thrusters.is_on, bodies.angle), pick(thrusters.is_on, bodies.turn)
+    arm = vec2.rotated(vec2.rotated(thrusters.position, angle), turn)
+    impulse = vec2.rotated(vec2.rotated(thrusters.force, angle), turn) * dt
     on_body = thrusters.is_on[..., None]
     push = jnp.sum(jnp.where(on_body, impulse[:, None], 0), axis=0)
     twist = jnp.sum(jnp.where(thrusters.is_on, vec2.cross(arm, impulse)[:, None], 0), axis=0)

@@ -60,14 +60,18 @@ class Joints(NamedTuple):
     impulses: JointImpulses
 
 
-def prepare(bodies: Bodies, scene: Scene, state: State, controls: Controls, params: Parameters) -> Joints:
+def load(state: State) -> JointImpulses:
+    impulse = state.joint_impulse
+    return JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
+
+
+def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Controls, params: Parameters) -> Joints:
     a, b = scene.joint_a, scene.joint_b
     is_held = scene.joint_active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
     axial_mass = vec2.inverse_or_zero(pair.inertia_a + pair.inertia_b)
     is_driven = scene.motor_on & ~scene.joint_is_fixed & (controls.motor != 0)
-    impulse = state.joint_impulse
-    twist = jnp.where(is_driven | scene.joint_is_fixed, impulse[:, 2], 0)
+    twist = jnp.where(is_driven | scene.joint_is_fixed, impulses.twist, 0)
     return Joints(
         is_held=is_held,
         is_fixed=scene.joint_is_fixed,
@@ -87,7 +91,7 @@ def prepare(bodies: Bodies, scene: Scene, state: State, controls: Controls, para
         motor_most=params.h * params.base_motor_power * scene.motor_power * axial_mass,
         lower=scene.lower_limit,
         upper=scene.upper_limit,
-        impulses=JointImpulses(impulse[:, :2], twist, impulse[:, 3], impulse[:, 4]),
+        impulses=impulses._replace(twist=twist),
     )
 
 
@@ -202,13 +206,10 @@ def solve_limits(
 def limit_impulse(
     row: Row, room: jax.Array, speed: jax.Array, accumulated: jax.Array, h: Scalar, soft: Softness, *, use_bias: bool
 ) -> jax.Array:
-    """New total of a one-sided limit; `speed` is that at which room grows. Soft only when violated."""
-    has_room = room > 0
-    violated = soft if use_bias else Softness(0.0, 1.0, 0.0)
-    bias = jnp.where(has_room, room / h, violated.bias_rate * room)
-    mass_scale = jnp.where(has_room, 1, violated.mass_scale)
-    impulse_scale = jnp.where(has_room, 0, violated.impulse_scale)
-    impulse = -row.axial_mass * mass_scale * (speed + bias) - impulse_scale * accumulated
+    """New total of a one-sided limit; `speed` is that at which room grows."""
+    # Not softened when violated: a strong motor would lean into a limit that yields.
+    bias = jnp.where(room > 0, room / h, soft.bias_rate * room if use_bias else 0)
+    impulse = -row.axial_mass * (speed + bias)
     return jnp.where(row.is_limited, jnp.maximum(accumulated + impulse, 0), accumulated)
 
 

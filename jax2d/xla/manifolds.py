@@ -23,7 +23,9 @@ COINCIDENT_M = 1e-9  # centres closer than this have no direction of their own
 ON_FACE_M = 1e-7  # a circle's centre this near a face counts as inside
 FLIP_ADVANTAGE_M = 0.0005  # b's face becomes the reference only if clearly better: no flicker between near-equal axes
 # Bits of a feature: which of b's faces or corners meets which of a's. Points of one pair ascend in them.
-FLIPPED, EDGE, CORNER_OUTSIDE, CORNER_INSIDE, INCIDENT = 64, 8, 128, 256, 512
+FLIPPED, EDGE, CORNER_OUTSIDE, CORNER_INSIDE, SEAM, INCIDENT = 64, 8, 128, 256, 384, 512
+GRAZING_M = 0.005  # this near to level with an end of a face, what lies ahead is the next tile rather than a wall
+STANDING_M_S = 0.1  # slower than this a pair that overlaps rests on its face
 
 
 class Points(NamedTuple):
@@ -116,8 +118,57 @@ def deepest_axis(one: Polygons, one_at: jax.Array, other: Polygons, other_at: ja
     return least[edge], edge
 
 
-def polygon_polygon(a: Polygons, b: Polygons, d: jax.Array, margin: jax.Array) -> Points:
-    """At most two points, [2]: the incident edge clipped to the reference face, or corner against corner."""
+class Incident(NamedTuple):
+    """The incident edge over the reference face, positions relative to the centre of the reference polygon."""
+
+    lower_end: jax.Array  # [2] m
+    upper_end: jax.Array
+    u_lower: jax.Array  # [] m along the reference face from its start
+    u_upper: jax.Array
+    face_length: jax.Array  # [] m
+    closing: jax.Array  # [] m/s at which the two meet along the face's normal
+
+
+class Seam(NamedTuple):
+    """The one point of a pair that slides past the end of a face."""
+
+    normal: jax.Array
+    point: jax.Array
+    separation: jax.Array
+    number: jax.Array  # [] int32, 0 at the start of the reference face, 1 at its end
+    exists: jax.Array
+
+
+def slides_past(
+    ref: Polygons, inc: Polygons, edge: jax.Array, inc_from_ref: jax.Array, over: Incident, margin: jax.Array
+) -> Seam:
+    """About to meet (or just met) along the reference face's normal, and level with one of its ends: such a pair slides
+    along the neighbouring face, which gives the normal then; with the reference face's own every seam of a tiled floor
+    would stop what slides over it."""
+    overlap = jnp.minimum(over.u_upper, over.face_length) - jnp.maximum(over.u_lower, 0)
+    is_level = jnp.abs(overlap) <= GRAZING_M
+    is_thin = overlap > 0.5 * jnp.minimum(over.u_upper - over.u_lower, over.face_length)  # met in full
+    at_start = over.u_upper < over.face_length - over.u_lower
+    end = jnp.where(at_start, over.upper_end, over.lower_end)
+    origin = jnp.where(at_start, ref.corner[edge], ref.following[edge])
+    separation = vec2.dot(ref.normal[edge], end - origin)
+    is_ahead = separation > jnp.where(over.closing > STANDING_M_S, -GRAZING_M, 0)
+    num_corners = jnp.sum(ref.is_corner, dtype=edge.dtype)
+    neighbour = jnp.where(at_start, edge - 1, edge + 1) % num_corners
+    n = ref.normal[neighbour]
+    gap = jnp.min(jnp.where(inc.is_corner, vec2.dot(inc.corner + inc_from_ref - origin, n), FAR_M))
+    exists = is_level & ~is_thin & is_ahead & (gap >= -GRAZING_M) & (gap <= margin)
+    gap = jnp.maximum(gap, 0)
+    return Seam(n, end - 0.5 * gap * n, gap, jnp.where(at_start, 0, 1), exists)
+
+
+def polygon_polygon(
+    a: Polygons, b: Polygons, d: jax.Array, motion: jax.Array, margin: jax.Array, *, seams: bool
+) -> Points:
+    """At most two points, [2]: the incident edge clipped to the reference face, corner against corner, or a seam.
+
+    d [2] m: centre of b relative to centre of a; motion [2] m/s: how that changes.
+    """
     zero = jnp.zeros_like(d)
     depth_a, edge_a = deepest_axis(a, zero, b, d)
     depth_b, edge_b = deepest_axis(b, d, a, zero)
@@ -167,13 +218,24 @@ def polygon_polygon(a: Polygons, b: Polygons, d: jax.Array, margin: jax.Array) -
     separation = jnp.where(beside, corner_separation, clipped_separation)
     in_reach = (depth_a <= margin) & (depth_b <= margin)
     is_one_of = jnp.where(beside, jnp.array([True, False]), True)
-    # A corner below the reference face is a contact however deep; all other points must be within the margin.
+    point = jnp.where(beside, corner_point, clipped - 0.5 * clipped_separation[:, None] * n)
+    feature = jnp.where(beside, corner_feature, clipped_feature)
+    exists = is_one_of & (separation <= margin)
+    if seams:
+        closing = vec2.dot(n, choose(motion, -motion))
+        over = Incident(lower_end - ref_at, upper_end - ref_at, u_lower, u_upper, edge_length, closing)
+        seam = slides_past(ref, inc, edge, inc_at - ref_at, over, margin)
+        normal = jnp.where(seam.exists, seam.normal, normal)
+        point = jnp.where(seam.exists, seam.point + ref_at, point)
+        separation = jnp.where(seam.exists, seam.separation, separation)
+        feature = jnp.where(seam.exists, SEAM + base + seam.number, feature)
+        exists = jnp.where(seam.exists, jnp.array([True, False]), exists)
     return Points(
         normal=jnp.broadcast_to(jnp.where(flipped, -normal, normal), (2, 2)),
-        point=jnp.where(beside, corner_point, clipped - 0.5 * clipped_separation[:, None] * n),
+        point=point,
         separation=separation,
-        feature=jnp.where(beside, corner_feature, clipped_feature).astype(jnp.int32),
-        exists=in_reach & is_one_of & (separation <= margin),
+        feature=feature.astype(jnp.int32),
+        exists=in_reach & exists,
     )
 
 
@@ -195,13 +257,17 @@ def pair_list(capacity: Capacity) -> PairList:
     pairs = np.stack([a, b], -1).astype(np.int32)
     kinds = [pairs[b < polygons], pairs[(a < polygons) & (b >= polygons)], pairs[a >= polygons]]
     points = np.concatenate([np.repeat(kinds[0], 2, axis=0), *kinds[1:]])
-    order = np.lexsort((points[:, 1], points[:, 0]))  # stable: the two points of a pair stay in order
+    order = np.lexsort((points[:, 1], points[:, 0])).astype(np.int32)  # stable: the two points of a pair stay in order
     return PairList(*kinds, order=order, point_a=points[order, 0], point_b=points[order, 1])
 
 
-def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array) -> Points:
-    """Points of all pairs, in order of pairs. margin [n, n] m: points farther apart than this are left out."""
+def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, *, seams: bool) -> Points:
+    """Points of all pairs, in order of pairs. margin [n, n] m: points farther apart than this are left out.
+
+    `seams`: what slides over the seams of a floor is not stopped by them.
+    """
     pairs = pair_list(capacity)
+    velocity = bodies.motion.velocity
     first_circle = capacity.polygons
     found = []
     for kind, collide_one, geometry_a, geometry_b, first_a, first_b in (
@@ -215,7 +281,11 @@ def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.
         d = bodies.position[b] - bodies.position[a]
         one = jax.tree.map(lambda x, i=a - first_a: x[i], geometry_a)
         other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
-        points = jax.vmap(collide_one)(one, other, d, margin[a, b])
+        if collide_one is polygon_polygon:
+            over_seams = functools.partial(polygon_polygon, seams=seams)
+            points = jax.vmap(over_seams)(one, other, d, velocity[b] - velocity[a], margin[a, b])
+        else:
+            points = jax.vmap(collide_one)(one, other, d, margin[a, b])
         near = bounds_overlap(geometry, a, b, d, margin[a, b])
         points = points._replace(exists=points.exists & near[:, None])
         found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
@@ -11,9 +13,20 @@ from jax2d.xla import contacts as contacts_of
 from jax2d.xla import forces, manifolds, paper
 from jax2d.xla import joints as joints_of
 from jax2d.xla.bodies import Bodies
-from jax2d.xla.contacts import Contacts
+from jax2d.xla.contacts import Contacts, Memory
 from jax2d.xla.joints import Joints
 from jax2d.xla.parameters import Parameters, Rules
+
+
+class Progress(NamedTuple):
+    """A step under way."""
+
+    bodies: Bodies
+    joints: Joints
+    contacts: Contacts
+    memory: Memory  # of contacts solved before
+    touch: jax.Array  # [n, n] bool, who touched whom in this step
+    overflow: jax.Array  # [] int32
 
 
 def run(
@@ -31,18 +44,18 @@ def run(
     one_step = soft_step if rules.solver == "soft_step" else paper_step
 
     def body(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array, jax.Array]]:
-        bodies, joints, contacts = one_step(scene, state, controls, params, rules, capacity)
-        bodies = bodies_of.end_step(bodies)
+        end = one_step(scene, state, controls, params, rules, capacity)
+        bodies = bodies_of.end_step(end.bodies)
         after = State(
             position=bodies.position,
             angle=bodies.angle,
             velocity=bodies.motion.velocity,
             angular_velocity=bodies.motion.omega,
-            joint_impulse=joints_of.store(joints, state),
-            contact_key=contacts.key,
-            contact_impulse=jnp.stack([contacts.impulse_normal, contacts.impulse_tangent], -1),
+            joint_impulse=joints_of.store(end.joints, state),
+            contact_key=end.memory.key,
+            contact_impulse=end.memory.impulse,
         )
-        return after, (touching(contacts), contacts.overflow, bodies.limited)
+        return after, (end.touch, end.overflow, bodies.limited)
 
     state, (touch, overflow, limited) = jax.lax.scan(body, state, length=num_steps)
     return state, Touching(
@@ -55,18 +68,28 @@ def run(
 
 def soft_step(
     scene: Scene, state: State, controls: Controls, params: Parameters, rules: Rules, capacity: Capacity
-) -> tuple[Bodies, Joints, Contacts]:
-    """Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h."""
+) -> Progress:
+    """Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h. Where a body with a
+    contact turns too far for that, they are found anew for every sub-step."""
     h = params.h
-    bodies = bodies_of.load(scene, state)
-    geometry = manifolds.build(scene, bodies)
-    reach = params.speculative_distance
-    contacts = contacts_of.find(bodies, geometry, scene, state, params, rules, capacity, reach, ahead=True)
-    joints = joints_of.prepare(bodies, scene, state, controls, params)
-    thrusters = forces.load(bodies, scene, controls, params)
+    thrusters = forces.load(bodies_of.load(scene, state), scene, controls, params)
 
-    def substep(carry: tuple[Bodies, Joints, Contacts], _: None) -> tuple[tuple[Bodies, Joints, Contacts], None]:
-        bodies, joints, contacts = carry
+    def find(bodies: Bodies, memory: Memory, dt: jax.Array) -> Contacts:
+        geometry = manifolds.build(scene, bodies)
+        return contacts_of.find(bodies, geometry, scene, memory, params, rules, capacity, dt)
+
+    def substep(carry: tuple[Progress, jax.Array], index: jax.Array) -> tuple[tuple[Progress, jax.Array], None]:
+        (bodies, joints, contacts, memory, touch, overflow), anew = carry
+        # One program for the first sub-step and for those that find contacts anew.
+        is_first, is_last = index == 0, index == rules.substeps - 1
+        begun = bodies_of.end_step(bodies)
+        begun_contacts = find(begun, memory, jnp.where(is_first, params.dt, h))
+        begun_joints = joints_of.prepare(begun, scene, joints.impulses, controls, params)
+        anew = jnp.where(is_first, begun_contacts.swinging, anew)
+        bodies, contacts, joints = _choose(
+            is_first | anew, (begun, begun_contacts, begun_joints), (bodies, contacts, joints)
+        )
+
         bodies = bodies_of.apply_gravity(bodies, scene.gravity, h)
         bodies = forces.apply(bodies, thrusters, h)
         bodies = joints_of.warm_start(bodies, joints)
@@ -77,21 +100,28 @@ def soft_step(
         bodies = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed)
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
         bodies, contacts = contacts_of.solve_soft(bodies, contacts, params, use_bias=False)
-        return (bodies, joints, contacts), None
 
-    (bodies, joints, contacts), _ = jax.lax.scan(substep, (bodies, joints, contacts), length=rules.substeps)
-    bodies, contacts = contacts_of.apply_restitution(bodies, contacts, scene.gravity, params)
-    return bodies, joints, contacts
+        bounced, bounced_contacts = contacts_of.apply_restitution(bodies, contacts, scene.gravity, params)
+        now = Progress(bodies, joints, contacts, memory, touch, overflow)
+        finished = _finish_contacts(now._replace(bodies=bounced, contacts=bounced_contacts))
+        return (_choose(is_last | anew, finished, now), anew), None
+
+    start = _begin(scene, state, controls, params)
+    no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]))
+    empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
+    progress = Progress(start[0], start[1], empty, start[2], *_nothing_noted(capacity))
+    (progress, _), _ = jax.lax.scan(substep, (progress, jnp.array(False)), jnp.arange(rules.substeps))
+    return progress
 
 
 def paper_step(
     scene: Scene, state: State, controls: Controls, params: Parameters, rules: Rules, capacity: Capacity
-) -> tuple[Bodies, Joints, Contacts]:
+) -> Progress:
     """The main loop of the paper's appendix (algorithm 1)."""
-    bodies = bodies_of.apply_gravity(bodies_of.load(scene, state), scene.gravity, params.dt)
+    bodies, joints, memory = _begin(scene, state, controls, params)
+    bodies = bodies_of.apply_gravity(bodies, scene.gravity, params.dt)
     geometry = manifolds.build(scene, bodies)
-    contacts = contacts_of.find(bodies, geometry, scene, state, params, rules, capacity, 0.0, ahead=False)
-    joints = joints_of.prepare(bodies, scene, state, controls, params)
+    contacts = contacts_of.find(bodies, geometry, scene, memory, params, rules, capacity, params.dt)
     bodies = paper.apply_motors(bodies, joints, params)
     bodies = forces.apply(bodies, forces.load(bodies, scene, controls, params), params.dt)
     bodies = contacts_of.warm_start(bodies, contacts)
@@ -104,7 +134,33 @@ def paper_step(
         return (bodies, joints, contacts), None
 
     (bodies, joints, contacts), _ = jax.lax.scan(iteration, (bodies, joints, contacts), length=rules.substeps)
-    return bodies_of.move(bodies, params.dt, params.max_speed, params.max_angular_speed), joints, contacts
+    bodies = bodies_of.move(bodies, params.dt, params.max_speed, params.max_angular_speed)
+    return _finish_contacts(Progress(bodies, joints, contacts, memory, *_nothing_noted(capacity)))
+
+
+def _begin(scene: Scene, state: State, controls: Controls, params: Parameters) -> tuple[Bodies, Joints, Memory]:
+    bodies = bodies_of.load(scene, state)
+    joints = joints_of.prepare(bodies, scene, joints_of.load(state), controls, params)
+    return bodies, joints, Memory(state.contact_key, state.contact_impulse)
+
+
+def _nothing_noted(capacity: Capacity) -> tuple[jax.Array, jax.Array]:
+    """Touch matrix and overflow of a step that begins."""
+    return jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32)
+
+
+def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
+
+
+def _finish_contacts(progress: Progress) -> Progress:
+    """Notes who touched, and keeps the impulses for the contacts found next."""
+    contacts = progress.contacts
+    return progress._replace(
+        memory=contacts_of.remember(contacts),
+        touch=progress.touch | touching(contacts),
+        overflow=progress.overflow + contacts.overflow,
+    )
 
 
 def touching(contacts: Contacts) -> jax.Array:
