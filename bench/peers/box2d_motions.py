@@ -1,0 +1,154 @@
+"""Box2D 2.3 (its Python package, in its own environment) over the motions of `python -m jax2d.fidelity`.
+
+    python box2d_motions.py --check            prints the version
+    python box2d_motions.py IN.npz OUT.npz     motions as jax2d/fidelity/peers.py writes and reads them
+
+One world at a time, stepped from Python; the time of a motion is that of all its steps, the calls included. This file
+uses nothing of the project.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import sys
+import time
+from typing import Any
+
+import Box2D
+import numpy as np
+
+
+class AllowedPairs(Box2D.b2ContactFilter):
+    """Who may touch whom, by the index kept with each body."""
+
+    def __init__(self, can_touch: np.ndarray) -> None:
+        super().__init__()
+        self.can_touch = can_touch
+
+    def ShouldCollide(self, a: Any, b: Any) -> bool:
+        return bool(self.can_touch[a.body.userData, b.body.userData])
+
+
+class Motion:
+    """One world of the request, and its steps."""
+
+    def __init__(self, request: dict[str, np.ndarray], i: int, constants: dict[str, float]) -> None:
+        scene = {name.removeprefix("scene."): value[i] for name, value in request.items() if name.startswith("scene.")}
+        self.scene = scene
+        self.num_shapes = len(scene["shape_active"])
+        control = float(request["control"][i])
+        self.filter = AllowedPairs(scene["can_touch"])
+        self.world = Box2D.b2World(gravity=tuple(map(float, scene["gravity"])), contactFilter=self.filter)
+        self.world.allowSleeping = False  # a sleeping body costs nothing and errs by nothing
+        start = (request[name][i] for name in ("position", "angle", "velocity", "angular_velocity"))
+        self.bodies = [self._body(shape, *values) for shape, *values in zip(range(self.num_shapes), *start)]
+        self.joints = [self._joint(j, control, constants) for j in np.flatnonzero(scene["joint_active"])]
+        self.thrusts = [
+            (
+                self.bodies[int(scene["thruster_body"][t])],
+                tuple(map(float, scene["thruster_position"][t])),
+                float(scene["thruster_angle"][t]),
+                control * float(scene["thruster_power"][t]) * constants["thruster_power"],
+            )
+            for t in np.flatnonzero(scene["thruster_active"])
+        ]
+
+    def _body(self, shape: int, position: Any, angle: Any, velocity: Any, angular_velocity: Any) -> Any:
+        scene, polygons = self.scene, len(self.scene["num_vertices"])
+        if not scene["shape_active"][shape]:
+            return None
+        if shape < polygons:
+            corners = scene["vertices"][shape][: scene["num_vertices"][shape]]
+            geometry = Box2D.b2PolygonShape(vertices=[tuple(map(float, corner)) for corner in corners])
+        else:
+            geometry = Box2D.b2CircleShape(radius=float(scene["radius"][shape - polygons]))
+        movable = scene["inverse_mass"][shape] > 0
+        body = (self.world.CreateDynamicBody if movable else self.world.CreateStaticBody)(
+            position=tuple(map(float, position)), angle=float(angle), userData=shape
+        )
+        body.CreateFixture(
+            shape=geometry,
+            density=float(scene["density"][shape]),
+            friction=float(scene["friction"][shape]),
+            restitution=float(scene["restitution"][shape]),
+        )
+        if movable:
+            body.linearVelocity = tuple(map(float, velocity))
+            body.angularVelocity = float(angular_velocity)
+        return body
+
+    def _joint(self, j: int, control: float, constants: dict[str, float]) -> Any:
+        scene = self.scene
+        a, b = int(scene["joint_a"][j]), int(scene["joint_b"][j])
+        common = {
+            "bodyA": self.bodies[a],
+            "bodyB": self.bodies[b],
+            "localAnchorA": tuple(map(float, scene["joint_anchor_a"][j])),
+            "localAnchorB": tuple(map(float, scene["joint_anchor_b"][j])),
+            "referenceAngle": float(scene["joint_rest_angle"][j]),
+            "collideConnected": bool(scene["can_touch"][a, b]),
+        }
+        if scene["joint_is_fixed"][j]:
+            return self.world.CreateWeldJoint(**common)
+        inertia = 1.0 / float(scene["inverse_inertia"][a] + scene["inverse_inertia"][b])
+        return self.world.CreateRevoluteJoint(
+            **common,
+            enableMotor=bool(scene["motor_on"][j]) and control != 0.0,
+            motorSpeed=control * float(scene["motor_speed"][j]) * constants["motor_speed"],
+            maxMotorTorque=float(scene["motor_power"][j]) * constants["motor_acceleration"] * inertia,
+            enableLimit=bool(scene["has_limits"][j]),
+            lowerAngle=float(scene["lower_limit"][j]),
+            upperAngle=float(scene["upper_limit"][j]),
+        )
+
+    def step(self, dt: float, velocity_iterations: int, position_iterations: int) -> None:
+        for body, local, angle, force in self.thrusts:
+            turned = body.angle + angle
+            body.ApplyForce((force * np.cos(turned), force * np.sin(turned)), body.GetWorldPoint(local), True)
+        self.world.Step(dt, velocity_iterations, position_iterations)
+
+    def state(self) -> np.ndarray:
+        """[n, 6]: position, angle, velocity, angular velocity; zero for inactive shapes."""
+        return np.array(
+            [
+                (*body.worldCenter, body.angle, *body.linearVelocity, body.angularVelocity) if body else (0.0,) * 6
+                for body in self.bodies
+            ]
+        )
+
+
+def main() -> int:
+    if "--check" in sys.argv:
+        print(json.dumps({"version": Box2D.__version__}))
+        return 0
+    request = dict(np.load(sys.argv[1]))
+    asked = json.loads(str(request["asked"]))
+    answer: dict[str, np.ndarray] = {}
+    for k, setting in enumerate(asked["settings"]):
+        dt = setting["dt"]
+        arguments = (dt, setting["velocity_iterations"], setting["position_iterations"])
+        costs = []
+        for i, seconds in enumerate(request["seconds"]):
+            steps = round(float(seconds) / dt)
+            motion = Motion(request, i, asked["constants"])
+            states = [motion.state()]
+            for _ in range(steps):
+                motion.step(*arguments)
+                states.append(motion.state())
+            answer[f"states.{k}.{i}"] = np.array(states)
+            timed = []
+            for _ in range(asked["repeats"] + 1):
+                motion = Motion(request, i, asked["constants"])
+                started = time.perf_counter()
+                for _ in range(steps):
+                    motion.step(*arguments)
+                timed.append(time.perf_counter() - started)
+            costs.append(1e6 * statistics.median(timed[1:]) / (steps * dt))
+        answer[f"us.{k}"] = np.array(costs)
+    np.savez(sys.argv[2], device=np.array("cpu"), version=np.array(Box2D.__version__), **answer)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,164 @@
+"""The published jax2d (in its own environment) over the motions of `python -m jax2d.fidelity`.
+
+    python jax2d_published_motions.py IN.npz OUT.npz     motions as jax2d/fidelity/peers.py writes and reads them
+
+Called as its authors do: jit, vmap over worlds, scan over steps. Its first four polygons are meant for floor and walls
+and never collide with each other, so the shapes of a scene follow them. Its cost does not depend on the motion, so each
+scene is timed from its start. This file uses nothing of the project.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import json
+import math
+import statistics
+import sys
+import time
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.engine import PhysicsEngine, create_empty_sim
+from jax2d.sim_state import SimParams, StaticSimParams
+
+RESERVED = 4  # polygon slots of floor, walls and ceiling
+CHUNK_STEPS = 4
+ITERATIONS = 10
+
+
+def main() -> int:
+    request = dict(np.load(sys.argv[1]))
+    asked = json.loads(str(request["asked"]))
+    constants = asked["constants"]
+    scene = {name.removeprefix("scene."): value for name, value in request.items() if name.startswith("scene.")}
+    count, polygons = scene["num_vertices"].shape
+    static = StaticSimParams(
+        num_polygons=RESERVED + polygons,
+        num_circles=scene["radius"].shape[1],
+        num_joints=scene["joint_active"].shape[1],
+        num_thrusters=scene["thruster_active"].shape[1],
+        max_polygon_vertices=scene["vertices"].shape[2],
+        num_solver_iterations=ITERATIONS,
+    )
+    states = [world(static, request, scene, i) for i in range(count)]
+    stacked = jax.tree.map(lambda *xs: jnp.stack(xs), *states)
+    # Each world's gravity is in its state; two shapes of coefficient mu are to rub with mu.
+    params = SimParams(
+        base_friction=1.0 / math.sqrt(2.0),
+        base_motor_speed=constants["motor_speed"],
+        base_motor_power=constants["motor_acceleration"],
+        base_thruster_power=constants["thruster_power"],
+    )
+    width = static.num_joints + static.num_thrusters
+    actions = jnp.repeat(jnp.asarray(request["control"], jnp.float32)[:, None], width, 1)
+    step = jax.vmap(PhysicsEngine(static).step, in_axes=(0, None, 0))
+
+    @functools.partial(jax.jit, static_argnames=("steps", "record"))
+    def run(state: Any, dt: Any, action: Any, *, steps: int, record: bool) -> Any:
+        def one(state: Any, _: None) -> Any:
+            state = step(state, params.replace(dt=dt), action)[0]
+            return state, visible(state) if record else None
+
+        return jax.lax.scan(one, state, length=steps)
+
+    answer: dict[str, np.ndarray] = {}
+    worlds = asked["batch"]
+    for k, setting in enumerate(asked["settings"]):
+        dt = setting["dt"]
+        steps = [round(float(seconds) / dt) for seconds in request["seconds"]]
+        state, recorded = stacked, [np.asarray(visible(stacked))[None]]
+        for _ in range(-(-max(steps) // CHUNK_STEPS)):
+            state, seen = run(state, dt, actions, steps=CHUNK_STEPS, record=True)
+            recorded.append(np.asarray(seen))
+        paths = np.concatenate(recorded)
+        costs = []
+        for i in range(count):
+            answer[f"states.{k}.{i}"] = paths[: steps[i] + 1, i]
+            batch = jax.tree.map(lambda x, i=i: jnp.repeat(x[i : i + 1], worlds, 0), stacked)
+            action = jnp.repeat(actions[i : i + 1], worlds, 0)
+            timed = []
+            for _ in range(asked["repeats"] + 1):
+                started = time.perf_counter()
+                jax.block_until_ready(run(batch, dt, action, steps=asked["steps"], record=False))
+                timed.append(time.perf_counter() - started)
+            costs.append(1e6 * statistics.median(timed[1:]) / (worlds * asked["steps"] * dt))
+        answer[f"us.{k}"] = np.array(costs)
+    version = importlib.metadata.version("jax2d")
+    np.savez(sys.argv[2], device=np.array(jax.devices()[0].device_kind), version=np.array(version), **answer)
+    return 0
+
+
+def visible(state: Any) -> jax.Array:
+    """[W, n, 6]: position, angle, velocity, angular velocity, without the reserved polygons."""
+
+    def rows(body: Any, first: int) -> jax.Array:
+        parts = (body.position, body.rotation[..., None], body.velocity, body.angular_velocity[..., None])
+        return jnp.concatenate(parts, -1)[:, first:]
+
+    return jnp.concatenate([rows(state.polygon, RESERVED), rows(state.circle, 0)], axis=1)
+
+
+def world(static: Any, request: dict[str, np.ndarray], scene: dict[str, np.ndarray], i: int) -> Any:
+    """World i of the request as the published package's state."""
+    empty = create_empty_sim(static, add_floor=False, add_walls_and_ceiling=False)
+    polygons = scene["num_vertices"].shape[1]
+    one = {name: value[i] for name, value in scene.items()}
+    start = {name: request[name][i] for name in ("position", "angle", "velocity", "angular_velocity")}
+    shapes = {
+        "position": start["position"],
+        "rotation": start["angle"],
+        "velocity": start["velocity"],
+        "angular_velocity": start["angular_velocity"],
+        "inverse_mass": one["inverse_mass"],
+        "inverse_inertia": one["inverse_inertia"],
+        "friction": one["friction"],
+        "restitution": one["restitution"],
+        "active": one["shape_active"],
+    }
+
+    def put(field: jax.Array, values: np.ndarray, first: int) -> jax.Array:
+        return field.at[first:].set(jnp.asarray(values, field.dtype))
+
+    def bodies(template: Any, part: slice, first: int, **geometry: np.ndarray) -> Any:
+        values = {name: value[part] for name, value in shapes.items()} | geometry
+        return template.replace(**{name: put(getattr(template, name), value, first) for name, value in values.items()})
+
+    corners, counts = one["vertices"].copy(), one["num_vertices"]
+    for p, n in enumerate(counts):  # its polygons run clockwise
+        corners[p, :n] = corners[p, :n][::-1]
+    total = RESERVED + polygons + len(one["radius"])
+    can_touch = np.zeros((total, total), bool)
+    can_touch[RESERVED:, RESERVED:] = one["can_touch"]
+    return empty.replace(
+        polygon=bodies(empty.polygon, slice(0, polygons), RESERVED, vertices=corners, n_vertices=counts),
+        circle=bodies(empty.circle, slice(polygons, None), 0, radius=one["radius"]),
+        joint=empty.joint.replace(
+            a_index=jnp.asarray(one["joint_a"] + RESERVED),
+            b_index=jnp.asarray(one["joint_b"] + RESERVED),
+            a_relative_pos=jnp.asarray(one["joint_anchor_a"]),
+            b_relative_pos=jnp.asarray(one["joint_anchor_b"]),
+            active=jnp.asarray(one["joint_active"]),
+            motor_speed=jnp.asarray(one["motor_speed"]),
+            motor_power=jnp.asarray(one["motor_power"]),
+            motor_on=jnp.asarray(one["motor_on"]),
+            is_fixed_joint=jnp.asarray(one["joint_is_fixed"]),
+            rotation=jnp.asarray(one["joint_rest_angle"]),
+        ),
+        thruster=empty.thruster.replace(
+            object_index=jnp.asarray(one["thruster_body"] + RESERVED),
+            relative_position=jnp.asarray(one["thruster_position"]),
+            rotation=jnp.asarray(one["thruster_angle"]),
+            power=jnp.asarray(one["thruster_power"]),
+            active=jnp.asarray(one["thruster_active"]),
+        ),
+        collision_matrix=jnp.asarray(can_touch),
+        gravity=jnp.asarray(one["gravity"]),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,91 @@
+"""Points of error against cost: which of them nothing beats, how steep they are, and means over scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, TypedDict
+
+import numpy as np
+
+SMALLEST_ERROR = 1e-6  # about what float32 resolves over a few hundred steps: smaller errors count as this
+LARGEST_ERROR = 1.0  # wrong by all of it: larger errors, and motions that are not finite, count as this
+
+
+class Record(TypedDict):
+    """One measurement, as it stands in the JSON file."""
+
+    scene: str
+    preset: str  # the preset whose settings were swept, or the name of a peer
+    backend: str
+    dtype: str
+    device: str
+    setting: str
+    metric: str
+    error: float | None  # None: the motion is not finite
+    us_per_world_second: float
+
+
+class Point(NamedTuple):
+    """All scenes under one setting."""
+
+    preset: str
+    backend: str
+    dtype: str
+    setting: str
+    cost: float  # us per world-second, geometric mean over scenes
+    error: float  # geometric mean over scenes, each between SMALLEST_ERROR and LARGEST_ERROR
+
+
+def pareto_set(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Indices of the (cost, error) pairs that no other pair beats or equals in both, by rising cost."""
+    kept = []
+    least = math.inf
+    for i in sorted(range(len(points)), key=lambda i: points[i]):
+        if points[i][1] < least:
+            kept.append(i)
+            least = points[i][1]
+    return kept
+
+
+def slope(costs: Sequence[float], errors: Sequence[float]) -> float:
+    """Least-squares slope of log error over log cost; NaN for fewer than two different costs. 2^slope is what remains
+    of the error when the cost is doubled."""
+    x, y = np.log(costs), np.log([bounded(error) for error in errors])
+    if len(x) < 2 or np.ptp(x) == 0:
+        return math.nan
+    return float(np.polyfit(x, y, 1)[0])
+
+
+def bounded(error: float | None) -> float:
+    return LARGEST_ERROR if error is None else min(max(error, SMALLEST_ERROR), LARGEST_ERROR)
+
+
+def scenes_of_all(records: Sequence[Record]) -> list[str]:
+    """Scenes that every setting has: means are taken over these."""
+    by_setting: dict[tuple[str, ...], set[str]] = {}
+    for record in records:
+        by_setting.setdefault(setting_key(record), set()).add(record["scene"])
+    common = set.intersection(*by_setting.values()) if by_setting else set()
+    return [scene for scene in dict.fromkeys(record["scene"] for record in records) if scene in common]
+
+
+def setting_key(record: Record) -> tuple[str, str, str, str]:
+    return record["preset"], record["backend"], record["dtype"], record["setting"]
+
+
+def points_of(records: Sequence[Record]) -> list[Point]:
+    """One point a setting, over the scenes that all settings have."""
+    scenes = set(scenes_of_all(records))
+    groups: dict[tuple[str, str, str, str], list[Record]] = {}
+    for record in records:
+        if record["scene"] in scenes:
+            groups.setdefault(setting_key(record), []).append(record)
+    return [
+        Point(
+            *key,
+            cost=math.exp(np.mean([math.log(record["us_per_world_second"]) for record in group])),
+            error=math.exp(np.mean([math.log(bounded(record["error"])) for record in group])),
+        )
+        for key, group in groups.items()
+    ]

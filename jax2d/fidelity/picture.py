@@ -1,0 +1,105 @@
+"""Log-log pictures of error against cost: the mean over all scenes, then one panel a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path as File
+from typing import Any
+
+from jax2d.fidelity.frontier import Point, Record, bounded, pareto_set, points_of, setting_key, slope
+from jax2d.fidelity.study import is_preset_itself
+
+COLOURS = {
+    "standard": "#1f77b4",
+    "paper": "#d62728",
+    "draft": "#ff7f0e",
+    "fine": "#2ca02c",
+    "published-jax2d": "#7f3c8d",
+    "box2d": "#333333",
+}
+OTHER_COLOUR = "#8c8c8c"
+MARKS = {("warp", "float32"): "o", ("xla", "float32"): "s", ("xla", "float64"): "D", ("box2d", "float32"): "^"}
+COLUMNS = 6
+
+
+def draw(records: Sequence[Record], file: File, *, title: str) -> None:
+    """Writes the picture; the format follows the file's ending."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    scenes = list(dict.fromkeys(record["scene"] for record in records))
+    rows = -(-len(scenes) // COLUMNS)
+    figure = plt.figure(figsize=(18, 9 + 2.6 * rows), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, height_ratios=(9, 2.6 * rows))
+    _mean_panel(top.subplots(), records, title)
+    panels = bottom.subplots(rows, COLUMNS, squeeze=False).flat
+    for panel, scene in zip(panels, scenes):
+        _scene_panel(panel, scene, [record for record in records if record["scene"] == scene])
+    for panel in list(bottom.axes)[len(scenes) :]:
+        panel.set_axis_off()
+    figure.savefig(file, dpi=80)
+    plt.close(figure)
+
+
+def _mean_panel(panel: Any, records: Sequence[Record], title: str) -> None:
+    points = points_of(records)
+    own = {setting_key(record): is_preset_itself(record) for record in records}
+    for preset in dict.fromkeys(point.preset for point in points):
+        for (backend, dtype), mark in MARKS.items():
+            these = [p for p in points if (p.preset, p.backend, p.dtype) == (preset, backend, dtype)]
+            if these:
+                label = preset if (backend, dtype) == ("warp", "float32") else f"{preset} ({backend} {dtype})"
+                colour = COLOURS.get(preset, OTHER_COLOUR)
+                panel.plot(
+                    [p.cost for p in these], [p.error for p in these], mark, color=colour, label=label, alpha=0.8
+                )
+    kept = [points[i] for i in pareto_set([(p.cost, p.error) for p in points])]
+    steepness = slope([p.cost for p in kept], [p.error for p in kept])
+    panel.plot(
+        [p.cost for p in kept],
+        [p.error for p in kept],
+        "-",
+        color="black",
+        linewidth=1,
+        zorder=0,
+        label=f"Pareto set, slope {steepness:.2f}: twice the time leaves {2**steepness:.2f} of the error",
+    )
+    for point in points:
+        if own[point[:4]] or point in kept or point.preset in ("published-jax2d", "box2d"):
+            _name(panel, point, is_preset=own[point[:4]])
+    panel.set(xscale="log", yscale="log", title=title)
+    panel.set_xlabel("microseconds per simulated world-second (geometric mean over scenes)")
+    panel.set_ylabel("error (geometric mean over scenes)")
+    panel.grid(True, which="both", alpha=0.2)
+    panel.legend(loc="lower left", fontsize=9)
+
+
+def _name(panel: Any, point: Point, *, is_preset: bool) -> None:
+    text = f"{point.preset}: {point.setting}" if is_preset else point.setting
+    panel.annotate(
+        text,
+        (point.cost, point.error),
+        textcoords="offset points",
+        xytext=(6, 5),
+        fontsize=10 if is_preset else 7,
+        fontweight="bold" if is_preset else "normal",
+        color=COLOURS.get(point.preset, OTHER_COLOUR),
+    )
+
+
+def _scene_panel(panel: Any, scene: str, records: Sequence[Record]) -> None:
+    spots = [(record["us_per_world_second"], bounded(record["error"])) for record in records]
+    for record, (cost, error) in zip(records, spots):
+        mark = MARKS.get((record["backend"], record["dtype"]), "o")
+        size = 9 if is_preset_itself(record) else 4
+        panel.plot(cost, error, mark, color=COLOURS.get(record["preset"], OTHER_COLOUR), markersize=size, alpha=0.7)
+    kept = [spots[i] for i in pareto_set(spots)]
+    panel.plot(*zip(*kept), "-", color="black", linewidth=0.8, zorder=0)
+    panel.set(xscale="log", yscale="log")
+    panel.set_title(scene, fontsize=9)
+    panel.set_ylabel(records[0]["metric"].split(" (")[0].split(" / ")[0][:34], fontsize=6)
+    panel.tick_params(labelsize=6)
+    panel.tick_params(which="minor", labelleft=False, labelbottom=False)
+    panel.grid(True, alpha=0.2)

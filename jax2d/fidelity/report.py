@@ -1,0 +1,121 @@
+"""The study in words: tables for a terminal, and what they come to."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path as File
+
+from rich.console import Console
+from rich.table import Table
+
+from jax2d.fidelity.frontier import Record, bounded, pareto_set, points_of, setting_key, slope
+from jax2d.fidelity.peers import PEERS
+from jax2d.fidelity.study import is_preset_itself, setting_label
+from jax2d.settings import preset
+
+PEER_NAMES = tuple(peer.name for peer in PEERS.values())
+
+
+def write_csv(records: Sequence[Record], file: File) -> None:
+    with file.open("w", newline="") as out:
+        writer = csv.DictWriter(out, list(Record.__annotations__))
+        writer.writeheader()
+        writer.writerows(records)
+
+
+def columns_of(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
+    """Settings that the table of scenes shows: the presets, and each peer's first."""
+    keys = list(dict.fromkeys(setting_key(r) for r in records if is_preset_itself(r)))
+    for name in PEER_NAMES:
+        keys += list(dict.fromkeys(setting_key(r) for r in records if r["preset"] == name))[:1]
+    return keys
+
+
+def slope_along_dt(records: Sequence[Record], scene: str) -> float:
+    """Slope of a scene's error over its cost where `standard` is given smaller steps and nothing else."""
+    base = preset("standard")
+    rows = [
+        record
+        for record in records
+        if record["scene"] == scene
+        and (record["preset"], record["backend"]) == ("standard", "warp")
+        and record["setting"] in {setting_label(base.replace(dt=1 / rate)) for rate in (30, 60, 120, 240, 480)}
+    ]
+    return slope([row["us_per_world_second"] for row in rows], [bounded(row["error"]) for row in rows])
+
+
+def beaten_scenes(records: Sequence[Record], ours: str, theirs: str) -> list[str]:
+    """Scenes in which a setting of theirs is as fast and as accurate as our preset itself, and better in one."""
+    beaten = []
+    for own in records:
+        if own["preset"] != ours or own["backend"] != "warp" or not is_preset_itself(own):
+            continue
+        mine = own["us_per_world_second"], bounded(own["error"])
+        for other in records:
+            if other["preset"] == theirs and other["scene"] == own["scene"]:
+                spot = other["us_per_world_second"], bounded(other["error"])
+                if spot != mine and spot[0] <= mine[0] and spot[1] <= mine[1]:
+                    beaten.append(own["scene"])
+                    break
+    return beaten
+
+
+def print_report(records: Sequence[Record], console: Console) -> None:
+    console.print(_scene_table(records))
+    console.print(_point_table(records))
+    points = points_of(records)
+    ours = [point for point in points if point.preset not in PEER_NAMES]
+    kept = [ours[i] for i in pareto_set([(point.cost, point.error) for point in ours])]
+    steepness = slope([point.cost for point in kept], [point.error for point in kept])
+    if math.isfinite(steepness):
+        console.print(
+            f"Pareto set of our settings: slope {steepness:.2f}; twice the time leaves {2**steepness:.2f} of the error"
+        )
+    for name in PEER_NAMES:
+        if any(record["preset"] == name for record in records):
+            beaten = beaten_scenes(records, "standard", name)
+            console.print(f"scenes in which {name} dominates standard: {', '.join(beaten) or 'none'}")
+
+
+def _scene_table(records: Sequence[Record]) -> Table:
+    keys = columns_of(records)
+    table = Table(title="error (us per world-second); the last column: slope of standard when only dt shrinks")
+    table.add_column("scene")
+    for name, backend, dtype, setting in keys:
+        where = "" if (backend, dtype) == ("warp", "float32") or name in PEER_NAMES else f"\n{backend} {dtype}"
+        table.add_column(f"{name}{where}\n{setting}", justify="right")
+    table.add_column("slope", justify="right")
+    cells = {(record["scene"], setting_key(record)): record for record in records}
+    for scene in dict.fromkeys(record["scene"] for record in records):
+        row = [_cell(cells.get((scene, key))) for key in keys]
+        table.add_row(scene, *row, f"{slope_along_dt(records, scene):.2f}")
+    return table
+
+
+def _cell(record: Record | None) -> str:
+    if record is None:
+        return "-"
+    error = "not finite" if record["error"] is None else f"{record['error']:.1e}"
+    return f"{error} ({record['us_per_world_second']:.3g})"
+
+
+def _point_table(records: Sequence[Record]) -> Table:
+    points = sorted(points_of(records), key=lambda point: point.cost)
+    kept = set(pareto_set([(point.cost, point.error) for point in points]))
+    table = Table(title="geometric means over the scenes that all have; * nothing is both faster and more accurate")
+    for name in ("", "preset", "backend", "setting"):
+        table.add_column(name)
+    for name in ("us per world-second", "error"):
+        table.add_column(name, justify="right")
+    for i, point in enumerate(points):
+        table.add_row(
+            "*" if i in kept else "",
+            point.preset,
+            f"{point.backend} {point.dtype}",
+            point.setting,
+            f"{point.cost:.1f}",
+            f"{point.error:.2e}",
+        )
+    return table
