@@ -21,7 +21,8 @@ from jax2d.xla.parameters import Scalar
 FAR_M = 1e30  # distance of what does not exist
 COINCIDENT_M = 1e-9  # centres closer than this have no direction of their own
 ON_FACE_M = 1e-7  # a circle's centre this near a face counts as inside
-FLIP_ADVANTAGE_M = 0.0005  # b's face becomes the reference only if clearly better: no flicker between near-equal axes
+FLIP_ADVANTAGE_M = 0.0005  # by which the other face must be better to be the reference: no flicker near a tie
+CLEARLY_LARGER = 1.1  # ratio of extents from which the larger shape's face is the reference
 # Bits of a feature: which of b's faces or corners meets which of a's. Points of one pair ascend in them.
 FLIPPED, EDGE, CORNER_OUTSIDE, CORNER_INSIDE, SEAM, INCIDENT = 64, 8, 128, 256, 384, 512
 GRAZING_M = 0.005  # this near to level with an end of a face, what lies ahead is the next tile rather than a wall
@@ -45,6 +46,7 @@ class Polygons(NamedTuple):
     following: jax.Array  # [P, V, 2] m, the next corner counter-clockwise
     normal: jax.Array  # [P, V, 2] outward, of the edge from a corner to the following one
     is_corner: jax.Array  # [P, V] bool
+    extent: jax.Array  # [P] m, largest distance from centre to corner
 
 
 class Geometry(NamedTuple):
@@ -66,15 +68,16 @@ def build(scene: Scene, bodies: Bodies) -> Geometry:
     following = jnp.where(is_last[..., None], corner[:, :1], jnp.roll(corner, -1, axis=1))
     normal = vec2.unit_or_zero(vec2.right(following - corner))
     real = is_corner[..., None]
+    extent = jnp.max(jnp.where(is_corner, vec2.length(corner), 0), axis=1, initial=0)
     r = scene.radius
     radii = jnp.stack([r, r], -1)
     return Geometry(
-        polygons=Polygons(corner, following, normal, is_corner),
+        polygons=Polygons(corner, following, normal, is_corner, extent),
         radius=r,
         lower=jnp.concatenate([jnp.min(jnp.where(real, corner, FAR_M), axis=1, initial=FAR_M), -radii]),
         upper=jnp.concatenate([jnp.max(jnp.where(real, corner, -FAR_M), axis=1, initial=-FAR_M), radii]),
         core=jnp.concatenate([jnp.min(jnp.where(is_corner, vec2.dot(normal, corner), FAR_M), 1, initial=FAR_M), r]),
-        extent=jnp.concatenate([jnp.max(jnp.where(is_corner, vec2.length(corner), 0), 1, initial=0), r]),
+        extent=jnp.concatenate([extent, r]),
     )
 
 
@@ -172,7 +175,10 @@ def polygon_polygon(
     zero = jnp.zeros_like(d)
     depth_a, edge_a = deepest_axis(a, zero, b, d)
     depth_b, edge_b = deepest_axis(b, d, a, zero)
-    flipped = depth_b > depth_a + FLIP_ADVANTAGE_M
+    # The reference face is that of the clearly larger shape (a's if neither is) unless the other's is clearly better: a
+    # floor holds its normal while what stands on it rocks.
+    larger_b = b.extent > CLEARLY_LARGER * a.extent
+    flipped = depth_b > depth_a + jnp.where(larger_b, -FLIP_ADVANTAGE_M, FLIP_ADVANTAGE_M)
 
     def choose(of_b, of_a):
         return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)

@@ -1,0 +1,413 @@
+"""The kernel against the reference in plain JAX: field by field over one step, alike over many, and what the reference
+can do beyond it: float64, gradients, vmap, batched contacts."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax2d import (
+    BuiltWorld,
+    Capacity,
+    Controls,
+    Engine,
+    SceneBuilder,
+    Settings,
+    State,
+    measure,
+    preset,
+    stack_worlds,
+    touch_matrix,
+)
+from kinetix_dist.level.generator import GeneratorConfig, generate_levels
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.roles import Role
+
+NUM_WORLDS = 128
+SNAPSHOTS = (8, 30, 90)  # steps after which states are compared: falling, first impacts, mostly settled
+
+# Largest difference over one step, in units of 1 + the largest value of that field in the world. Float32 rounds at
+# 6e-8; velocities take eight passes over the contacts, and small light bodies turn a little impulse into much spin.
+TOLERANCE = {
+    "position": 1e-6,  # m
+    "angle": 2e-6,  # rad
+    "velocity": 2e-5,  # m/s
+    "angular_velocity": 1e-4,  # rad/s
+    "joint_impulse": 5e-6,  # N s
+    "contact_impulse": 5e-6,  # N s
+}
+# A contact within rounding of zero separation is soft for one and speculative for the other, and of two faces that are
+# equally good one may take either (1 world in 1,000 or so). The former must still agree within this many tolerances.
+AT_THRESHOLD, SHARE_AT_THRESHOLD = 1000, 0.006
+
+
+@functools.cache
+def levels(size: str, num_worlds: int = NUM_WORLDS) -> Level:
+    generate = jax.jit(lambda key: generate_levels(key, num_worlds, SIZES[size], GeneratorConfig()))
+    return jax.tree.map(np.asarray, generate(jax.random.key(7)))
+
+
+@functools.cache
+def engine(size: str, settings: Settings, backend: str) -> Engine:
+    return Engine(SIZES[size], settings=settings, backend=backend)
+
+
+def start(one: Engine, level: Level) -> State:
+    return one.initial_state(level.scene, level.position, level.angle, level.velocity, level.angular_velocity)
+
+
+def random_controls(size: str, num_steps: int, num_worlds: int = NUM_WORLDS, seed: int = 0) -> Controls:
+    """[num_steps, num_worlds, ...], held for 10 steps each as an agent might."""
+    rng, capacity = np.random.default_rng(seed), SIZES[size]
+    shape = (-(-num_steps // 10), num_worlds)
+    motor = rng.integers(-1, 2, (*shape, capacity.joints)).astype(np.float32)
+    thruster = rng.integers(0, 2, (*shape, capacity.thrusters)).astype(np.float32)
+    return Controls(motor=np.repeat(motor, 10, 0)[:num_steps], thruster=np.repeat(thruster, 10, 0)[:num_steps])
+
+
+@functools.cache
+def rollout(size: str, settings: Settings, backend: str, num_steps: int, nudge: float = 0.0) -> tuple[State, Any]:
+    """States [num_steps, W, ...] and touching under random controls, as numpy; `nudge` [m] moves every start."""
+    one, level = engine(size, settings, backend), levels(size)
+    state = start(one, level)
+    noise = nudge * np.random.default_rng(1).standard_normal(state.position.shape).astype(np.float32)
+    state = dataclasses.replace(state, position=state.position + noise)
+
+    @jax.jit
+    def simulate(state: State, controls: Controls) -> tuple[State, Any]:
+        scene = one.pack_scene(level.scene)
+
+        def body(packed: Any, controls: Controls) -> tuple[Any, tuple[State, Any]]:
+            packed, touching = one.step_packed(scene, packed, controls)
+            return packed, (one.unpack_state(packed), touching)
+
+        return jax.lax.scan(body, one.pack_state(state), controls)[1]
+
+    return jax.tree.map(np.asarray, simulate(state, random_controls(size, num_steps)))
+
+
+def differences(a: State, b: State, field: str) -> np.ndarray:
+    """[W] in units of 1 + the largest value of the field in each world."""
+    x, y = (np.asarray(getattr(s, field), np.float64) for s in (a, b))
+    x, y = x.reshape(len(x), -1), y.reshape(len(y), -1)
+    return np.abs(x - y).max(1) / (1 + np.abs(x).max(1))
+
+
+@functools.cache
+def snapshots(size: str, settings: Settings) -> tuple[Any, State, Controls]:
+    """Scenes, states that the kernel reached, and what is done next: one batch."""
+    states, _ = rollout(size, settings, "warp", max(SNAPSHOTS))
+    state = jax.tree.map(lambda x: np.concatenate([x[step - 1] for step in SNAPSHOTS]), states)
+    scene = jax.tree.map(lambda x: np.concatenate([x] * len(SNAPSHOTS)), levels(size).scene)
+    controls = random_controls(size, 1, num_worlds=NUM_WORLDS * len(SNAPSHOTS), seed=1)
+    return scene, state, jax.tree.map(lambda x: x[0], controls)
+
+
+def quantile_at_threshold(difference: np.ndarray) -> float:
+    return float(np.quantile(difference, 1 - SHARE_AT_THRESHOLD, method="lower"))
+
+
+@pytest.mark.parametrize(
+    ("size", "name"),
+    [
+        ("s", "standard"),
+        ("m", "standard"),
+        ("m", "paper"),
+        pytest.param("s", "paper", marks=pytest.mark.slow),
+        pytest.param("l", "standard", marks=pytest.mark.slow),
+        pytest.param("l", "paper", marks=pytest.mark.slow),
+    ],
+)
+def test_kernel_and_reference_agree_field_by_field_over_one_step(size: str, name: str) -> None:
+    seen = assert_agreement(size, preset(name), *snapshots(size, preset(name)))
+    # There was something to agree on: contacts, and joints that pull.
+    assert np.sum(seen.contact_key >= 0) > len(seen.contact_key)
+    assert np.mean(np.abs(seen.joint_impulse).max((1, 2)) > 0) > 0.3
+
+
+def assert_agreement(size: str, settings: Settings, scene: Any, state: State, controls: Controls) -> State:
+    """One step by each backend; returns the kernel's."""
+    a, touching_a = engine(size, settings, "warp").step(scene, state, controls)
+    b, touching_b = engine(size, settings, "xla").step(scene, state, controls)
+    same_contacts = np.all(np.asarray(a.contact_key) == np.asarray(b.contact_key), axis=1)
+    assert same_contacts.mean() >= 1 - SHARE_AT_THRESHOLD
+    for field, tolerance in TOLERANCE.items():
+        difference = differences(a, b, field)[same_contacts]
+        assert quantile_at_threshold(difference) <= tolerance, field
+        assert difference.max() <= AT_THRESHOLD * tolerance, field
+    same_touch = np.all(np.asarray(touching_a.at_end) == np.asarray(touching_b.at_end), axis=(1, 2))
+    assert same_touch.mean() >= 1 - SHARE_AT_THRESHOLD
+    np.testing.assert_array_equal(touching_a.overflow, touching_b.overflow)
+    assert np.mean(np.asarray(touching_a.limited) == np.asarray(touching_b.limited)) >= 1 - SHARE_AT_THRESHOLD
+    return jax.tree.map(np.asarray, a)
+
+
+def rare_worlds() -> list[BuiltWorld]:
+    """What random levels seldom hold."""
+    tiles, swing, limit, stack = (SceneBuilder(SIZES["s"]) for _ in range(4))
+    for i in range(4):  # a box slides over the seams of a tiled floor
+        tiles.add_box(width=0.5, height=0.5, position=(0.5 * i, -0.25), fixed=True)
+    tiles.add_box(width=0.3, height=0.3, position=(0.0, 0.15), velocity=(2.0, 0.0), friction=0.0)
+    # A rod at 40 rad/s among a post and balls: contacts are found anew for every sub-step.
+    swing.add_box(width=2.0, height=0.05, angular_velocity=40.0)
+    swing.add_box(width=0.2, height=0.2, position=(0.0, 0.9), fixed=True, restitution=0.5)
+    swing.add_circle(radius=0.1, position=(0.6, 0.5), restitution=0.5)
+    swing.add_circle(radius=0.1, position=(-0.5, -0.4))
+    swing.add_thruster(0, at=(0.5, 0.0), angle=1.5, power=0.5)
+    # A strong motor runs into a limit.
+    base = limit.add_box(width=1, height=1, fixed=True)
+    arm = limit.add_box(width=1, height=0.2, position=(0.9, 0))
+    limit.add_revolute_joint(base, arm, at=(0.5, 0), motor_speed=2.0, motor_power=1.0, limits=(-0.5, 0.3))
+    # The floor stands in the last slot.
+    for i in range(4):
+        stack.add_box(width=0.5, height=0.5, position=(0.02 * i, 0.25 + 0.5 * i))
+    stack.add_box(width=10, height=1, position=(0, -0.5), fixed=True)
+    return [b.build() for b in (tiles, swing, limit, stack)]
+
+
+def test_kernel_and_reference_agree_where_special_rules_act() -> None:
+    settings, worlds = preset("standard"), rare_worlds()
+    kernel = engine("s", settings, "warp")
+    steps = NUM_WORLDS * len(SNAPSHOTS) // len(worlds)
+    controls = Controls(motor=np.ones((1, 1), np.float32), thruster=np.ones((1, 1), np.float32))
+    scenes, states = [], []
+    for world in worlds:
+        scene, state = jax.tree.map(lambda x: np.asarray(x)[None], (world.scene, kernel.initial_state(*world)))
+        packed_scene, packed = kernel.pack_scene(scene), kernel.pack_state(state)
+        for _ in range(steps):
+            scenes.append(scene)
+            states.append(kernel.unpack_state(packed))
+            packed, _ = kernel.step_packed(packed_scene, packed, controls)
+    scene, state = (jax.tree.map(lambda *xs: np.concatenate(xs), *trees) for trees in (scenes, states))
+    seen = assert_agreement("s", settings, scene, state, jax.tree.map(lambda x: np.repeat(x, len(states), 0), controls))
+    feature = seen.contact_key % 4096
+    assert np.any((seen.contact_key >= 0) & (feature % 512 >= 384))  # seams were met
+    spin = np.abs(state.angular_velocity[steps : 2 * steps, 0])
+    assert np.sum((spin / 60) ** 2 * (1.0 - 0.025) > settings.speculative_distance) > 10  # and swings
+
+
+def test_kernel_and_reference_are_alike_over_episodes_and_chaos_separates_them() -> None:
+    """Two seconds of size M. How fast two runs part is a property of the worlds: kernel and reference part no faster
+    than the kernel from itself when it starts a tenth of a micrometre aside."""
+    settings, num_steps, level = preset("standard"), 120, levels("m")
+    kernel, kernel_touching = rollout("m", settings, "warp", num_steps)
+    reference, reference_touching = rollout("m", settings, "xla", num_steps)
+    nudged, _ = rollout("m", settings, "warp", num_steps, nudge=1e-7)
+
+    def parted(a: State, b: State) -> np.ndarray:
+        """[num_steps, W] m, largest distance between the two places of any shape."""
+        return np.linalg.norm(a.position - b.position, axis=-1).max(-1)
+
+    backends, chaos = parted(kernel, reference), parted(kernel, nudged)
+    # The first tenth of a second: what a world does is still the same motion.
+    assert np.median(backends[5]) < 1e-6
+    # After two seconds a share of the worlds has parted by a centimetre, in both comparisons alike.
+    share, chaos_share = (np.mean(x[-1] > 0.01) for x in (backends, chaos))
+    assert share <= chaos_share + 0.1
+    for step in (5, 29, 59, 119):
+        print(
+            f"step {step + 1}: apart by 1 cm: kernel/reference {np.mean(backends[step] > 0.01):.3f}, "
+            f"kernel/kernel moved by 0.1 um {np.mean(chaos[step] > 0.01):.3f}; median {np.median(backends[step]):.1e} m"
+        )
+
+    # Statistics do not part: energy, contacts, who touched whom.
+    energy = jax.vmap(jax.vmap(measure.energy), in_axes=(None, 0))
+    energies = [np.asarray(energy(level.scene, s)).mean(1) for s in (kernel, reference)]
+    spread = np.asarray(energy(level.scene, jax.tree.map(lambda x: x[:1], kernel))).std()
+    np.testing.assert_allclose(*energies, atol=0.05 * spread)  # mean energy at every step
+    contacts = [np.mean(s.contact_key >= 0) for s in (kernel, reference)]
+    assert contacts[0] == pytest.approx(contacts[1], rel=0.02)
+    met = [_green_met_blue(level, touching) for touching in (kernel_touching, reference_touching)]
+    assert np.mean(met[0] != met[1]) < 0.05
+    assert 0.02 < np.mean(met[0]) < 0.98
+
+
+def _green_met_blue(level: Level, touching: Any) -> np.ndarray:
+    """[W] bool: did a green shape touch a blue one at any time?"""
+    touch = np.asarray(touch_matrix(touching.during, level.shape_role.shape[1])).any(0)
+    green, blue = level.shape_role == Role.GREEN, level.shape_role == Role.BLUE
+    return (touch & green[:, :, None] & blue[:, None, :]).any((1, 2))
+
+
+def test_states_pass_between_backends() -> None:
+    """A stack that comes to rest while kernel and reference take turns: warm starting finds the other's impulses."""
+    capacity = SIZES["s"]
+    b = SceneBuilder(capacity)
+    b.add_box(width=10, height=1, position=(0, -0.5), fixed=True)
+    boxes = [b.add_box(width=0.5, height=0.5, position=(0, 0.25 + 0.5 * i)) for i in range(4)]
+    world = b.build()
+    turns = [engine("s", preset("standard"), backend) for backend in ("warp", "xla")]
+    state = turns[0].initial_state(*world)
+    for i in range(60):
+        state, _ = turns[i % 2].step(world.scene, state)
+    again, _ = turns[0].step(world.scene, state)
+    assert np.sum(np.asarray(again.contact_key) >= 0) == 8
+    np.testing.assert_array_equal(again.contact_key, state.contact_key)
+    np.testing.assert_allclose(again.contact_impulse, state.contact_impulse, atol=1e-4)
+    assert float(jnp.abs(again.velocity).max()) < 1e-3
+    assert again.position[boxes[-1], 1] == pytest.approx(1.75, abs=0.01)
+
+
+def test_float64_agrees_with_float32_within_its_rounding() -> None:
+    settings = preset("standard")
+    scene, state, controls = snapshots("s", settings)
+    a, _ = engine("s", settings, "xla").step(scene, state, controls)
+    with jax.enable_x64(True):
+        double = Engine(SIZES["s"], settings=settings, backend="xla", dtype=jnp.float64)
+        b, _ = double.step(scene, state, controls)
+    assert b.position.dtype == np.float64
+    for field, tolerance in TOLERANCE.items():
+        # What both float32 programs round alike (corners at 5 m from the origin to 4e-7 m) shows here only.
+        assert quantile_at_threshold(differences(a, b, field)) <= 10 * tolerance, field
+        assert np.median(differences(a, b, field)) <= 0.1 * tolerance, field
+
+
+def test_float64_needs_the_64_bit_mode_and_the_reference() -> None:
+    with pytest.raises(ValueError, match="jax_enable_x64"):
+        Engine(SIZES["s"], backend="xla", dtype=jnp.float64)
+    with pytest.raises(ValueError, match="float32"):
+        Engine(SIZES["s"], backend="warp", dtype=jnp.float64)
+    with pytest.raises(ValueError, match="float16"):
+        Engine(SIZES["s"], backend="xla", dtype=jnp.float16)
+    with pytest.raises(ValueError, match="known backends: warp, xla"):
+        Engine(SIZES["s"], backend="torch")
+
+
+ARM = Capacity(polygons=3, circles=1, joints=1, thrusters=1)
+
+
+@functools.cache
+def sensitivity(name: str) -> Any:
+    """`f(x, scene, state, weights) -> (value, gradient)` in float64, of a sum over what 20 steps lead to."""
+    one = Engine(ARM, settings=preset(name), backend="xla", dtype=jnp.float64)
+
+    def value(x: dict[str, jax.Array], scene: Any, state: State, weights: dict[str, jax.Array]) -> jax.Array:
+        state = dataclasses.replace(state, **{k: v for k, v in x.items() if k not in ("motor", "thruster")})
+        end, _ = one.step(scene, state, Controls(motor=x["motor"], thruster=x["thruster"]), num_steps=20)
+        return sum(jnp.sum(weight * getattr(end, field)) for field, weight in weights.items())
+
+    return jax.jit(jax.value_and_grad(value))
+
+
+def gradient_case(b: SceneBuilder, name: str, motor: float, thruster: float) -> tuple[dict, Any, State, dict]:
+    one, world = Engine(ARM, settings=preset(name), backend="xla", dtype=jnp.float64), b.build()
+    state = one.initial_state(*world)
+    fields = ("position", "angle", "velocity", "angular_velocity")
+    x = {field: getattr(state, field) for field in fields}
+    x |= {"motor": jnp.array([motor], jnp.float64), "thruster": jnp.array([thruster], jnp.float64)}
+    rng = np.random.default_rng(3)
+    weights = {field: jnp.asarray(rng.standard_normal(getattr(state, field).shape)) for field in fields}
+    return x, world.scene, state, weights
+
+
+@pytest.mark.parametrize("name", ["standard", pytest.param("paper", marks=pytest.mark.slow)])
+def test_gradients_are_those_of_finite_differences(name: str) -> None:
+    """A driven arm, and a ball with a thruster that rolls on a floor: no event in 20 steps."""
+    b = SceneBuilder(ARM)
+    b.add_box(width=20, height=1, position=(0, -0.5), fixed=True)
+    base = b.add_box(width=0.2, height=0.2, position=(0, 3), fixed=True)
+    link = b.add_box(width=1.0, height=0.2, position=(0.5, 3))
+    ball = b.add_circle(radius=0.3, position=(3, 0.2995), velocity=(1.0, 0.0), angular_velocity=-3.0)
+    b.add_revolute_joint(base, link, at=(0, 3), motor_speed=0.2, motor_power=1.0, limits=(-3, 3))
+    b.add_thruster(ball, at=(3.1, 0.2995), angle=0.5, power=0.05)
+    with jax.enable_x64(True):
+        case = gradient_case(b, name, motor=0.4, thruster=0.5)
+        x, rest = case[0], case[1:]
+        gradient = sensitivity(name)(x, *rest)[1]
+        for field, index in (
+            ("motor", 0),
+            ("thruster", 0),
+            ("angle", link),
+            ("velocity", (ball, 0)),
+            ("position", (ball, 0)),
+            ("angular_velocity", ball),
+        ):
+            step = 1e-6
+            ends = [sensitivity(name)(x | {field: x[field].at[index].add(d)}, *rest)[0] for d in (step, -step)]
+            slope = float(ends[0] - ends[1]) / (2 * step)
+            # Of a difference of 1e-6: rounding 1e-16 / 1e-6, curvature 1e-12.
+            assert float(gradient[field][index]) == pytest.approx(slope, rel=1e-6, abs=1e-7), (field, index)
+            assert abs(slope) > 1e-3, (field, index)
+
+
+@pytest.mark.parametrize("name", ["standard", pytest.param("paper", marks=pytest.mark.slow)])
+def test_gradients_are_finite_where_the_maths_has_corners(name: str) -> None:
+    """Bodies at rest, coincident centres, no speed, no friction: roots of zero must not give infinite slopes."""
+    b = SceneBuilder(ARM, gravity=(0, 0))
+    b.add_box(width=1, height=1, friction=0.0)
+    b.add_box(width=1, height=1, position=(0, 1))
+    b.add_box(width=1, height=1, position=(0, 0.4))
+    b.add_circle(radius=0.3, position=(0, 0))
+    with jax.enable_x64(True):
+        gradient = sensitivity(name)(*gradient_case(b, name, motor=0.0, thruster=0.0))[1]
+    assert all(bool(np.isfinite(g).all()) for g in jax.tree.leaves(gradient))
+
+
+BALLS = Capacity(polygons=1, circles=3, joints=0, thrusters=0)
+
+
+def one_iteration(b: SceneBuilder, batch_size: int) -> State:
+    """The state after one step of one iteration."""
+    one = Engine(BALLS, settings=preset("paper").replace(substeps=1, solver_batch_size=batch_size), backend="xla")
+    world = b.build()
+    return one.step(world.scene, one.initial_state(*world))[0]
+
+
+def head_on() -> SceneBuilder:
+    """A ball at rest is hit from both sides at 1 m/s by its equals."""
+    b = SceneBuilder(BALLS, gravity=(0, 0))
+    b.add_circle(radius=0.5, position=(0, 0))
+    b.add_circle(radius=0.5, position=(-0.999, 0), velocity=(1, 0))
+    b.add_circle(radius=0.5, position=(0.999, 0), velocity=(-1, 0))
+    return b
+
+
+def test_one_contact_after_another_sees_what_the_one_before_did() -> None:
+    # Left first: both at 0.5. Then right: 0.5 against -1 closes at 1.5, shared.
+    np.testing.assert_allclose(one_iteration(head_on(), 1).velocity[1:, 0], [-0.25, 0.5, -0.25], atol=1e-6)
+
+
+def test_contacts_of_a_batch_are_solved_from_the_same_velocities() -> None:
+    # Either contact alone stops its closing speed of 1 m/s by half each; the two halves cancel in the middle.
+    np.testing.assert_allclose(one_iteration(head_on(), 16).velocity[1:, 0], [0, 0.5, -0.5], atol=1e-6)
+
+
+def test_contacts_that_share_no_movable_body_do_not_depend_on_the_batch_size() -> None:
+    b = SceneBuilder(BALLS)
+    b.add_box(width=20, height=1, position=(0, -0.5), fixed=True)
+    for x in (-3, 0, 3):
+        b.add_circle(radius=0.5, position=(x, 0.49), velocity=(x, -2))
+    alone, together = one_iteration(b, 1), one_iteration(b, 16)
+    for x, y in zip(jax.tree.leaves(alone), jax.tree.leaves(together)):
+        np.testing.assert_allclose(x, y, atol=1e-6)
+    assert np.sum(np.asarray(alone.contact_key) >= 0) == 3
+
+
+def test_vmap_over_single_worlds_is_the_batch() -> None:
+    one = Engine(BALLS, settings=preset("paper").replace(substeps=1), backend="xla")
+    worlds = []
+    for x in (0.0, 0.3):
+        b = head_on()
+        b.add_box(width=1, height=0.2, position=(x, 0.55))
+        worlds.append(b.build())
+    scene = stack_worlds([w.scene for w in worlds])
+    state = stack_worlds([one.initial_state(*w) for w in worlds])
+    batch, _ = one.step(scene, state)
+    mapped, _ = jax.vmap(one.step)(scene, state)
+    for x, y in zip(jax.tree.leaves(batch), jax.tree.leaves(mapped)):
+        np.testing.assert_allclose(x, y, atol=1e-6)  # two programs: the compiler rounds each in its own way
+
+
+def test_only_the_reference_and_only_sequential_impulses_solve_in_batches() -> None:
+    with pytest.raises(ValueError, match="backend='xla'"):
+        Engine(SIZES["s"], settings=preset("paper").replace(solver_batch_size=16))
+    with pytest.raises(ValueError, match="soft_step"):
+        preset("standard").replace(solver_batch_size=16)
+    with pytest.raises(ValueError, match="at least 1"):
+        preset("paper").replace(solver_batch_size=0)
