@@ -46,7 +46,7 @@ struct Contacts {
           real margin = reach;
           if (ahead) margin += fast_margin(bodies, geometry, a, b, dt);
           if (!geometry.bounds_overlap(a, b, d, margin)) continue;
-          Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], margin);
+          Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], bodies.omega[a], margin);
           if (m.count == 0) continue;
           if (ahead) swinging |= swings(bodies, geometry, a, reach, dt) || swings(bodies, geometry, b, reach, dt);
           real friction = mix_friction(scene.get(SCENE_FRICTION + a), scene.get(SCENE_FRICTION + b), params);

@@ -1,7 +1,13 @@
 // Contact manifolds: where and along which normal two convex shapes meet. C = (pB - pA) . n >= 0
 //
+// GRAZING (m): shapes that are level to within it, or miss each other by it, slide past rather than meet.
+// STANDING (m/s): slower than this, what overlaps or is about to meet rests where it is.
+//
 // Everything is computed relative to the centre of mass of shape a, so that worlds far from the origin
 // keep their precision. Normals point from a to b; a separation below zero is a penetration depth.
+
+#define GRAZING real(0.005)
+#define STANDING real(0.1)
 
 struct ContactPoint {
   Vec2 point;       // midway between the surfaces, relative to the centre of mass of a
@@ -68,10 +74,10 @@ struct Geometry {
            lower[b].y + d.y <= upper[a].y + margin && upper[b].y + d.y >= lower[a].y - margin;
   }
 
-  // d: centre of b relative to centre of a; motion: how that changes. Points farther apart than margin are left out.
-  KFN Manifold collide(int a, int b, Vec2 d, Vec2 motion, real margin) const {
+  // d: centre of b relative to centre of a; motion: how that changes; spin: of a. Points farther apart than margin are left out.
+  KFN Manifold collide(int a, int b, Vec2 d, Vec2 motion, real spin, real margin) const {
     if (b < NUM_POLYGONS) return polygon_polygon(a, b, d, motion, margin);
-    if (a < NUM_POLYGONS) return polygon_circle(a, b - NUM_POLYGONS, d, margin);
+    if (a < NUM_POLYGONS) return polygon_circle(a, b - NUM_POLYGONS, d, motion, spin, margin);
     return circle_circle(a - NUM_POLYGONS, b - NUM_POLYGONS, d, margin);
   }
 
@@ -88,7 +94,13 @@ struct Geometry {
     return m;
   }
 
-  KFN Manifold polygon_circle(int polygon, int circle, Vec2 centre, real margin) const {
+  // A disc that moves on as it does leaves the corner beside it, or grazes it: the corner of the next tile of a floor.
+  KFN static bool rolls_past(Vec2 away, Vec2 motion, real r) {
+    real speed = motion.length(), beside = away.cross(motion);
+    return speed > STANDING && (beside < real(0) ? -beside : beside) >= (r - GRAZING) * speed;
+  }
+
+  KFN Manifold polygon_circle(int polygon, int circle, Vec2 centre, Vec2 motion, real spin, real margin) const {
     Manifold m;
     m.count = 0;
     const Vec2* v = corner + polygon * MAX_VERTICES;
@@ -122,6 +134,7 @@ struct Geometry {
       Vec2 away = centre - closest;
       distance = away.length();
       if (distance - r > margin) return m;
+      if (SOFT_STEP && distance > r && rolls_past(away, motion - closest.left() * spin, r)) return m;
       m.normal = away * (real(1) / distance);  // distance >= face_distance > 0
     }
     real separation = distance - r;
@@ -136,8 +149,6 @@ struct Geometry {
   // upper_end, lower_end: the incident edge, relative to the centre of ref; u: how far along the reference face.
   KFN bool slides_past(int ref, int inc, int edge, Vec2 inc_from_ref, Vec2 lower_end, Vec2 upper_end, real u_lower,
                        real u_upper, real length, real closing, real margin, Manifold& m) const {
-    const real GRAZING = real(0.005);  // m
-    const real STANDING = real(0.1);   // m/s, slower than this a pair that overlaps rests on its face
     real overlap = Math::min(u_upper, length) - Math::max(u_lower, real(0));
     if (overlap > GRAZING || overlap < -GRAZING) return false;
     if (overlap > real(0.5) * Math::min(u_upper - u_lower, length)) return false;  // a thin shape, met in full
