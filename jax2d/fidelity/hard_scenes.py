@@ -299,20 +299,20 @@ def squeezed_circles() -> HardScene:
     return yard.scene("squeezed circles", judge)
 
 
-def tiled_floor() -> HardScene:
-    """A box slides without friction over a floor of tiles: inner edges must not trip it."""
+def tiled_floor(disc: bool) -> HardScene:
+    """A box or a disc slides without friction over a floor of tiles: inner edges must not trip it."""
     yard = Yard(floor=False, mu=0.0)
     for k in range(60):
         yard.box(k, -0.5, fixed=True)
-    box = yard.box(0, 0.5, velocity=(5.0, 0.0))
+    body = yard.ball(0, 0.5, velocity=(5.0, 0.0)) if disc else yard.box(0, 0.5, velocity=(5.0, 0.0))
 
     def judge(m: Motion) -> list[Check]:
         return [
-            Check("vertical speed, m/s", np.abs(m.velocity[:, box, 1]).max(), 0.05),
-            Check("loses speed, m/s", 5.0 - m.velocity[-1, box, 0], 0.05),
+            Check("vertical speed, m/s", np.abs(m.velocity[:, body, 1]).max(), 0.05),
+            Check("loses speed, m/s", 5.0 - m.velocity[-1, body, 0], 0.05),
         ]
 
-    return yard.scene("tiled floor", judge)
+    return yard.scene(f"{'disc' if disc else 'box'} over a tiled floor", judge)
 
 
 def huge_ground() -> HardScene:
@@ -588,7 +588,7 @@ def hard_scenes() -> list[HardScene]:
         card_house(),
         *(friction_ramp(mu) for mu in (0.2, 0.3)),
         squeezed_circles(),
-        tiled_floor(),
+        *(tiled_floor(disc) for disc in (False, True)),
         huge_ground(),
         thin_shapes(),
         pyramid(rows=5, size=0.05),

@@ -4,6 +4,7 @@ down, and a test fails when one of them starts to pass."""
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,6 +43,7 @@ BEYOND = {
         "pyramid under mass ratio 300",
         "overlap of 25 %",
         "coincident centres",
+        "disc over a tiled floor",
         "thin and tiny shapes",
         "pyramid of 5 rows of 0.05 m",
         "bridge",
@@ -85,6 +87,18 @@ def test_fine_passes(name: str):
 )
 def test_draft_and_paper_fail_only_where_it_is_written(solver: str, name: str):
     assert_holds(outcomes(preset(solver))[name])
+
+
+def test_published_table_says_the_same():
+    """docs/hard_scenes.md: a row a scene, in order, and '**fails**' in the columns of those presets that do."""
+    text = (Path(__file__).parents[2] / "docs/hard_scenes.md").read_text()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
+    header = next(row for row in rows if row[:2] == ["scene", "figure, at most"])
+    published = {row[0]: dict(zip(header, row, strict=True)) for row in rows if row[0] in NAMES}
+    assert list(published) == NAMES
+    for solver in header[2:]:
+        failing = {name for name in NAMES if published[name][solver].startswith("**fails**")}
+        assert failing == BEYOND.get(solver, set())
 
 
 # Fast bodies: 64 phases of each, one batch
