@@ -110,6 +110,9 @@ PRESETS: dict[str, Settings] = {
     # Overlap is undone more slowly, since stiffer contacts pass that speed on from body to body.
     "fine": Settings(substeps=16, contact_hertz=1000.0, joint_hertz=1000.0, push_out_speed=2.0),
     "paper": Settings(solver="sequential_impulses", substeps=10, base_friction=0.4, friction_mixing="root_sum_square"),
+    # For measuring, in float64 (`Engine(..., backend="xla", dtype=jnp.float64)`): in float32 so short a step moves
+    # nothing slow. Error of first order in dt, so that half and a quarter of it can be extrapolated from.
+    "reference": Settings(dt=1 / 61440, substeps=1, contact_hertz=1e5, joint_hertz=1e5),
 }
 
 
