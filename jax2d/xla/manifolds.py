@@ -25,8 +25,8 @@ FLIP_ADVANTAGE_M = 0.0005  # by which the other face must be better to be the re
 CLEARLY_LARGER = 1.1  # ratio of extents from which the larger shape's face is the reference
 # Bits of a feature: which of b's faces or corners meets which of a's. Points of one pair ascend in them.
 FLIPPED, EDGE, CORNER_OUTSIDE, CORNER_INSIDE, SEAM, INCIDENT = 64, 8, 128, 256, 384, 512
-GRAZING_M = 0.005  # this near to level with an end of a face, what lies ahead is the next tile rather than a wall
-STANDING_M_S = 0.1  # slower than this a pair that overlaps rests on its face
+GRAZING_M = 0.005  # shapes that are level to within this, or miss each other by it, slide past rather than meet
+STANDING_M_S = 0.1  # slower than this, what overlaps or is about to meet rests where it is
 
 
 class Points(NamedTuple):
@@ -91,8 +91,24 @@ def circle_circle(radius_a: jax.Array, radius_b: jax.Array, d: jax.Array, margin
     return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), (separation <= margin)[None])
 
 
-def polygon_circle(polygon: Polygons, radius: jax.Array, centre: jax.Array, margin: jax.Array) -> Points:
-    """At most one point, [1]; one polygon, centre [2] relative to it."""
+def rolls_past(away: jax.Array, motion: jax.Array, radius: jax.Array) -> jax.Array:
+    """A disc that moves on as it does leaves the corner beside it, or grazes it: that of the next tile of a floor."""
+    speed = vec2.length(motion)
+    return (speed > STANDING_M_S) & (jnp.abs(vec2.cross(away, motion)) >= (radius - GRAZING_M) * speed)
+
+
+def polygon_circle(
+    polygon: Polygons,
+    radius: jax.Array,
+    centre: jax.Array,
+    motion: jax.Array,
+    spin: jax.Array,
+    margin: jax.Array,
+    *,
+    seams: bool,
+) -> Points:
+    """At most one point, [1]; one polygon, centre [2] relative to it, motion [2] m/s: how that changes, spin [] rad/s
+    of the polygon."""
     distances = jnp.where(polygon.is_corner, vec2.dot(polygon.normal, centre - polygon.corner), -FAR_M)
     face = jnp.argmax(distances)
     face_distance = distances[face]
@@ -102,12 +118,15 @@ def polygon_circle(polygon: Polygons, radius: jax.Array, centre: jax.Array, marg
     before = is_outside & (vec2.dot(centre - start, end - start) < 0)
     after = is_outside & ~before & (vec2.dot(centre - end, start - end) < 0)
     at_corner = before | after
-    away = centre - jnp.where(before, start, end)
+    corner = jnp.where(before, start, end)
+    away = centre - corner
     distance = jnp.where(at_corner, vec2.length(away), face_distance)
     normal = jnp.where(at_corner, vec2.unit_or_zero(away), polygon.normal[face])
     separation = distance - radius
     point = centre - normal * (radius + 0.5 * separation)
     exists = (face_distance - radius <= margin) & (separation <= margin)
+    if seams:
+        exists &= ~(at_corner & (separation > 0) & rolls_past(away, motion - vec2.left(corner) * spin, radius))
     return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), exists[None])
 
 
@@ -273,7 +292,7 @@ def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.
     `seams`: what slides over the seams of a floor is not stopped by them.
     """
     pairs = pair_list(capacity)
-    velocity = bodies.motion.velocity
+    velocity, omega = bodies.motion
     first_circle = capacity.polygons
     found = []
     for kind, collide_one, geometry_a, geometry_b, first_a, first_b in (
@@ -287,11 +306,13 @@ def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.
         d = bodies.position[b] - bodies.position[a]
         one = jax.tree.map(lambda x, i=a - first_a: x[i], geometry_a)
         other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
+        motion, spin = velocity[b] - velocity[a], omega[a]
         if collide_one is polygon_polygon:
-            over_seams = functools.partial(polygon_polygon, seams=seams)
-            points = jax.vmap(over_seams)(one, other, d, velocity[b] - velocity[a], margin[a, b])
+            points = jax.vmap(functools.partial(polygon_polygon, seams=seams))(one, other, d, motion, margin[a, b])
+        elif collide_one is polygon_circle:
+            points = jax.vmap(functools.partial(polygon_circle, seams=seams))(one, other, d, motion, spin, margin[a, b])
         else:
-            points = jax.vmap(collide_one)(one, other, d, margin[a, b])
+            points = jax.vmap(circle_circle)(one, other, d, margin[a, b])
         near = bounds_overlap(geometry, a, b, d, margin[a, b])
         points = points._replace(exists=points.exists & near[:, None])
         found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))

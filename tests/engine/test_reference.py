@@ -151,9 +151,10 @@ def assert_agreement(size: str, settings: Settings, scene: Any, state: State, co
 def rare_worlds() -> list[BuiltWorld]:
     """What random levels seldom hold."""
     tiles, swing, limit, stack = (SceneBuilder(SIZES["s"]) for _ in range(4))
-    for i in range(4):  # a box slides over the seams of a tiled floor
+    for i in range(4):  # a box slides and a disc rolls over the seams of a tiled floor
         tiles.add_box(width=0.5, height=0.5, position=(0.5 * i, -0.25), fixed=True)
     tiles.add_box(width=0.3, height=0.3, position=(0.0, 0.15), velocity=(2.0, 0.0), friction=0.0)
+    tiles.add_circle(radius=0.1, position=(0.5, 0.1), velocity=(3.0, 0.0), angular_velocity=-30.0)
     # A rod at 40 rad/s among a post and balls: contacts are found anew for every sub-step.
     swing.add_box(width=2.0, height=0.05, angular_velocity=40.0)
     swing.add_box(width=0.2, height=0.2, position=(0.0, 0.9), fixed=True, restitution=0.5)
