@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from jax2d.fidelity.picture import draw
     from jax2d.fidelity.report import print_report, write_csv
-    from jax2d.fidelity.study import Measurement, run_study, sweep
+    from jax2d.fidelity.study import TOO_SLOW, Measurement, run_study, sweep
 
     on_gpu = jax.default_backend() == "gpu"
     by_device = (WORLDS_GPU_QUICK, WORLDS_GPU) if on_gpu else (WORLDS_CPU_QUICK, WORLDS_CPU)
@@ -81,6 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = Console()
     device = jax.devices()[0].device_kind
     console.print(f"{len(args.scenes)} scenes on {device}, {worlds} worlds, median of {args.repeats} runs")
+    for name in set(args.presets) & set(TOO_SLOW):
+        console.print(f"{name} left out: {TOO_SLOW[name]}")
     records = run_study(
         [CLOSED_FORMS[name] for name in args.scenes],
         sweep(args.presets, args.backends, quick=args.quick),

@@ -78,6 +78,7 @@ PEERS = {
         settings=tuple({"dt": 1 / rate, "iterations": 10} for rate in (60, 30, 120)),
     ),
 }
+PEER_NAMES = tuple(peer.name for peer in PEERS.values())
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

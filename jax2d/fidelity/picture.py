@@ -7,6 +7,7 @@ from pathlib import Path as File
 from typing import Any
 
 from jax2d.fidelity.frontier import Point, Record, bounded, pareto_set, points_of, setting_key, slope
+from jax2d.fidelity.peers import PEER_NAMES
 from jax2d.fidelity.study import is_preset_itself
 
 COLOURS = {
@@ -66,25 +67,30 @@ def _mean_panel(panel: Any, records: Sequence[Record], title: str) -> None:
         zorder=0,
         label=f"Pareto set, slope {steepness:.2f}: twice the time leaves {2**steepness:.2f} of the error",
     )
+    named = {key for key, itself in own.items() if itself}
+    for peer in PEER_NAMES:  # a peer is named at its first setting
+        named |= set([point[:4] for point in points if point.preset == peer][:1])
+    dearest = max(point.cost for point in points)
     for point in points:
-        if own[point[:4]] or point in kept or point.preset in ("published-jax2d", "box2d"):
-            _name(panel, point, is_preset=own[point[:4]])
+        if point[:4] in named or point in kept:
+            _name(panel, point, in_full=point[:4] in named, to_the_left=point.cost > dearest / 3)
     panel.set(xscale="log", yscale="log", title=title)
     panel.set_xlabel("microseconds per simulated world-second (geometric mean over scenes)")
     panel.set_ylabel("error (geometric mean over scenes)")
     panel.grid(True, which="both", alpha=0.2)
-    panel.legend(loc="lower left", fontsize=9)
+    panel.legend(loc="center right", fontsize=9)
 
 
-def _name(panel: Any, point: Point, *, is_preset: bool) -> None:
-    text = f"{point.preset}: {point.setting}" if is_preset else point.setting
+def _name(panel: Any, point: Point, *, in_full: bool, to_the_left: bool) -> None:
+    text = f"{point.preset}: {point.setting}" if in_full else point.setting
     panel.annotate(
         text,
         (point.cost, point.error),
         textcoords="offset points",
-        xytext=(6, 5),
-        fontsize=10 if is_preset else 7,
-        fontweight="bold" if is_preset else "normal",
+        xytext=(-6, 5) if to_the_left else (6, 5),
+        horizontalalignment="right" if to_the_left else "left",
+        fontsize=11 if in_full else 8,
+        fontweight="bold" if in_full else "normal",
         color=COLOURS.get(point.preset, OTHER_COLOUR),
     )
 

@@ -11,11 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from jax2d.fidelity.frontier import Record, bounded, pareto_set, points_of, setting_key, slope
-from jax2d.fidelity.peers import PEERS
+from jax2d.fidelity.peers import PEER_NAMES
 from jax2d.fidelity.study import is_preset_itself, setting_label
 from jax2d.settings import preset
-
-PEER_NAMES = tuple(peer.name for peer in PEERS.values())
 
 
 def write_csv(records: Sequence[Record], file: File) -> None:

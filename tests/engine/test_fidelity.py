@@ -378,3 +378,13 @@ def test_peer_that_is_not_installed_is_left_out_with_one_line(tmp_path, monkeypa
     said = capsys.readouterr().out
     assert "box2d left out: not installed; run `bash bench/peers/setup_box2d.sh`" in said
     assert {record["preset"] for record in json.loads(file.read_text())} == {"standard"}
+
+
+@pytest.mark.slow
+def test_float64_turns_a_free_body_without_rounding_that_shows():
+    form = CLOSED_FORMS["spin"]
+    world, error = form.world()
+    group = Group(CAPACITY, "xla", "float64")
+    (run,) = group.paths([world], preset("standard"), [form.seconds], [form.control])
+    assert error(run.path) < 1e-12  # float32: 1e-6
+    assert group.microseconds_per_world_second(run, preset("standard"), worlds=2, steps=4) > 0
