@@ -94,7 +94,9 @@ def circle_circle(radius_a: jax.Array, radius_b: jax.Array, d: jax.Array, margin
 def rolls_past(away: jax.Array, motion: jax.Array, radius: jax.Array) -> jax.Array:
     """A disc that moves on as it does leaves the corner beside it, or grazes it: that of the next tile of a floor."""
     speed = vec2.length(motion)
-    return (speed > STANDING_M_S) & (jnp.abs(vec2.cross(away, motion)) >= (radius - GRAZING_M) * speed)
+    return (speed > STANDING_M_S) & (
+        jnp.abs(vec2.cross(away, motion)) >= (radius - jnp.minimum(GRAZING_M, 0.05 * radius)) * speed
+    )
 
 
 def polygon_circle(

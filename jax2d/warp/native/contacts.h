@@ -144,7 +144,7 @@ struct Contacts {
   // Within a step bodies turn by less than a radian: series with errors below 1e-5.
   KFN static real sinf_small(real t) {
     real t2 = t * t;
-    return t * (real(1) - t2 * (real(0.16666667) - t2 * real(0.0083333333)));
+    return t * (real(1) - t2 * (real(0.16666667) - t2 * (real(0.0083333333) - t2 * real(0.00019841270))));
   }
   KFN static real one_minus_cos_small(real t) {
     real t2 = t * t;

@@ -97,7 +97,7 @@ struct Geometry {
   // A disc that moves on as it does leaves the corner beside it, or grazes it: the corner of the next tile of a floor.
   KFN static bool rolls_past(Vec2 away, Vec2 motion, real r) {
     real speed = motion.length(), beside = away.cross(motion);
-    return speed > STANDING && (beside < real(0) ? -beside : beside) >= (r - GRAZING) * speed;
+    return speed > STANDING && (beside < real(0) ? -beside : beside) >= (r - Math::min(GRAZING, real(0.05) * r)) * speed;
   }
 
   KFN Manifold polygon_circle(int polygon, int circle, Vec2 centre, Vec2 motion, real spin, real margin) const {
