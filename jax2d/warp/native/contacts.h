@@ -141,7 +141,7 @@ struct Contacts {
     Vec2 arm_b = c.arm_b.left() * sinf_small(tb) - c.arm_b * one_minus_cos_small(tb);
     return c.separation + (moved + arm_b - arm_a).dot(c.normal);
   }
-  // Within a step bodies turn by less than a radian: series with errors below 1e-5.
+  // Within a step bodies turn by less than a radian: series with errors below 3e-6 (sine) and 3e-5 (cosine).
   KFN static real sinf_small(real t) {
     real t2 = t * t;
     return t * (real(1) - t2 * (real(0.16666667) - t2 * (real(0.0083333333) - t2 * real(0.00019841270))));
