@@ -261,17 +261,21 @@ def apply_restitution(
     bounces &= contacts.most_impulse != 0
     wanted = contacts.restitution * impact_speed(bodies, contacts, gravity, params.h)
 
-    def solve(motion: Motion, row: tuple) -> tuple[Motion, jax.Array]:
+    def solve(motion: Motion, row: tuple) -> tuple[Motion, tuple[jax.Array, jax.Array]]:
         c, wanted, bounces = row
         before = pair_motion(c.pair, motion)
         vn = vec2.dot(c.normal, relative_velocity(before, c.arm_a, c.arm_b))
         total = jnp.maximum(c.impulse_normal - c.mass_normal * (vn - wanted), 0)
         total = jnp.where(bounces, total, c.impulse_normal)
         after = push_pair(before, c.pair, c.arm_a, c.arm_b, c.normal * (total - c.impulse_normal)[..., None])
-        return put_back(motion, c.pair, before, after), total
+        # The bounce presses the surfaces together once more.
+        rubbed, tangent = solve_friction(after, c, total)
+        after = jax.tree.map(lambda x, y: jnp.where(bounces, x, y), rubbed, after)
+        tangent = jnp.where(bounces, tangent, c.impulse_tangent)
+        return put_back(motion, c.pair, before, after), (total, tangent)
 
-    motion, normal = jax.lax.scan(solve, bodies.motion, (_rows(contacts), wanted, bounces))
-    return bodies._replace(motion=motion), contacts._replace(impulse_normal=normal)
+    motion, (normal, tangent) = jax.lax.scan(solve, bodies.motion, (_rows(contacts), wanted, bounces))
+    return bodies._replace(motion=motion), contacts._replace(impulse_normal=normal, impulse_tangent=tangent)
 
 
 def impact_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, h: Scalar) -> jax.Array:

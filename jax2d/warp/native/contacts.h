@@ -200,6 +200,7 @@ struct Contacts {
       real impulse = total - c.impulse_normal;
       c.impulse_normal = total;
       bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
+      solve_friction(bodies, c);  // the bounce presses the surfaces together once more
     }
   }
 
