@@ -19,7 +19,7 @@ from tests.env.test_environment import MAX_STEPS, MEETS, MEETS_RED, PUSHED, REST
 from tests.env.worlds import BOX, DISC_1, THRUSTER, batch, small_level
 
 NAMES = ["meets", "meets_red", "rests"]
-# A thruster that reaches blue in about ten steps when it fires in most of them: random actions do so sometimes.
+# A thruster that reaches blue in about ten steps when it fires in most of them.
 NEAR = small_level(
     box=(1.0, 1.0),
     disc_1=(1.62, 1.0),
@@ -79,11 +79,12 @@ def test_rates_do_not_depend_on_the_chunk_size(env: Environment) -> None:
 def test_attempts_differ_and_keys_repeat(env: Environment) -> None:
     policy = RandomPolicy(env.action_space)
 
-    def mean_return(seed: int) -> float:
-        rates = evaluate(env, policy, None, batch(NEAR), attempts=6, key=jax.random.key(seed))
-        return rates.total.mean_return
+    def mean_length(seed: int) -> float:
+        # How long the way to blue takes depends on when the thruster happened to fire; the return hardly does.
+        rates = evaluate(env, policy, None, batch(NEAR), attempts=20, key=jax.random.key(seed))
+        return rates.total.mean_length
 
-    assert mean_return(0) == mean_return(0) != mean_return(1)
+    assert mean_length(0) == mean_length(0) != mean_length(1)
 
 
 @pytest.mark.parametrize("greedy", [False, True])
