@@ -307,6 +307,7 @@ def test_bodies_go_on_beyond_fifteen_metres():
     assert motion(b, 5.0).position[-1, ball, 0] == pytest.approx(50.0, abs=0.01)
 
 
+@pytest.mark.slow  # it takes times, which a busy machine makes meaningless
 def test_empty_scene_costs_a_fraction_of_a_full_one():
     """76 % of a full one."""
     full, empty = SceneBuilder(LARGE), SceneBuilder(LARGE)
