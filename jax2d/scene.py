@@ -149,6 +149,19 @@ def touch_bits(matrix: Array) -> jax.Array:
     return (padded.reshape(*matrix.shape[:-1], words, 32).astype(jnp.uint32) * weights).sum(-1, dtype=jnp.uint32)
 
 
+def only_what_acts(scene: Scene) -> Scene:
+    """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, and `can_touch`
+    holds each pair once, at [lower, higher], and only where both are active and one of the two can move."""
+    active = jnp.asarray(scene.shape_active)
+    inverse_mass = jnp.where(active, scene.inverse_mass, 0)
+    inverse_inertia = jnp.where(active, scene.inverse_inertia, 0)
+    movable = (inverse_mass > 0) | (inverse_inertia > 0)
+    meets = jnp.asarray(scene.can_touch) & active[..., :, None] & active[..., None, :]
+    meets &= movable[..., :, None] | movable[..., None, :]
+    meets &= np.triu(np.ones(meets.shape[-2:], bool), 1)
+    return dataclasses.replace(scene, inverse_mass=inverse_mass, inverse_inertia=inverse_inertia, can_touch=meets)
+
+
 def index_worlds(tree: Any, index: Any) -> Any:
     """Selects worlds from a batch (`[num_worlds, ...]` on every field) by an index, slice or index array."""
     return jax.tree.map(lambda x: x[index], tree)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, touch_bits
+from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, only_what_acts, touch_bits
 from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
@@ -97,14 +97,13 @@ class WarpBackend:
 
     def pack_scene(self, scene: Scene) -> PackedScene:
         """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
-        c = self.capacity
-        active = jnp.asarray(scene.shape_active)
+        scene = only_what_acts(scene)
         floats = jnp.concatenate(
             [
                 _worlds_last(field, jnp.float32)
                 for field in (
-                    jnp.where(active, scene.inverse_mass, 0.0),
-                    jnp.where(active, scene.inverse_inertia, 0.0),
+                    scene.inverse_mass,
+                    scene.inverse_inertia,
                     scene.friction,
                     scene.restitution,
                     scene.vertices,
@@ -123,11 +122,7 @@ class WarpBackend:
                 )
             ]
         )
-        worlds = active.shape[0]
-        movable = active & (jnp.asarray(scene.inverse_mass) + jnp.asarray(scene.inverse_inertia) > 0)
-        meets = jnp.asarray(scene.can_touch) & active[:, :, None] & active[:, None, :]
-        meets &= movable[:, :, None] | movable[:, None, :]
-        meets &= np.triu(np.ones((c.shapes, c.shapes), bool), 1)  # each pair once, at its lower index
+        worlds = scene.can_touch.shape[0]
         flags = (
             jnp.asarray(scene.joint_active) * JOINT_FLAGS["JOINT_ACTIVE"]
             + jnp.asarray(scene.joint_is_fixed) * JOINT_FLAGS["JOINT_FIXED"]
@@ -138,7 +133,7 @@ class WarpBackend:
         owners = jnp.where(jnp.asarray(scene.thruster_active), scene.thruster_body, -1)
         ints = jnp.concatenate(
             [
-                _worlds_last(jax.lax.bitcast_convert_type(touch_bits(meets), jnp.int32), jnp.int32),
+                _worlds_last(jax.lax.bitcast_convert_type(touch_bits(scene.can_touch), jnp.int32), jnp.int32),
                 _worlds_last(scene.num_vertices, jnp.int32),
                 _worlds_last(joints, jnp.int32),
                 _worlds_last(owners, jnp.int32),

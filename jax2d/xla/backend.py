@@ -5,15 +5,13 @@ Packed scenes and states are `Scene` and `State` themselves, in the engine's pre
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
+from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, only_what_acts
 from jax2d.settings import Settings
 from jax2d.xla import step
 from jax2d.xla.parameters import Parameters, Rules, parameters_of, rules_of
@@ -36,21 +34,8 @@ class XlaBackend:
         return jnp.moveaxis(x, 0, -1)
 
     def pack_scene(self, scene: Scene) -> Scene:
-        """A batch of scenes, worlds last. Inactive shapes get no mass, and `can_touch` keeps each pair once and only
-        where one of the two can move."""
-        active = jnp.asarray(scene.shape_active)
-        movable = (jnp.asarray(scene.inverse_mass) > 0) | (jnp.asarray(scene.inverse_inertia) > 0)
-        movable &= active
-        n = self.capacity.shapes
-        meets = jnp.asarray(scene.can_touch) & active[..., :, None] & active[..., None, :]
-        meets &= movable[..., :, None] | movable[..., None, :]
-        packed = dataclasses.replace(
-            scene,
-            inverse_mass=jnp.where(active, scene.inverse_mass, 0),
-            inverse_inertia=jnp.where(active, scene.inverse_inertia, 0),
-            can_touch=meets & np.triu(np.ones((n, n), bool), 1),
-        )
-        return jax.tree.map(self._worlds_last, packed)
+        """A batch of scenes, worlds last."""
+        return jax.tree.map(self._worlds_last, only_what_acts(scene))
 
     def pack_state(self, state: State) -> State:
         return jax.tree.map(self._worlds_last, state)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -150,9 +149,3 @@ def _propose_fixed(levels: Level, worlds_per_group: int) -> Propose:
         return jax.tree.map(lambda x: jnp.asarray(x)[world % num_levels], levels)
 
     return propose
-
-
-def observe(buffer: LevelBuffer | None, outcomes: Any) -> LevelBuffer | None:
-    """What training episodes change in the buffer: nothing for SFL, which knows levels from its own scoring only."""
-    del outcomes
-    return buffer
