@@ -235,7 +235,7 @@ def test_a_slow_disk_drops_rollouts_counts_them_and_never_stalls_the_caller(tmp_
         time.sleep(0.001)
     started = time.perf_counter()
     accepted = [sink.write(rollout) for _ in range(10)]
-    assert time.perf_counter() - started < 5.0  # ten calls; each would hang forever if it waited for the disk
+    assert time.perf_counter() - started < 0.2  # ten calls; each would hang forever if it waited for the disk
     assert accepted == [True] * 2 + [False] * 8
     assert sink.stats().dropped == 8
     assert [(name, fields["dropped"]) for name, fields in events] == [("recording_dropped", k) for k in (1, 2, 4, 8)]
@@ -252,7 +252,7 @@ def test_a_disk_that_hangs_does_not_hold_up_the_end_of_training(tmp_path: Path) 
     sink.write(falling_rollout(5))
     started = time.perf_counter()
     stats = sink.close(timeout=0.2)
-    assert time.perf_counter() - started < 10.0
+    assert time.perf_counter() - started < 2.0
     assert stats.error is not None and "not finished within 0.2 s" in stats.error
     assert events == ["recording_failed"]
     may_write.set()
