@@ -1,17 +1,22 @@
 """jax2d: simulates thousands to a million small 2D rigid-body worlds at once, on CPU and CUDA, from JAX."""
 
 from jax2d.builder import BuiltWorld, SceneBuilder, SceneError, SceneFullError
+from jax2d.effects import EFFECTS, Effects, EffectTable, MissingEffectError, called_for, effects_of
 from jax2d.engine import Engine
 from jax2d.scene import Capacity, Controls, Scene, State, Touching, index_worlds, stack_worlds, touch_matrix
 from jax2d.settings import PRESETS, Settings, preset
 from jax2d.shapes import circle_mass_properties, polygon_mass_properties
 
 __all__ = [
+    "EFFECTS",
     "PRESETS",
     "BuiltWorld",
     "Capacity",
     "Controls",
+    "EffectTable",
+    "Effects",
     "Engine",
+    "MissingEffectError",
     "Scene",
     "SceneBuilder",
     "SceneError",
@@ -19,7 +24,9 @@ __all__ = [
     "Settings",
     "State",
     "Touching",
+    "called_for",
     "circle_mass_properties",
+    "effects_of",
     "index_worlds",
     "polygon_mass_properties",
     "preset",

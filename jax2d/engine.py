@@ -11,37 +11,50 @@ with `pack_scene` and `pack_state`, and read positions with `bodies`.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d.checks import check_controls, check_scene, check_state, clamped_controls, is_known
+from jax2d.effects import Effects, MissingEffectError, called_for, check_effects, names_of_bits
 from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
 from jax2d.settings import Settings, preset
 
 JOINT_IMPULSES = 5  # point x, point y, angle or motor, lower limit, upper limit
 
 
-def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype) -> Any:
+def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Any:
     from jax2d.warp.ffi import WarpBackend
 
     if dtype != np.float32:
         raise ValueError(f"backend 'warp' computes in float32, not {dtype}; use backend='xla'")
-    return WarpBackend(capacity, settings)
+    return WarpBackend(capacity, settings, effects)
 
 
-def _xla_backend(capacity: Capacity, settings: Settings, dtype: np.dtype) -> Any:
+def _xla_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Any:
     from jax2d.xla.backend import XlaBackend
 
     if dtype not in (np.float32, np.float64):
         raise ValueError(f"backend 'xla' computes in float32 or float64, not {dtype}")
     if jax.dtypes.canonicalize_dtype(dtype) != dtype:
         raise ValueError("dtype float64 needs JAX's 64-bit mode: jax.config.update('jax_enable_x64', True)")
+    del effects  # the reference computes every pair and slot, in use or not
     return XlaBackend(capacity, settings, dtype)
 
 
 BACKENDS = {"warp": _warp_backend, "xla": _xla_backend}
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PackedScene:
+    """A batch of scenes as an engine steps them; every leaf has the world axis last."""
+
+    tables: Any  # the backend's
+    missing: Array  # [num_worlds] int32, see `Touching.missing`
 
 
 class Engine:
@@ -52,17 +65,21 @@ class Engine:
         capacity: Capacity,
         *,
         settings: Settings | None = None,
+        effects: Effects | None = None,
         backend: str = "warp",
         dtype: Any = jnp.float32,
     ):
-        """`backend`: "warp", the fused kernel, or "xla", the reference in plain JAX (slow, differentiable, also in
-        float64). `dtype` is that of states and of the arithmetic."""
+        """`effects`: what the kernel is compiled for, `effects_of(scenes)`; everything by default. `backend`: "warp",
+        the fused kernel, or "xla", the reference in plain JAX (slow, differentiable, also in float64). `dtype` is that
+        of states and of the arithmetic."""
         if backend not in BACKENDS:
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity
         self.settings = settings if settings is not None else preset("standard")
+        self.effects = effects if effects is not None else Effects.full(capacity)
+        check_effects(self.effects, capacity)
         self.dtype = np.dtype(dtype)
-        self.backend = BACKENDS[backend](capacity, self.settings, self.dtype)
+        self.backend = BACKENDS[backend](capacity, self.settings, self.dtype, self.effects)
 
     # Single worlds and batches
 
@@ -105,11 +122,17 @@ class Engine:
     def step(
         self, scene: Scene, state: State, controls: Controls | None = None, num_steps: int = 1
     ) -> tuple[State, Touching]:
-        """Steps one world or a batch (leading axis on every field) by `num_steps` steps of `settings.dt`."""
-        single = jnp.ndim(state.position) == 2
+        """Steps one world or a batch (leading axis on every field) by `num_steps` steps of `settings.dt`.
+
+        Raises ValueError, with the field, for shapes and types that do not fit, and outside of jit for values that are
+        not finite, controls out of range and scenes that call for effects this engine was compiled without.
+        """
+        batch = jnp.shape(state.position)[:-2]
+        if len(batch) > 1:
+            raise ValueError(f"state has batch shape {batch}; fold batches into one leading world axis")
         if controls is None:
-            controls = self.no_controls(*jnp.shape(state.position)[:-2])
-        self._check(scene, state, controls)
+            controls = self.no_controls(*batch)
+        single = not batch
         if single:
             scene, state, controls = jax.tree.map(lambda x: jnp.asarray(x)[None], (scene, state, controls))
         packed, touching = self.step_packed(self.pack_scene(scene), self.pack_state(state), controls, num_steps)
@@ -120,11 +143,20 @@ class Engine:
 
     # Hot loops
 
-    def pack_scene(self, scene: Scene) -> Any:
-        """The backend's tables of a batch of scenes; every leaf has the world axis last."""
-        return self.backend.pack_scene(scene)
+    def pack_scene(self, scene: Scene) -> PackedScene:
+        """A batch of scenes (leading world axis on every field) as this engine steps them. Raises as `step` does."""
+        check_scene(scene, self.capacity, self.dtype, batch=np.shape(scene.gravity)[:1])
+        if self.effects == Effects.full(self.capacity):
+            missing = jnp.zeros(np.shape(scene.gravity)[0], jnp.int32)
+        else:
+            missing = self.effects.missing_worlds(called_for(scene))
+            if is_known(missing):
+                _refuse(np.asarray(missing))
+        return PackedScene(tables=self.backend.pack_scene(scene), missing=missing)
 
     def pack_state(self, state: State) -> Any:
+        """The backend's tables of a batch of states; every leaf has the world axis last. Raises as `step` does."""
+        check_state(state, self.capacity, self.dtype, batch=np.shape(state.angle)[:1])
         return self.backend.pack_state(state)
 
     def unpack_state(self, packed: Any) -> State:
@@ -134,24 +166,25 @@ class Engine:
         """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n]) of a packed state."""
         return self.backend.bodies(packed)
 
-    def step_packed(self, scene: Any, state: Any, controls: Controls, num_steps: int = 1) -> tuple[Any, Touching]:
-        """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T]."""
-        return self.backend.step_packed(scene, state, controls, num_steps)
+    def step_packed(
+        self, scene: PackedScene, state: Any, controls: Controls, num_steps: int = 1
+    ) -> tuple[Any, Touching]:
+        """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T]; inside jit those out of range
+        are clamped and counted in `Touching.invalid_controls`, outside they raise ValueError."""
+        if num_steps < 1:
+            raise ValueError(f"num_steps is {num_steps}; a call takes at least one step")
+        check_controls(controls, self.capacity, self.dtype, batch=scene.missing.shape)
+        controls, invalid = clamped_controls(controls)
+        state, noted = self.backend.step_packed(scene.tables, state, controls, num_steps)
+        return state, Touching(**noted._asdict(), invalid_controls=invalid, missing=scene.missing)
 
-    def _check(self, scene: Scene, state: State, controls: Controls) -> None:
-        c = self.capacity
-        batch = jnp.shape(state.position)[:-2]
-        if len(batch) > 1:
-            raise ValueError(f"state has batch shape {batch}; fold batches into one leading world axis")
-        for name, array, shape in (
-            ("state.position", state.position, (c.shapes, 2)),
-            ("state.velocity", state.velocity, (c.shapes, 2)),
-            ("scene.vertices", scene.vertices, (c.polygons, c.vertices, 2)),
-            ("scene.radius", scene.radius, (c.circles,)),
-            ("scene.joint_a", scene.joint_a, (c.joints,)),
-            ("scene.thruster_body", scene.thruster_body, (c.thrusters,)),
-            ("controls.motor", controls.motor, (c.joints,)),
-            ("controls.thruster", controls.thruster, (c.thrusters,)),
-        ):
-            if jnp.shape(array) != (*batch, *shape):
-                raise ValueError(f"{name} has shape {jnp.shape(array)}; this engine ({c}) needs {(*batch, *shape)}")
+
+def _refuse(missing: np.ndarray) -> None:
+    """Raises for the first world that calls for something missing."""
+    if missing.any():
+        world = int(np.flatnonzero(missing)[0])
+        names = ", ".join(names_of_bits(int(missing[world])))
+        raise MissingEffectError(
+            f"scene {world} calls for {names}, which this engine was compiled without; "
+            "build the engine with effects=effects_of(scenes) of all scenes, or without `effects`"
+        )

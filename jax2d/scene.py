@@ -12,7 +12,7 @@ counter-clockwise about the centre of mass, which is the origin of the body fram
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -131,6 +131,17 @@ class Touching:
     during: Array  # [n, words] uint32, in any physics step of the call
     overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
     limited: Array  # [] int32, times a speed limit of the settings acted in this call
+    invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
+    missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without
+
+
+class Noted(NamedTuple):
+    """What a backend notes of a call; fields as in `Touching`."""
+
+    at_end: Array
+    during: Array
+    overflow: Array
+    limited: Array
 
 
 def touch_matrix(bits: Array, num_shapes: int) -> Array:

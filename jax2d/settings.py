@@ -29,6 +29,8 @@ class Settings:
     base_motor_power: float = 900.0  # rad/s^2 that a motor of power 1 gives to its two bodies alone
     base_thruster_power: float = 10.0  # N at thruster_power 1
 
+    warm_start: bool = True  # steps begin with the impulses of the step before; off is for studying what that is worth
+
     # Limits: they act on nothing ordinary; whenever one acts, Touching.limited counts it
     max_speed: float = 100.0  # m/s
     max_angular_speed: float = 50.0  # rad/s, 0.83 rad a step at 60 Hz

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, only_what_acts, touch_bits
+from jax2d.effects import Effects
+from jax2d.scene import Array, Capacity, Controls, Noted, Scene, State, only_what_acts, touch_bits
 from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
@@ -25,7 +26,7 @@ MAX_SHAPES = 512  # contact keys give each shape of a pair 9 bits
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PackedScene:
+class SceneTables:
     """Scene tables of the kernel, worlds last."""
 
     floats: Array  # [rows, num_worlds] float32
@@ -34,7 +35,7 @@ class PackedScene:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PackedState:
+class StateTables:
     """State tables of the kernel, worlds last."""
 
     bodies: Array  # [6 n, num_worlds] float32: position, angle, velocity, angular velocity
@@ -75,7 +76,7 @@ def _worlds_first(rows: Array, *shape: int) -> jax.Array:
 class WarpBackend:
     """Steps batches of worlds of one capacity with one kernel launch a call."""
 
-    def __init__(self, capacity: Capacity, settings: Settings):
+    def __init__(self, capacity: Capacity, settings: Settings, effects: Effects):
         if settings.solver_batch_size > 1:
             raise ValueError(
                 f"Settings.solver_batch_size is {settings.solver_batch_size}; backend 'warp' solves contacts one after "
@@ -92,10 +93,9 @@ class WarpBackend:
         self.rows = Layout(capacity).rows()
         self.parameters = solver_parameters(settings)
         wp.init()
-        self._kernel = make_kernel(capacity, settings.solver, settings.friction_mixing)
-        self._call = _jax_call(capacity, settings.solver, settings.friction_mixing)
+        self._call = _jax_call(capacity, settings.solver, settings.friction_mixing, effects)
 
-    def pack_scene(self, scene: Scene) -> PackedScene:
+    def pack_scene(self, scene: Scene) -> SceneTables:
         """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
         scene = only_what_acts(scene)
         floats = jnp.concatenate(
@@ -140,11 +140,11 @@ class WarpBackend:
             ]
         )
         assert floats.shape == (self.rows["SCENE"]["ROWS"], worlds), floats.shape
-        return PackedScene(floats=floats, ints=ints)
+        return SceneTables(floats=floats, ints=ints)
 
-    def pack_state(self, state: State) -> PackedState:
+    def pack_state(self, state: State) -> StateTables:
         bodies = [state.position, state.angle, state.velocity, state.angular_velocity]
-        return PackedState(
+        return StateTables(
             bodies=jnp.concatenate([_worlds_last(x, jnp.float32) for x in bodies]),
             impulses=jnp.concatenate(
                 [_worlds_last(x, jnp.float32) for x in (state.joint_impulse, state.contact_impulse)]
@@ -152,7 +152,7 @@ class WarpBackend:
             keys=_worlds_last(state.contact_key, jnp.int32),
         )
 
-    def bodies(self, packed: PackedState) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    def bodies(self, packed: StateTables) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n])."""
         n, rows = self.capacity.shapes, packed.bodies
         return (
@@ -162,7 +162,7 @@ class WarpBackend:
             _worlds_first(rows[5 * n :], n),
         )
 
-    def unpack_state(self, packed: PackedState) -> State:
+    def unpack_state(self, packed: StateTables) -> State:
         position, angle, velocity, angular_velocity = self.bodies(packed)
         joint_rows = 5 * self.capacity.joints
         return State(
@@ -176,8 +176,8 @@ class WarpBackend:
         )
 
     def step_packed(
-        self, scene: PackedScene, state: PackedState, controls: Controls, num_steps: int
-    ) -> tuple[PackedState, Touching]:
+        self, scene: SceneTables, state: StateTables, controls: Controls, num_steps: int
+    ) -> tuple[StateTables, Noted]:
         c, rows = self.capacity, self.rows["OUT"]
         worlds = state.bodies.shape[1]
         control_rows = [_worlds_last(x, jnp.float32) for x in (controls.motor, controls.thruster) if x.shape[-1]]
@@ -199,19 +199,19 @@ class WarpBackend:
         )
         bits = jax.lax.bitcast_convert_type(out, jnp.uint32)
         height = c.shapes * c.touch_words
-        touching = Touching(
+        noted = Noted(
             at_end=_worlds_first(bits[rows["AT_END"] : rows["AT_END"] + height], c.shapes, c.touch_words),
             during=_worlds_first(bits[rows["DURING"] : rows["DURING"] + height], c.shapes, c.touch_words),
             overflow=out[rows["OVERFLOW"]],
             limited=out[rows["LIMITED"]],
         )
-        return PackedState(bodies=bodies, impulses=impulses, keys=keys), touching
+        return StateTables(bodies=bodies, impulses=impulses, keys=keys), noted
 
 
 @functools.cache
-def _jax_call(capacity: Capacity, solver: str, friction_mixing: str) -> Any:
+def _jax_call(capacity: Capacity, solver: str, friction_mixing: str, effects: Effects) -> Any:
     return wp.jax_kernel(
-        make_kernel(capacity, solver, friction_mixing),
+        make_kernel(capacity, solver, friction_mixing, effects),
         num_outputs=4,
         in_out_argnames=["state_table", "impulse_table", "key_table"],
         block_dim=64,

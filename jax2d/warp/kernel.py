@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from jax2d.effects import Effects
 from jax2d.scene import Capacity
 from jax2d.settings import Settings
 from jax2d.warp.source import kernel_source
@@ -15,11 +16,11 @@ MODULE_OPTIONS = {"max_unroll": 0, "enable_backward": False}
 
 
 @functools.cache
-def make_kernel(capacity: Capacity, solver: str, friction_mixing: str) -> wp.Kernel:
+def make_kernel(capacity: Capacity, solver: str, friction_mixing: str, effects: Effects) -> wp.Kernel:
     """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time."""
     settings = Settings(solver=solver, friction_mixing=friction_mixing)  # type: ignore[arg-type]
 
-    @wp.func_native(kernel_source(capacity, settings))
+    @wp.func_native(kernel_source(capacity, settings, effects))
     def step_world(
         world: int,
         num_worlds: int,

@@ -17,6 +17,7 @@ PARAMS = (
     "DT",
     "H",
     "SUBSTEPS",
+    "WARM_START",
     "BASE_FRICTION",
     "BASE_MOTOR_SPEED",
     "BASE_MOTOR_POWER",

@@ -1,10 +1,15 @@
-"""The kernel's C++ source for one capacity and solver: generated constants, then the files of native/."""
+"""The kernel's C++ source for one capacity, solver and set of effects: generated constants, then the files of native/.
+
+What scenes do not call for is switched off by constants (HAS_FRICTION, ...), so that the compiler leaves it out, and
+local arrays (NUM_...) are as long as the slots in use. Tables (CAPACITY_...) are laid out the same for all effects.
+"""
 
 from __future__ import annotations
 
 import functools
 from pathlib import Path
 
+from jax2d.effects import EFFECTS, Effects
 from jax2d.scene import Capacity
 from jax2d.settings import Settings
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
@@ -26,21 +31,33 @@ def _read(name: str) -> str:
     return (Path(__file__).parent / "native" / name).read_text()
 
 
-def constants(capacity: Capacity, settings: Settings) -> dict[str, int]:
+def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[str, int]:
     """Everything that is compiled in."""
+    polygons, circles = effects.polygon_slots, effects.circle_slots
+    if polygons + circles == 0:  # arrays need a length: a shape that is never active
+        polygons, circles = min(1, capacity.polygons), min(1, capacity.circles)
+    has_pairs = effects.polygon_pairs or effects.polygon_circle_pairs or effects.circle_pairs
+    has_joints = effects.revolute_joints or effects.fixed_joints
     values = {
-        "NUM_POLYGONS": capacity.polygons,
-        "NUM_CIRCLES": capacity.circles,
-        "NUM_SHAPES": capacity.shapes,
-        "NUM_JOINTS": capacity.joints,
-        "NUM_THRUSTERS": capacity.thrusters,
+        "CAPACITY_POLYGONS": capacity.polygons,
+        "CAPACITY_SHAPES": capacity.shapes,
+        "CAPACITY_JOINTS": capacity.joints,
+        "CAPACITY_CONTACTS": capacity.contact_slots,
+        "NUM_POLYGONS": polygons,
+        "NUM_CIRCLES": circles,
+        "NUM_SHAPES": polygons + circles,
+        "NUM_JOINTS": effects.joint_slots if has_joints else 0,
+        "NUM_THRUSTERS": effects.thruster_slots if effects.thrusters else 0,
+        "SKIPPED_POLYGONS": capacity.polygons - polygons,
+        "ALL_SHAPES": int(polygons + circles == capacity.shapes),
         "MAX_VERTICES": capacity.vertices,
-        "NUM_CORNERS": max(1, capacity.polygons * capacity.vertices),
-        "NUM_CONTACTS": capacity.contact_slots,
+        "NUM_CORNERS": max(1, polygons * capacity.vertices),
+        "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
         "TOUCH_WORDS": capacity.touch_words,
         "SOFT_STEP": int(settings.solver == "soft_step"),
         "FRICTION_ROOT_SUM_SQUARE": int(settings.friction_mixing == "root_sum_square"),
     }
+    values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}
     values |= {f"PARAM_{name}": i for i, name in enumerate(PARAMS)}
     values |= JOINT_FLAGS
     for table, rows in Layout(capacity).rows().items():
@@ -48,9 +65,9 @@ def constants(capacity: Capacity, settings: Settings) -> dict[str, int]:
     return values
 
 
-def kernel_source(capacity: Capacity, settings: Settings) -> str:
+def kernel_source(capacity: Capacity, settings: Settings, effects: Effects) -> str:
     """Body of the native function; its arguments are named in kernel.py."""
-    enum = ",\n  ".join(f"{name} = {value}" for name, value in constants(capacity, settings).items())
+    enum = ",\n  ".join(f"{name} = {value}" for name, value in constants(capacity, settings, effects).items())
     call = """
 size_t stride = size_t(num_worlds);
 Column scene = {scene_table.data + world, stride};

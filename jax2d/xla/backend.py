@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, only_what_acts
+from jax2d.scene import Array, Capacity, Controls, Noted, Scene, State, only_what_acts
 from jax2d.settings import Settings
 from jax2d.xla import step
 from jax2d.xla.parameters import Parameters, Rules, parameters_of, rules_of
@@ -48,7 +48,7 @@ class XlaBackend:
         state = self.unpack_state(packed)
         return state.position, state.angle, state.velocity, state.angular_velocity
 
-    def step_packed(self, scene: Scene, state: State, controls: Controls, num_steps: int) -> tuple[State, Touching]:
+    def step_packed(self, scene: Scene, state: State, controls: Controls, num_steps: int) -> tuple[State, Noted]:
         controls = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), controls)
         return _step_worlds(
             scene,
@@ -71,7 +71,7 @@ def _step_worlds(
     rules: Rules,
     capacity: Capacity,
     num_steps: int,
-) -> tuple[State, Touching]:
+) -> tuple[State, Noted]:
     run = functools.partial(step.run, rules=rules, capacity=capacity, num_steps=num_steps)
-    # Packed trees have worlds last, controls and Touching first.
+    # Packed trees have worlds last, controls and Noted first.
     return jax.vmap(run, in_axes=(-1, -1, 0, None), out_axes=(-1, 0))(scene, state, controls, params)

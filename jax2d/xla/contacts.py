@@ -73,7 +73,7 @@ def find(
     arm_a = points.point
     arm_b = arm_a - (bodies.position[b] - bodies.position[a])
     key = jnp.where(points.exists, (a << FEATURE_BITS + SHAPE_BITS) | (b << FEATURE_BITS) | points.feature, -1)
-    impulse = _remembered(key, memory)
+    impulse = jnp.where(params.warm_start, _remembered(key, memory), 0)
     velocity = relative_velocity(pair_motion(pair, bodies.motion), arm_a, arm_b)
     dynamic = bodies.is_dynamic
     return Contacts(

@@ -60,8 +60,8 @@ class Joints(NamedTuple):
     impulses: JointImpulses
 
 
-def load(state: State) -> JointImpulses:
-    impulse = state.joint_impulse
+def load(state: State, params: Parameters) -> JointImpulses:
+    impulse = jnp.where(params.warm_start, state.joint_impulse, 0)
     return JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
 
 

@@ -25,6 +25,7 @@ class Parameters(NamedTuple):
 
     dt: Scalar
     h: Scalar  # s, what constraints are solved over
+    warm_start: bool | jax.Array
     base_friction: Scalar
     base_motor_speed: Scalar
     base_motor_power: Scalar

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Capacity, Controls, Scene, State, Touching, touch_bits
+from jax2d.scene import Capacity, Controls, Noted, Scene, State, touch_bits
 from jax2d.xla import bodies as bodies_of
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import forces, manifolds, paper
@@ -38,7 +38,7 @@ def run(
     rules: Rules,
     capacity: Capacity,
     num_steps: int,
-) -> tuple[State, Touching]:
+) -> tuple[State, Noted]:
     """Steps one world. `scene.can_touch` holds each pair that may touch once, at [lower, higher]; shapes that are not
     active have no mass."""
     one_step = soft_step if rules.solver == "soft_step" else paper_step
@@ -58,7 +58,7 @@ def run(
         return after, (end.touch, end.overflow, bodies.limited)
 
     state, (touch, overflow, limited) = jax.lax.scan(body, state, length=num_steps)
-    return state, Touching(
+    return state, Noted(
         at_end=touch_bits(touch[-1]),
         during=touch_bits(jnp.any(touch, axis=0)),
         overflow=jnp.sum(overflow, dtype=jnp.int32),
@@ -140,7 +140,7 @@ def paper_step(
 
 def _begin(scene: Scene, state: State, controls: Controls, params: Parameters) -> tuple[Bodies, Joints, Memory]:
     bodies = bodies_of.load(scene, state)
-    joints = joints_of.prepare(bodies, scene, joints_of.load(state), controls, params)
+    joints = joints_of.prepare(bodies, scene, joints_of.load(state, params), controls, params)
     return bodies, joints, Memory(state.contact_key, state.contact_impulse)
 
 

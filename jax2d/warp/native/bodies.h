@@ -18,21 +18,23 @@ struct Bodies {
   KFN void load(const Column& scene, const Column& state) {
     limited = 0;
     for (int i = 0; i < NUM_SHAPES; ++i) {
-      position[i] = state.get2(STATE_POSITION + 2 * i);
-      angle[i] = state.get(STATE_ANGLE + i);
-      velocity[i] = state.get2(STATE_VELOCITY + 2 * i);
-      omega[i] = state.get(STATE_OMEGA + i);
-      inverse_mass[i] = scene.get(SCENE_INVERSE_MASS + i);
-      inverse_inertia[i] = scene.get(SCENE_INVERSE_INERTIA + i);
+      int slot = Slot::of(i);
+      position[i] = state.get2(STATE_POSITION + 2 * slot);
+      angle[i] = state.get(STATE_ANGLE + slot);
+      velocity[i] = state.get2(STATE_VELOCITY + 2 * slot);
+      omega[i] = state.get(STATE_OMEGA + slot);
+      inverse_mass[i] = scene.get(SCENE_INVERSE_MASS + slot);
+      inverse_inertia[i] = scene.get(SCENE_INVERSE_INERTIA + slot);
     }
   }
 
   KFN void store(const Column& state) const {
     for (int i = 0; i < NUM_SHAPES; ++i) {
-      state.set2(STATE_POSITION + 2 * i, position[i]);
-      state.set(STATE_ANGLE + i, angle[i]);
-      state.set2(STATE_VELOCITY + 2 * i, velocity[i]);
-      state.set(STATE_OMEGA + i, omega[i]);
+      int slot = Slot::of(i);
+      state.set2(STATE_POSITION + 2 * slot, position[i]);
+      state.set(STATE_ANGLE + slot, angle[i]);
+      state.set2(STATE_VELOCITY + 2 * slot, velocity[i]);
+      state.set(STATE_OMEGA + slot, omega[i]);
     }
   }
 
@@ -46,6 +48,7 @@ struct Bodies {
 
   KFN void end_step() {
     for (int i = 0; i < NUM_SHAPES; ++i) {
+      if (!is_dynamic(i)) continue;  // to the bit where it was
       position[i] = position[i] + delta[i];
       angle[i] += turn[i];
     }
@@ -53,6 +56,7 @@ struct Bodies {
 
   // Semi-implicit Euler: velocity from gravity.
   KFN void apply_gravity(Vec2 gravity, real dt) {
+    if (!HAS_GRAVITY || (gravity.x == real(0) && gravity.y == real(0))) return;
     for (int i = 0; i < NUM_SHAPES; ++i)
       if (inverse_mass[i] > real(0)) velocity[i] = velocity[i] + gravity * dt;
   }

@@ -25,7 +25,7 @@ struct Contacts {
   int count, overflow;
   bool swinging;  // a body with a contact turns too far in a step for contacts found once
 
-  KFN static int key_of(int a, int b, int feature) { return (a << 22) | (b << 12) | feature; }
+  KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << 22) | (slot_b << 12) | feature; }
 
   // Searches all pairs that may touch, in slot order, so that keys ascend and old impulses are found by
   // one walk over the old list. `reach` is the distance at which a contact is prepared.
@@ -35,13 +35,19 @@ struct Contacts {
     count = 0;
     overflow = 0;
     swinging = false;
+    if (NUM_CONTACTS == 0) return;
+    ahead = ahead && HAS_CONTINUOUS_COLLISION;
+    bool warm = params.get(PARAM_WARM_START) != real(0);
     int old_slot = 0;
     for (int a = 0; a < NUM_SHAPES; ++a) {
-      for (int word = a / 32; word < TOUCH_WORDS; ++word) {
-        unsigned int partners = (unsigned int)(ints.get(INTS_PARTNERS + a * TOUCH_WORDS + word));
-        while (partners != 0u) {  // only partners b > a are stored
-          int b = word * 32 + Math::lowest_bit(partners);
+      int slot_a = Slot::of(a);
+      for (int word = slot_a / 32; word < TOUCH_WORDS; ++word) {
+        unsigned int partners = (unsigned int)(ints.get(INTS_PARTNERS + slot_a * TOUCH_WORDS + word));
+        while (partners != 0u) {  // only partners in later slots are stored
+          int slot_b = word * 32 + Math::lowest_bit(partners);
           partners &= partners - 1u;
+          if (!Slot::in_use(slot_b)) continue;
+          int b = Slot::shape(slot_b);
           Vec2 d = bodies.position[b] - bodies.position[a];
           real margin = reach;
           if (ahead) margin += fast_margin(bodies, geometry, a, b, dt);
@@ -49,10 +55,13 @@ struct Contacts {
           Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], bodies.omega[a], margin);
           if (m.count == 0) continue;
           if (ahead) swinging |= swings(bodies, geometry, a, reach, dt) || swings(bodies, geometry, b, reach, dt);
-          real friction = mix_friction(scene.get(SCENE_FRICTION + a), scene.get(SCENE_FRICTION + b), params);
-          real restitution = Math::min(scene.get(SCENE_RESTITUTION + a), scene.get(SCENE_RESTITUTION + b));
-          int pair_key = key_of(a, b, 0);
-          while (old_slot < NUM_CONTACTS) {  // keys of earlier pairs are behind us for good
+          real friction = real(0), restitution = real(0);
+          if (HAS_FRICTION)
+            friction = mix_friction(scene.get(SCENE_FRICTION + slot_a), scene.get(SCENE_FRICTION + slot_b), params);
+          if (HAS_RESTITUTION)
+            restitution = Math::min(scene.get(SCENE_RESTITUTION + slot_a), scene.get(SCENE_RESTITUTION + slot_b));
+          int pair_key = key_of(slot_a, slot_b, 0);
+          while (old_slot < CAPACITY_CONTACTS) {  // keys of earlier pairs are behind us for good
             int key = old_keys.get(old_slot);
             if (key < 0 || key >= pair_key) break;
             ++old_slot;
@@ -78,7 +87,7 @@ struct Contacts {
             c.impulse_normal = real(0);
             c.impulse_tangent = real(0);
             c.most_impulse = real(0);
-            for (int s = old_slot; s < NUM_CONTACTS; ++s) {
+            for (int s = old_slot; warm && s < CAPACITY_CONTACTS; ++s) {
               int key = old_keys.get(s);
               if (key < 0 || (key >> 12) != (pair_key >> 12)) break;
               if (key == c.key) {
@@ -179,7 +188,7 @@ struct Contacts {
   }
 
   KFN static void solve_friction(Bodies& bodies, Contact& c) {
-    if (c.friction == real(0)) return;
+    if (!HAS_FRICTION || c.friction == real(0)) return;
     Vec2 tangent = c.normal.right();
     real vt = tangent.dot(relative_velocity(bodies, c));
     real most = c.friction * c.impulse_normal;
@@ -191,6 +200,7 @@ struct Contacts {
 
   // Restitution once, after all sub-steps.
   KFN void apply_restitution(Bodies& bodies, real threshold, Vec2 gravity, real h) {
+    if (!HAS_RESTITUTION) return;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (c.restitution == real(0) || c.approach > -threshold || c.most_impulse == real(0)) continue;
@@ -236,7 +246,7 @@ struct Contacts {
 
   // Stores impulses for warm starting; slots in use before and free now are marked free.
   KFN void store(const IntColumn& keys, const Column& impulses) const {
-    for (int s = 0; s < NUM_CONTACTS; ++s) {
+    for (int s = 0; s < CAPACITY_CONTACTS; ++s) {
       if (s < count) {
         keys.set(s, list[s].key);
         impulses.set(IMPULSE_CONTACT + 2 * s, list[s].impulse_normal);

@@ -8,10 +8,10 @@ struct Thrusters {
   KFN void load(const Column& scene, const IntColumn& ints, const Column& controls, const Column& params) {
     count = 0;
     for (int t = 0; t < NUM_THRUSTERS; ++t) {
-      real control = controls.get(NUM_JOINTS + t);
+      real control = controls.get(CAPACITY_JOINTS + t);
       int owner = ints.get(INTS_THRUSTERS + t);  // -1: empty slot
-      if (owner < 0 || control == real(0)) continue;
-      body[count] = owner;
+      if (owner < 0 || control == real(0) || !Slot::in_use(owner)) continue;
+      body[count] = Slot::shape(owner);
       local_position[count] = scene.get2(SCENE_THRUSTER_POSITION + 2 * t);
       real angle = scene.get(SCENE_THRUSTER_ANGLE + t);
       real force = control * scene.get(SCENE_THRUSTER_POWER + t) * params.get(PARAM_BASE_THRUSTER_POWER);

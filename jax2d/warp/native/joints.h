@@ -20,16 +20,25 @@ struct Joints {
   Joint list[NUM_JOINTS + 1];
   int count;
 
-  KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& impulses) {
+  KFN static bool is_fixed(int flags) { return HAS_FIXED_JOINTS && (!HAS_REVOLUTE_JOINTS || (flags & JOINT_FIXED) != 0); }
+
+  KFN static bool is_limited(int flags) { return HAS_JOINT_LIMITS && (flags & JOINT_LIMITED) != 0; }
+
+  KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
+                const Column& impulses) {
     count = 0;
+    bool warm = params.get(PARAM_WARM_START) != real(0);
     for (int j = 0; j < NUM_JOINTS; ++j) {
       int packed = ints.get(INTS_JOINTS + j);
       if ((packed & JOINT_ACTIVE) == 0) continue;
+      if ((packed & JOINT_FIXED) != 0 ? !HAS_FIXED_JOINTS : !HAS_REVOLUTE_JOINTS) continue;
+      int slot_a = (packed >> 8) & 0xfff, slot_b = (packed >> 20) & 0x7ff;
+      if (!Slot::in_use(slot_a) || !Slot::in_use(slot_b)) continue;
       Joint& joint = list[count];
       joint.index = j;
       joint.flags = packed;
-      joint.a = (packed >> 8) & 0xfff;
-      joint.b = (packed >> 20) & 0x7ff;
+      joint.a = Slot::shape(slot_a);
+      joint.b = Slot::shape(slot_b);
       if (!bodies.is_dynamic(joint.a) && !bodies.is_dynamic(joint.b)) continue;  // nothing to hold
       ++count;
       joint.local_a = scene.get2(SCENE_ANCHOR_A + 2 * j);
@@ -40,6 +49,10 @@ struct Joints {
       joint.twist = impulses.get(IMPULSE_JOINT + 5 * j + 2);
       joint.impulse_lower = impulses.get(IMPULSE_JOINT + 5 * j + 3);
       joint.impulse_upper = impulses.get(IMPULSE_JOINT + 5 * j + 4);
+      if (!warm) {
+        joint.impulse = {real(0), real(0)};
+        joint.twist = joint.impulse_lower = joint.impulse_upper = real(0);
+      }
       joint.axial_mass =
           Math::inverse_or_zero(bodies.inverse_inertia[joint.a] + bodies.inverse_inertia[joint.b]);
     }
@@ -62,13 +75,13 @@ struct Joints {
       joint.start_angle = bodies.angle[joint.b] - bodies.angle[joint.a] - scene.get(SCENE_REST_ANGLE + joint.index);
       turn_arms(bodies, joint);
       real control = controls.get(joint.index);
-      bool driven = (joint.flags & JOINT_MOTOR) != 0 && (joint.flags & JOINT_FIXED) == 0 && control != real(0);
+      bool driven = HAS_MOTORS && (joint.flags & JOINT_MOTOR) != 0 && !is_fixed(joint.flags) && control != real(0);
       if (!driven) joint.flags &= ~JOINT_MOTOR;
       joint.motor_target = control * scene.get(SCENE_MOTOR_SPEED + joint.index) * params.get(PARAM_BASE_MOTOR_SPEED);
       // The power is the angular acceleration that the motor can give to the pair of bodies alone.
       joint.motor_most = h * params.get(PARAM_BASE_MOTOR_POWER) * scene.get(SCENE_MOTOR_POWER + joint.index) *
                          joint.axial_mass;
-      if (!driven && (joint.flags & JOINT_FIXED) == 0) joint.twist = real(0);
+      if (!driven && !is_fixed(joint.flags)) joint.twist = real(0);
     }
   }
 
@@ -93,11 +106,11 @@ struct Joints {
   KFN void solve_soft(Bodies& bodies, const Softness& soft, real inverse_h, bool use_bias) {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
-      if (joint.flags & JOINT_FIXED) {
+      if (is_fixed(joint.flags)) {
         solve_angle(bodies, joint, soft, use_bias);
       } else {
-        if (joint.flags & JOINT_MOTOR) solve_motor(bodies, joint);
-        if (joint.flags & JOINT_LIMITED) solve_limits(bodies, joint, soft, inverse_h, use_bias);
+        if (HAS_MOTORS && (joint.flags & JOINT_MOTOR) != 0) solve_motor(bodies, joint);
+        if (is_limited(joint.flags)) solve_limits(bodies, joint, soft, inverse_h, use_bias);
       }
       solve_point(bodies, joint, soft, use_bias);
     }

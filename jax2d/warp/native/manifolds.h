@@ -76,9 +76,16 @@ struct Geometry {
 
   // d: centre of b relative to centre of a; motion: how that changes; spin: of a. Points farther apart than margin are left out.
   KFN Manifold collide(int a, int b, Vec2 d, Vec2 motion, real spin, real margin) const {
-    if (b < NUM_POLYGONS) return polygon_polygon(a, b, d, motion, margin);
-    if (a < NUM_POLYGONS) return polygon_circle(a, b - NUM_POLYGONS, d, motion, spin, margin);
-    return circle_circle(a - NUM_POLYGONS, b - NUM_POLYGONS, d, margin);
+    if (b < NUM_POLYGONS) {
+      if (HAS_POLYGON_PAIRS) return polygon_polygon(a, b, d, motion, margin);
+    } else if (a < NUM_POLYGONS) {
+      if (HAS_POLYGON_CIRCLE_PAIRS) return polygon_circle(a, b - NUM_POLYGONS, d, motion, spin, margin);
+    } else if (HAS_CIRCLE_PAIRS) {
+      return circle_circle(a - NUM_POLYGONS, b - NUM_POLYGONS, d, margin);
+    }
+    Manifold none;
+    none.count = 0;
+    return none;
   }
 
   KFN Manifold circle_circle(int a, int b, Vec2 d, real margin) const {

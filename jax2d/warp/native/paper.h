@@ -7,9 +7,9 @@ struct PaperJoints {
   KFN void apply_motors(Bodies& bodies, const Column& scene, const Column& controls, const Column& params) {
     for (int k = 0; k < joints.count; ++k) {
       Joint& joint = joints.list[k];
-      if (!(joint.flags & JOINT_MOTOR)) continue;
+      if (!HAS_MOTORS || (joint.flags & JOINT_MOTOR) == 0) continue;
       real power = joint.motor_most;
-      if (joint.flags & JOINT_LIMITED) {
+      if (Joints::is_limited(joint.flags)) {
         real fade = params.get(PARAM_MOTOR_FADE_ANGLE);
         real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower + fade, joint.upper - fade);
         bool into_limit = beyond * controls.get(joint.index) > real(0);
@@ -24,7 +24,7 @@ struct PaperJoints {
     for (int k = 0; k < joints.count; ++k) {
       Joint& joint = joints.list[k];
       bodies.push_pair(joint.a, joint.arm_a, joint.b, joint.arm_b, joint.impulse);
-      if (joint.flags & JOINT_FIXED) bodies.twist_pair(joint.a, joint.b, joint.twist);
+      if (Joints::is_fixed(joint.flags)) bodies.twist_pair(joint.a, joint.b, joint.twist);
       joint.impulse_lower = joint.impulse_upper = real(0);
     }
   }
@@ -60,11 +60,11 @@ struct PaperJoints {
 
   KFN static void solve_twist(Bodies& bodies, Joint& joint, const Column& params) {
     real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
-    if (joint.flags & JOINT_FIXED) {
+    if (Joints::is_fixed(joint.flags)) {
       real twist = -joint.axial_mass * (speed + joint.start_angle * params.get(PARAM_FIXED_ANGLE_RATE));
       joint.twist += twist;
       bodies.twist_pair(joint.a, joint.b, twist);
-    } else if (joint.flags & JOINT_LIMITED) {
+    } else if (Joints::is_limited(joint.flags)) {
       real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower, joint.upper);
       if (beyond * speed > real(0))  // not while it already returns
         bodies.twist_pair(joint.a, joint.b, -joint.axial_mass * (speed + beyond * params.get(PARAM_LIMIT_ANGLE_RATE)));

@@ -13,7 +13,7 @@ struct World {
   Contacts contacts;
   Joints joints;
   Thrusters thrusters;
-  unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];
+  unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
   unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
   int overflow;
 
@@ -25,7 +25,7 @@ struct World {
     for (int step = 0; step < num_steps; ++step) {
       bodies.begin_step();
       for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = 0u;
-      joints.load(bodies, scene, ints, impulses);
+      joints.load(bodies, scene, ints, params, impulses);
       if (SOFT_STEP)
         soft_step();
       else
@@ -34,9 +34,12 @@ struct World {
       joints.store(impulses);
     }
     bodies.store(state);
-    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) {
-      out.set(OUT_AT_END + i, (int)(touching_now[i]));
-      out.set(OUT_DURING + i, (int)(touching_ever[i]));
+    for (int slot = 0; slot < CAPACITY_SHAPES; ++slot) {
+      for (int word = 0; word < TOUCH_WORDS; ++word) {
+        int row = slot * TOUCH_WORDS + word, own = Slot::shape(slot) * TOUCH_WORDS + word;
+        out.set(OUT_AT_END + row, Slot::in_use(slot) ? (int)(touching_now[own]) : 0);
+        out.set(OUT_DURING + row, Slot::in_use(slot) ? (int)(touching_ever[own]) : 0);
+      }
     }
     out.set(OUT_OVERFLOW, overflow);
     out.set(OUT_LIMITED, bodies.limited);
@@ -120,8 +123,9 @@ struct World {
     for (int k = 0; k < contacts.count; ++k) {
       const Contact& c = contacts.list[k];
       if (c.most_impulse <= real(0) && c.separation > real(0)) continue;
-      touching_now[c.a * TOUCH_WORDS + c.b / 32] |= 1u << (c.b % 32);
-      touching_now[c.b * TOUCH_WORDS + c.a / 32] |= 1u << (c.a % 32);
+      int slot_a = Slot::of(c.a), slot_b = Slot::of(c.b);
+      touching_now[c.a * TOUCH_WORDS + slot_b / 32] |= 1u << (slot_b % 32);
+      touching_now[c.b * TOUCH_WORDS + slot_a / 32] |= 1u << (slot_a % 32);
     }
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_ever[i] |= touching_now[i];
   }

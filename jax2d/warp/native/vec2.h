@@ -33,6 +33,16 @@ struct Rotation {
   }
 };
 
+// Shapes are numbered without the polygon slots that no scene of this kernel uses; a slot is where a shape stands in the
+// tables. A kernel for all slots numbers them alike.
+struct Slot {
+  static KFN int of(int shape) { return shape < NUM_POLYGONS ? shape : shape + SKIPPED_POLYGONS; }
+  static KFN int shape(int slot) { return slot < CAPACITY_POLYGONS ? slot : slot - SKIPPED_POLYGONS; }
+  static KFN bool in_use(int slot) {
+    return ALL_SHAPES || slot < NUM_POLYGONS || (slot >= CAPACITY_POLYGONS && slot < CAPACITY_POLYGONS + NUM_CIRCLES);
+  }
+};
+
 struct Math {
   static KFN real min(real a, real b) { return a < b ? a : b; }
   static KFN real max(real a, real b) { return a > b ? a : b; }

@@ -1,0 +1,204 @@
+"""What scenes call for, and engines compiled for that alone.
+
+    effects = effects_of(scenes)                   # which effects, and how many slots of each thing, these scenes use
+    engine = Engine(capacity, effects=effects)     # the code and the local memory of everything else are left out
+
+Within its effects such an engine gives bitwise the results of the full one, and its tables are laid out the same:
+states and packed scenes pass between the two. A scene that calls for more is refused with an error that names the
+effect; inside jit, where nothing can be refused, `Touching.missing` names it, world by world.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array, Capacity, Scene, only_what_acts
+
+# Bit i of `Touching.missing` is EFFECTS[i], bit len(EFFECTS) + j is a slot of SLOTS[j] beyond those compiled for.
+EFFECTS = (
+    "polygon_pairs",
+    "polygon_circle_pairs",
+    "circle_pairs",
+    "friction",
+    "restitution",
+    "continuous_collision",
+    "revolute_joints",
+    "fixed_joints",
+    "joint_limits",
+    "motors",
+    "thrusters",
+    "gravity",
+)
+SLOTS = ("polygon_slots", "circle_slots", "joint_slots", "thruster_slots", "contact_slots")
+
+
+class MissingEffectError(ValueError):
+    """A scene calls for an effect that the engine was compiled without."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Effects:
+    """Effects and slots that an engine is compiled for. Hashable."""
+
+    polygon_pairs: bool = False  # two polygons may touch
+    polygon_circle_pairs: bool = False
+    circle_pairs: bool = False
+    friction: bool = False  # between shapes that may touch
+    restitution: bool = False  # of both of two shapes that may touch
+    continuous_collision: bool = False  # bodies that could step over what is in their way: wherever shapes may touch
+    revolute_joints: bool = False
+    fixed_joints: bool = False
+    joint_limits: bool = False  # of revolute joints
+    motors: bool = False  # of revolute joints
+    thrusters: bool = False
+    gravity: bool = False  # that acts on a mass
+    # Number of slots, from the first, in which anything is active
+    polygon_slots: int = 0
+    circle_slots: int = 0
+    joint_slots: int = 0
+    thruster_slots: int = 0
+    contact_slots: int = 0  # contacts that there can be at a time
+
+    @classmethod
+    def full(cls, capacity: Capacity) -> Effects:
+        """Everything that a scene of this capacity can call for."""
+        return cls(
+            **dict.fromkeys(EFFECTS, True),
+            polygon_slots=capacity.polygons,
+            circle_slots=capacity.circles,
+            joint_slots=capacity.joints,
+            thruster_slots=capacity.thrusters,
+            contact_slots=capacity.contact_slots,
+        )
+
+    def missing(self, other: Effects) -> tuple[str, ...]:
+        """Names of what `other` calls for and this has not, in the order of EFFECTS and SLOTS."""
+        return tuple(name for name in EFFECTS + SLOTS if getattr(other, name) > getattr(self, name))
+
+    def covers(self, other: Effects) -> bool:
+        return not self.missing(other)
+
+    def __or__(self, other: Effects) -> Effects:
+        """What covers both."""
+        return Effects(**{name: max(getattr(self, name), getattr(other, name)) for name in EFFECTS + SLOTS})
+
+    def without(self, *names: str) -> Effects:
+        """These effects less some, to see what they cost or do."""
+        for name in names:
+            if name not in EFFECTS:
+                raise ValueError(f"unknown effect {name!r}; effects are {', '.join(EFFECTS)}")
+        return dataclasses.replace(self, **dict.fromkeys(names, False))
+
+    def missing_worlds(self, table: EffectTable) -> jax.Array:
+        """[...] int32 of every world of a table: 0, or the bits of what it calls for and this has not."""
+        flags = np.array([getattr(self, name) for name in EFFECTS])
+        slots = np.array([getattr(self, name) for name in SLOTS], np.int32)
+        lacks = jnp.concatenate([table.flags & ~flags, table.slots > slots], axis=-1)
+        bits = np.int32(1) << np.arange(len(EFFECTS + SLOTS), dtype=np.int32)
+        return jnp.sum(lacks * bits, axis=-1, dtype=jnp.int32)
+
+    def covers_worlds(self, table: EffectTable) -> jax.Array:
+        """[...] bool, worlds of a table that these effects suffice for."""
+        return self.missing_worlds(table) == 0
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EffectTable:
+    """What each of a batch of scenes calls for."""
+
+    flags: Array  # [..., len(EFFECTS)] bool
+    slots: Array  # [..., len(SLOTS)] int32
+
+    def union(self) -> Effects:
+        """What covers every world of the table (concrete arrays only)."""
+        flags = np.asarray(self.flags).reshape(-1, len(EFFECTS)).any(axis=0)
+        slots = np.asarray(self.slots).reshape(-1, len(SLOTS)).max(axis=0, initial=0)
+        return Effects(**dict(zip(EFFECTS, map(bool, flags))), **dict(zip(SLOTS, map(int, slots))))
+
+
+def effects_of(scenes: Scene) -> Effects:
+    """What a scene or a batch of scenes calls for. Works on concrete arrays; `called_for` also works inside jit."""
+    return called_for(scenes).union()
+
+
+def called_for(scenes: Scene) -> EffectTable:
+    """What each scene calls for; batched as the scenes are. May say too much (friction of a shape that is never
+    touched), never too little."""
+    scenes = only_what_acts(scenes)
+    polygons, circles = scenes.vertices.shape[-3], scenes.radius.shape[-1]
+    capacity = Capacity(
+        polygons=polygons,
+        circles=circles,
+        joints=scenes.joint_a.shape[-1],
+        thrusters=scenes.thruster_body.shape[-1],
+        vertices=scenes.vertices.shape[-2],
+    )
+    meets = scenes.can_touch  # each pair once
+    between = {
+        "polygon_pairs": meets[..., :polygons, :polygons],
+        "polygon_circle_pairs": meets[..., :polygons, polygons:],
+        "circle_pairs": meets[..., polygons:, polygons:],
+    }
+    revolute = jnp.asarray(scenes.joint_active) & ~jnp.asarray(scenes.joint_is_fixed)
+    flags: dict[str, Array] = {name: pairs.any((-2, -1)) for name, pairs in between.items()}
+    flags["friction"] = (meets & _of_pair(jnp.logical_or, scenes.friction)).any((-2, -1))
+    flags["restitution"] = (meets & _of_pair(jnp.logical_and, scenes.restitution)).any((-2, -1))
+    flags["continuous_collision"] = meets.any((-2, -1))
+    flags["revolute_joints"] = revolute.any(-1)
+    flags["fixed_joints"] = (jnp.asarray(scenes.joint_active) & scenes.joint_is_fixed).any(-1)
+    flags["joint_limits"] = (revolute & scenes.has_limits).any(-1)
+    flags["motors"] = (revolute & scenes.motor_on).any(-1)
+    flags["thrusters"] = jnp.asarray(scenes.thruster_active).any(-1)
+    has_gravity = (jnp.asarray(scenes.gravity) != 0).any(-1)
+    flags["gravity"] = has_gravity & (scenes.inverse_mass > 0).any(-1)
+
+    points = {name: pairs.sum((-2, -1), dtype=jnp.int32) for name, pairs in between.items()}
+    contacts = 2 * points["polygon_pairs"] + points["polygon_circle_pairs"] + points["circle_pairs"]
+    slots = {
+        "polygon_slots": _slots_in_use(scenes.shape_active[..., :polygons]),
+        "circle_slots": _slots_in_use(scenes.shape_active[..., polygons:]),
+        "joint_slots": _slots_in_use(scenes.joint_active),
+        "thruster_slots": _slots_in_use(scenes.thruster_active),
+        "contact_slots": jnp.minimum(contacts, capacity.contact_slots),
+    }
+    return EffectTable(
+        flags=jnp.stack([flags[name] for name in EFFECTS], axis=-1),
+        slots=jnp.stack([slots[name] for name in SLOTS], axis=-1),
+    )
+
+
+def _of_pair(combine: jnp.ufunc, coefficient: Array) -> jax.Array:
+    """[..., n, n] bool, of shapes with a coefficient above zero."""
+    positive = jnp.asarray(coefficient) > 0
+    return combine(positive[..., :, None], positive[..., None, :])
+
+
+def _slots_in_use(active: Array) -> jax.Array:
+    """[...] int32, one past the last active slot."""
+    active = jnp.asarray(active)
+    numbers = np.arange(1, active.shape[-1] + 1, dtype=np.int32)
+    return jnp.max(jnp.where(active, numbers, 0), axis=-1, initial=0)
+
+
+def names_of_bits(bits: int) -> Iterator[str]:
+    """The effects and slots that a value of `Touching.missing` stands for."""
+    return (name for i, name in enumerate(EFFECTS + SLOTS) if bits >> i & 1)
+
+
+def check_effects(effects: Effects, capacity: Capacity) -> None:
+    """Raises ValueError for effects that hold more than the capacity, or slots below zero."""
+    full = Effects.full(capacity)
+    for name in SLOTS:
+        if not 0 <= getattr(effects, name) <= getattr(full, name):
+            raise ValueError(
+                f"Effects.{name} is {getattr(effects, name)}, but {capacity} has {getattr(full, name)}; "
+                "take the effects of scenes of this capacity"
+            )
+    if effects.polygon_slots + effects.circle_slots == 0:
+        raise ValueError("Effects have no slot for any shape; an engine needs at least one")
