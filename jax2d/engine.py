@@ -134,7 +134,10 @@ class Engine:
             controls = self.no_controls(*batch)
         single = not batch
         if single:
-            scene, state, controls = jax.tree.map(lambda x: jnp.asarray(x)[None], (scene, state, controls))
+            # Not jnp.asarray: it would make float32 of float64 without a word.
+            scene, state, controls = jax.tree.map(
+                lambda x: (x if isinstance(x, jax.Array) else np.asarray(x))[None], (scene, state, controls)
+            )
         packed, touching = self.step_packed(self.pack_scene(scene), self.pack_state(state), controls, num_steps)
         state = self.unpack_state(packed)
         if single:
