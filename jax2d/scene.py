@@ -18,6 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+MAX_SHAPES = 512  # an int32 contact key has 9 bits for each of two shapes, and 12 for the feature
+
 Array = Any  # jax.Array or numpy.ndarray: fields are traced, stored and compared alike
 
 
@@ -37,6 +39,11 @@ class Capacity:
                 raise ValueError(f"Capacity.{name} is {getattr(self, name)}; it must be 0 or more")
         if self.shapes == 0:
             raise ValueError("Capacity has neither polygons nor circles; give at least one shape")
+        if self.shapes > MAX_SHAPES:
+            raise ValueError(
+                f"Capacity has {self.polygons} polygons and {self.circles} circles; a world holds at most {MAX_SHAPES} "
+                "shapes: split it into several worlds"
+            )
         if not 3 <= self.vertices <= 8:
             raise ValueError(f"Capacity.vertices is {self.vertices}; polygons have 3 to 8 vertices")
 

@@ -21,8 +21,6 @@ from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
 
-MAX_SHAPES = 512  # contact keys give each shape of a pair 9 bits
-
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -82,11 +80,6 @@ class WarpBackend:
                 f"Settings.solver_batch_size is {settings.solver_batch_size}; backend 'warp' solves contacts one after "
                 "another: use 1, or backend='xla'"
             )
-        if capacity.shapes > MAX_SHAPES:
-            raise ValueError(
-                f"the warp backend holds at most {MAX_SHAPES} shapes a world and the capacity has {capacity.shapes}; "
-                "split the world, or use a smaller Capacity"
-            )
         self.capacity = capacity
         self.settings = settings
         self.num_contact_slots = capacity.contact_slots
@@ -130,10 +123,12 @@ class WarpBackend:
             + jnp.asarray(scene.has_limits) * JOINT_FLAGS["JOINT_LIMITED"]
         )
         joints = flags + (jnp.asarray(scene.joint_a) << 8) + (jnp.asarray(scene.joint_b) << 20)
+        meets = scene.can_touch.any(-1) | scene.can_touch.any(-2)  # shapes with any partner
         owners = jnp.where(jnp.asarray(scene.thruster_active), scene.thruster_body, -1)
         ints = jnp.concatenate(
             [
                 _worlds_last(jax.lax.bitcast_convert_type(touch_bits(scene.can_touch), jnp.int32), jnp.int32),
+                _worlds_last(jax.lax.bitcast_convert_type(touch_bits(meets[:, None]), jnp.int32), jnp.int32),
                 _worlds_last(scene.num_vertices, jnp.int32),
                 _worlds_last(joints, jnp.int32),
                 _worlds_last(owners, jnp.int32),

@@ -18,12 +18,16 @@ NATIVE_FILES = (
     "vec2.h",
     "bodies.h",
     "manifolds.h",
+    "sweep.h",
     "contacts.h",
     "joints.h",
     "forces.h",
     "paper.h",
     "step.h",
 )
+
+# Up to here testing every pair costs less than a sweep (docs/engine.md, "How cost grows").
+SWEEP_ABOVE_SHAPES = 32
 
 
 @functools.cache
@@ -38,6 +42,7 @@ def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[
         polygons, circles = min(1, capacity.polygons), min(1, capacity.circles)
     has_pairs = effects.polygon_pairs or effects.polygon_circle_pairs or effects.circle_pairs
     has_joints = effects.revolute_joints or effects.fixed_joints
+    sweep = has_pairs and polygons + circles > SWEEP_ABOVE_SHAPES
     values = {
         "CAPACITY_POLYGONS": capacity.polygons,
         "CAPACITY_SHAPES": capacity.shapes,
@@ -54,6 +59,8 @@ def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[
         "NUM_CORNERS": max(1, polygons * capacity.vertices),
         "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
         "TOUCH_WORDS": capacity.touch_words,
+        "SWEEP": int(sweep),
+        "SWEEP_SHAPES": polygons + circles if sweep else 1,
         "SOFT_STEP": int(settings.solver == "soft_step"),
         "FRICTION_ROOT_SUM_SQUARE": int(settings.friction_mixing == "root_sum_square"),
     }

@@ -160,4 +160,4 @@ def test_engine_refuses_arrays_of_another_capacity():
 
 def test_worlds_with_more_shapes_than_contact_keys_can_name_are_refused():
     with pytest.raises(ValueError, match="at most 512 shapes"):
-        Engine(Capacity(polygons=500, circles=13, joints=0, thrusters=0))
+        Capacity(polygons=500, circles=13, joints=0, thrusters=0)

@@ -23,12 +23,14 @@ struct Softness {
 struct Contacts {
   Contact list[NUM_CONTACTS + 1];
   int count, overflow;
+  Sweep sweep;    // in kernels of many shapes only
   bool swinging;  // a body with a contact turns too far in a step for contacts found once
 
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << 22) | (slot_b << 12) | feature; }
 
-  // Searches all pairs that may touch, in slot order, so that keys ascend and old impulses are found by
-  // one walk over the old list. `reach` is the distance at which a contact is prepared.
+  // Searches the pairs that may touch (all, or those that a sweep finds near each other), in slot order, so that keys
+  // ascend and old impulses are found by one walk over the old list. `reach` is the distance at which a contact is
+  // prepared.
   KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
                 const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
                 bool ahead) {
@@ -39,10 +41,13 @@ struct Contacts {
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
     bool warm = params.get(PARAM_WARM_START) != real(0);
     int old_slot = 0;
+    if (SWEEP) sweep.find(bodies, geometry, reach, dt, ahead);
     for (int a = 0; a < NUM_SHAPES; ++a) {
       int slot_a = Slot::of(a);
-      for (int word = slot_a / 32; word < TOUCH_WORDS; ++word) {
+      for (int word = SWEEP ? sweep.first_word(a) : slot_a / 32; word < TOUCH_WORDS;
+           word = SWEEP ? sweep.next_word(a, word) : word + 1) {
         unsigned int partners = (unsigned int)(ints.get(INTS_PARTNERS + slot_a * TOUCH_WORDS + word));
+        if (SWEEP) partners &= sweep.nearby(a, word);
         while (partners != 0u) {  // only partners in later slots are stored
           int slot_b = word * 32 + Math::lowest_bit(partners);
           partners &= partners - 1u;

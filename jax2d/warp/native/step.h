@@ -15,16 +15,18 @@ struct World {
   Thrusters thrusters;
   unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
   unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
+  bool noting_now;  // in the last step of the call
   int overflow;
 
   KFN void run(int num_steps, const IntColumn& out) {
     bodies.load(scene, state);
     thrusters.load(scene, ints, controls, params);
+    if (SWEEP) contacts.sweep.load(ints);
     overflow = 0;
-    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_ever[i] = 0u;
+    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {
       bodies.begin_step();
-      for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = 0u;
+      noting_now = step == num_steps - 1;
       joints.load(bodies, scene, ints, params, impulses);
       if (SOFT_STEP)
         soft_step();
@@ -124,9 +126,13 @@ struct World {
       const Contact& c = contacts.list[k];
       if (c.most_impulse <= real(0) && c.separation > real(0)) continue;
       int slot_a = Slot::of(c.a), slot_b = Slot::of(c.b);
-      touching_now[c.a * TOUCH_WORDS + slot_b / 32] |= 1u << (slot_b % 32);
-      touching_now[c.b * TOUCH_WORDS + slot_a / 32] |= 1u << (slot_a % 32);
+      int row_a = c.a * TOUCH_WORDS + slot_b / 32, row_b = c.b * TOUCH_WORDS + slot_a / 32;
+      unsigned int bit_a = 1u << (slot_a % 32), bit_b = 1u << (slot_b % 32);
+      touching_ever[row_a] |= bit_b;
+      touching_ever[row_b] |= bit_a;
+      if (!noting_now) continue;
+      touching_now[row_a] |= bit_b;
+      touching_now[row_b] |= bit_a;
     }
-    for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_ever[i] |= touching_now[i];
   }
 };

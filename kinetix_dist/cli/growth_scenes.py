@@ -1,0 +1,97 @@
+"""Worlds with any number of shapes, for measuring how cost grows: bodies apart from each other, and in a heap.
+
+All shapes of a world are active. Bodies are boxes and balls in turns, about 0.6 m large, dropped from up to half a
+metre so that no two land at the same moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from jax2d import BuiltWorld, Capacity, SceneBuilder
+
+BODY_M = 0.6
+SPACING_M = 1.5  # from centre to centre of bodies that are to stay apart
+BODIES_A_PLATFORM = 15
+
+
+def capacity_of(num_shapes: int) -> Capacity:
+    """Half polygons, half circles; no joints or thrusters."""
+    return Capacity(polygons=(num_shapes + 1) // 2, circles=num_shapes // 2, joints=0, thrusters=0)
+
+
+def row(num_shapes: int, seed: int = 0) -> BuiltWorld:
+    """Bodies in one row on one floor under all of them."""
+    yard = _Yard(num_shapes, seed)
+    bodies = num_shapes - 1
+    yard.floor(0.0, 0.0, width=SPACING_M * (bodies + 1))
+    for i in range(bodies):
+        yard.body((i - 0.5 * (bodies - 1)) * SPACING_M, 0.0)
+    return yard.builder.build()
+
+
+def platforms(num_shapes: int, seed: int = 0) -> BuiltWorld:
+    """Floors above each other, 15 bodies on each."""
+    yard = _Yard(num_shapes, seed)
+    left = num_shapes
+    level = 0
+    while left > 1:
+        bodies = min(BODIES_A_PLATFORM, left - 1)
+        yard.floor(0.0, 2.0 * level, width=SPACING_M * (BODIES_A_PLATFORM + 1))
+        for i in range(bodies):
+            yard.body((i - 0.5 * (bodies - 1)) * SPACING_M, 2.0 * level)
+        left -= bodies + 1
+        level += 1
+    if left:
+        yard.body(0.0, 2.0 * level)
+    return yard.builder.build()
+
+
+def heap(num_shapes: int, seed: int = 0) -> BuiltWorld:
+    """Bodies that fall into a box and pile up there, about twice as wide as high."""
+    yard = _Yard(num_shapes, seed)
+    bodies = num_shapes - 3
+    columns = max(2, round((2 * bodies) ** 0.5))
+    width = columns * BODY_M * 1.2
+    yard.floor(0.0, 0.0, width=width + 2)
+    for side in (-1, 1):
+        yard.wall(side * (0.5 * width + 0.5), height=2 * width + 4)
+    for i in range(bodies):
+        yard.body((i % columns - 0.5 * (columns - 1)) * BODY_M * 1.15, (i // columns) * BODY_M * 1.3)
+    return yard.builder.build()
+
+
+SCENES: dict[str, Callable[..., BuiltWorld]] = {"row": row, "platforms": platforms, "heap": heap}
+
+
+class _Yard:
+    def __init__(self, num_shapes: int, seed: int) -> None:
+        if num_shapes < 4:
+            raise ValueError(f"num_shapes is {num_shapes}; these worlds need 4 or more")
+        self.builder = SceneBuilder(capacity_of(num_shapes))
+        self.random = np.random.default_rng(seed)
+        self._boxes = self._balls = 0
+
+    def floor(self, x: float, y: float, *, width: float) -> None:
+        self._boxes += 1
+        self.builder.add_box(width=width, height=0.5, position=(x, y - 0.25), fixed=True)
+
+    def wall(self, x: float, *, height: float) -> None:
+        self._boxes += 1
+        self.builder.add_box(width=1.0, height=height, position=(x, 0.5 * height), fixed=True)
+
+    def body(self, x: float, y: float) -> None:
+        """A body whose lower end is up to half a metre above y."""
+        size = BODY_M * self.random.uniform(0.8, 1.0)
+        position = (x, y + 0.5 * BODY_M + self.random.uniform(0.0, 0.5))
+        if self._balls < self.builder.capacity.circles and self._balls <= self._boxes:
+            self._balls += 1
+            self.builder.add_circle(radius=0.5 * size, position=position, restitution=0.2)
+        elif self._boxes < self.builder.capacity.polygons:
+            self._boxes += 1
+            self.builder.add_box(width=size, height=size, position=position, restitution=0.2)
+        else:
+            self._balls += 1
+            self.builder.add_circle(radius=0.5 * size, position=position, restitution=0.2)
