@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from jax2d import BuiltWorld, Capacity, Controls, Engine, SceneBuilder, Settings, index_worlds, preset, stack_worlds
+from jax2d import BuiltWorld, Capacity, Controls, SceneBuilder, Settings, index_worlds, preset, stack_worlds
 from tests.engine.worlds import CAPACITY, builder, engine, run
 
 PRESETS = [preset("standard"), preset("paper")]

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from jax2d import BuiltWorld, Capacity, Effects, Engine, SceneBuilder, preset, stack_worlds
+from jax2d import BuiltWorld, Capacity, Effects, Engine, SceneBuilder, effects_of, preset, stack_worlds
 from jax2d.warp import ffi, kernel, source
 
 CAPACITY = Capacity(polygons=20, circles=20, joints=0, thrusters=0)
@@ -17,14 +17,15 @@ STEPS = 240
 
 
 @functools.cache
-def engine_of(preset_name: str, *, sweeps: bool) -> Engine:
+def engine_of(preset_name: str, *, sweeps: bool, effects: Effects | None = None) -> Engine:
     settings = preset(preset_name)
+    effects = effects or Effects.full(CAPACITY)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(source, "SWEEP_ABOVE_SHAPES", 0 if sweeps else CAPACITY.shapes)
-        assert source.constants(CAPACITY, settings, Effects.full(CAPACITY))["SWEEP"] == sweeps
+        assert source.constants(CAPACITY, settings, effects)["SWEEP"] == sweeps
         for cached in (kernel.make_kernel, ffi._jax_call):
             cached.cache_clear()
-        engine = Engine(CAPACITY, settings=settings)
+        engine = Engine(CAPACITY, settings=settings, effects=effects)
         for cached in (kernel.make_kernel, ffi._jax_call):
             cached.cache_clear()
     return engine
@@ -61,13 +62,12 @@ def at_speed(speed: float, spin: float) -> BuiltWorld:
     place = grid(6, 1.2, y=0.2)
     for i in range(30):
         angle = random.uniform(0, 2 * np.pi)
-        fill_one = dict(
-            velocity=(speed * np.cos(angle), speed * np.sin(angle)), angular_velocity=random.uniform(-spin, spin)
-        )
+        velocity = (speed * np.cos(angle), speed * np.sin(angle))
+        spinning = random.uniform(-spin, spin)
         if i % 2:
-            b.add_box(width=0.9, height=0.1, position=place(i), restitution=0.9, **fill_one)
+            b.add_box(width=0.9, height=0.1, position=place(i), velocity=velocity, angular_velocity=spinning)
         else:
-            b.add_circle(radius=0.1, position=place(i), restitution=0.9, **fill_one)
+            b.add_circle(radius=0.1, position=place(i), velocity=velocity, angular_velocity=spinning, restitution=0.9)
     return b.build()
 
 
@@ -155,3 +155,17 @@ def test_several_steps_a_call_are_bitwise_single_steps() -> None:
     np.testing.assert_array_equal(last.position, single["position"][-1])
     np.testing.assert_array_equal(touching.at_end, single["at_end"][-1])
     np.testing.assert_array_equal(touching.during, np.bitwise_or.reduce(single["during"]))
+
+
+def test_sweep_knows_shapes_by_slot_where_slots_are_left_out() -> None:
+    """Circles keep their slots behind the polygons that an engine for these effects has no room for."""
+    world = WORLDS["most slots unused"]()
+    effects = effects_of(world.scene)
+    assert effects.polygon_slots < CAPACITY.polygons
+    engine = engine_of("standard", sweeps=True, effects=effects)
+    scene, state = stack_worlds([world.scene]), stack_worlds([engine.initial_state(*world)])
+    last, touching = engine.step(scene, state, num_steps=STEPS)
+    tested, index = motion("standard", sweeps=False), list(WORLDS).index("most slots unused")
+    np.testing.assert_array_equal(last.position[0], tested["position"][-1, index])
+    np.testing.assert_array_equal(last.contact_key[0], tested["contact_key"][-1, index])
+    np.testing.assert_array_equal(touching.at_end[0], tested["at_end"][-1, index])
