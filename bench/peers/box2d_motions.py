@@ -3,6 +3,9 @@
     python box2d_motions.py --check            prints the version
     python box2d_motions.py IN.npz OUT.npz     motions as jax2d/fidelity/peers.py writes and reads them
 
+then a request a line on standard input, {"setting": k, "scene": i}, and what one timed run of it cost on standard
+output, {"ok": true, "us": us per simulated second}; a failure answers {"ok": false, "error": one line}.
+
 One world at a time, stepped from Python; the time of a motion is that of all its steps, the calls included. This file
 uses nothing of the project.
 """
@@ -10,7 +13,6 @@ uses nothing of the project.
 from __future__ import annotations
 
 import json
-import statistics
 import sys
 import time
 from typing import Any
@@ -128,26 +130,38 @@ def main() -> int:
     for k, setting in enumerate(asked["settings"]):
         dt = setting["dt"]
         arguments = (dt, setting["velocity_iterations"], setting["position_iterations"])
-        costs = []
         for i, seconds in enumerate(request["seconds"]):
-            steps = round(float(seconds) / dt)
             motion = Motion(request, i, asked["constants"])
             states = [motion.state()]
-            for _ in range(steps):
+            for _ in range(round(float(seconds) / dt)):
                 motion.step(*arguments)
                 states.append(motion.state())
             answer[f"states.{k}.{i}"] = np.array(states)
-            timed = []
-            for _ in range(asked["repeats"] + 1):
-                motion = Motion(request, i, asked["constants"])
-                started = time.perf_counter()
-                for _ in range(steps):
-                    motion.step(*arguments)
-                timed.append(time.perf_counter() - started)
-            costs.append(1e6 * statistics.median(timed[1:]) / (steps * dt))
-        answer[f"us.{k}"] = np.array(costs)
     np.savez(sys.argv[2], device=np.array("cpu"), version=np.array(Box2D.__version__), **answer)
+    print(json.dumps({"ok": True}), flush=True)
+    for line in sys.stdin:
+        wanted = json.loads(line)
+        setting, i = asked["settings"][wanted["setting"]], wanted["scene"]
+        print(json.dumps({"ok": True, "us": cost(request, i, asked["constants"], **setting)}), flush=True)
     return 0
+
+
+def cost(
+    request: dict[str, np.ndarray],
+    i: int,
+    constants: dict[str, float],
+    *,
+    dt: float,
+    velocity_iterations: int,
+    position_iterations: int,
+) -> float:
+    """us per simulated second of one run of motion i."""
+    steps = round(float(request["seconds"][i]) / dt)
+    motion = Motion(request, i, constants)
+    started = time.perf_counter()
+    for _ in range(steps):
+        motion.step(dt, velocity_iterations, position_iterations)
+    return 1e6 * (time.perf_counter() - started) / (steps * dt)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,9 @@
 
     python jax2d_published_motions.py IN.npz OUT.npz     motions as jax2d/fidelity/peers.py writes and reads them
 
+then a request a line on standard input, {"setting": k, "scene": i}, and what one timed run of it cost on standard
+output, {"ok": true, "us": us per simulated world-second}; a failure answers {"ok": false, "error": one line}.
+
 Called as its authors do: jit, vmap over worlds, scan over steps. Its first four polygons are meant for floor and walls
 and never collide with each other, so the shapes of a scene follow them. Its cost does not depend on the motion, so each
 scene is timed from its start. This file uses nothing of the project.
@@ -13,7 +16,6 @@ import functools
 import importlib.metadata
 import json
 import math
-import statistics
 import sys
 import time
 from typing import Any
@@ -75,20 +77,28 @@ def main() -> int:
             state, seen = run(state, dt, actions, steps=CHUNK_STEPS, record=True)
             recorded.append(np.asarray(seen))
         paths = np.concatenate(recorded)
-        costs = []
         for i in range(count):
             answer[f"states.{k}.{i}"] = paths[: steps[i] + 1, i]
-            batch = jax.tree.map(lambda x, i=i: jnp.repeat(x[i : i + 1], worlds, 0), stacked)
-            action = jnp.repeat(actions[i : i + 1], worlds, 0)
-            timed = []
-            for _ in range(asked["repeats"] + 1):
-                started = time.perf_counter()
-                jax.block_until_ready(run(batch, dt, action, steps=asked["steps"], record=False))
-                timed.append(time.perf_counter() - started)
-            costs.append(1e6 * statistics.median(timed[1:]) / (worlds * asked["steps"] * dt))
-        answer[f"us.{k}"] = np.array(costs)
     version = importlib.metadata.version("jax2d")
     np.savez(sys.argv[2], device=np.array(jax.devices()[0].device_kind), version=np.array(version), **answer)
+    print(json.dumps({"ok": True}), flush=True)
+
+    def cost(k: int, i: int) -> float:
+        dt = asked["settings"][k]["dt"]
+        batch = jax.tree.map(lambda x: jnp.repeat(x[i : i + 1], worlds, 0), stacked)
+        action = jnp.repeat(actions[i : i + 1], worlds, 0)
+        jax.block_until_ready((batch, action))
+        started = time.perf_counter()
+        jax.block_until_ready(run(batch, dt, action, steps=asked["steps"], record=False))
+        return 1e6 * (time.perf_counter() - started) / (worlds * asked["steps"] * dt)
+
+    for line in sys.stdin:
+        wanted = json.loads(line)
+        try:
+            reply = {"ok": True, "us": cost(wanted["setting"], wanted["scene"])}
+        except Exception as error:
+            reply = {"ok": False, "error": " ".join(f"{type(error).__name__}: {error}".split())[:400]}
+        print(json.dumps(reply), flush=True)
     return 0
 
 
@@ -145,6 +155,9 @@ def world(static: Any, request: dict[str, np.ndarray], scene: dict[str, np.ndarr
             motor_speed=jnp.asarray(one["motor_speed"]),
             motor_power=jnp.asarray(one["motor_power"]),
             motor_on=jnp.asarray(one["motor_on"]),
+            motor_has_joint_limits=jnp.asarray(one["has_limits"]),
+            min_rotation=jnp.asarray(one["lower_limit"]),
+            max_rotation=jnp.asarray(one["upper_limit"]),
             is_fixed_joint=jnp.asarray(one["joint_is_fixed"]),
             rotation=jnp.asarray(one["joint_rest_angle"]),
         ),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -19,11 +20,13 @@ from typing import NoReturn
 
 from jax2d.fidelity.closed_forms import CLOSED_FORMS
 from jax2d.fidelity.peers import PEERS
+from jax2d.fidelity.reference_scenes import REFERENCE_SCENES
 from jax2d.settings import PRESETS
 
+SCENES = [*CLOSED_FORMS, *REFERENCE_SCENES]
 WORLDS_CPU = 1024
 WORLDS_CPU_QUICK = 256  # a core steps as fast with 64 worlds as with more
-WORLDS_GPU = 131072
+WORLDS_GPU = 65536
 WORLDS_GPU_QUICK = 16384
 
 
@@ -37,11 +40,11 @@ class OneLineParser(argparse.ArgumentParser):
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = OneLineParser(prog="python -m jax2d.fidelity", description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
-    add("--quick", action="store_true", help="fewer settings and worlds: about a minute on two cores")
+    add("--quick", action="store_true", help="fewer settings and worlds: one to two minutes on two cores")
     add("--json", type=File, default=File("runs/fidelity/study.json"), help="where the records go")
     add("--csv", type=File, help="the same as a table; default: beside the JSON")
     add("--picture", type=File, help="the log-log picture; default: beside the JSON, .png")
-    add("--scenes", nargs="+", choices=list(CLOSED_FORMS), default=list(CLOSED_FORMS), metavar="SCENE")
+    add("--scenes", nargs="+", choices=SCENES, default=SCENES, metavar="SCENE")
     add("--presets", nargs="+", choices=list(PRESETS), default=list(PRESETS), metavar="PRESET")
     add("--backends", nargs="+", choices=("warp", "xla"), help="default: warp, and xla too unless --quick")
     add("--peers", nargs="*", choices=list(PEERS), help="default: box2d, and the published jax2d too unless --quick")
@@ -68,23 +71,31 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     args = parse(arguments)
     started = time.perf_counter()
+    if "published" in args.peers:
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # it shares the device
     import jax
     from rich.console import Console
 
     from jax2d.fidelity.picture import draw
+    from jax2d.fidelity.references import StaleReference, study_scenes
     from jax2d.fidelity.report import print_report, write_csv
     from jax2d.fidelity.study import TOO_SLOW, Measurement, run_study, sweep
 
     on_gpu = jax.default_backend() == "gpu"
     by_device = (WORLDS_GPU_QUICK, WORLDS_GPU) if on_gpu else (WORLDS_CPU_QUICK, WORLDS_CPU)
     worlds = args.worlds or by_device[0 if args.quick else 1]
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else 180)
     device = jax.devices()[0].device_kind
     console.print(f"{len(args.scenes)} scenes on {device}, {worlds} worlds, median of {args.repeats} runs")
     for name in set(args.presets) & set(TOO_SLOW):
         console.print(f"{name} left out: {TOO_SLOW[name]}")
-    records = run_study(
-        [CLOSED_FORMS[name] for name in args.scenes],
+    try:
+        references = study_scenes([name for name in args.scenes if name in REFERENCE_SCENES])
+    except StaleReference as stale:
+        print(stale, file=sys.stderr)
+        return 1
+    records, failures = run_study(
+        [references[name] if name in references else CLOSED_FORMS[name] for name in args.scenes],
         sweep(args.presets, args.backends, quick=args.quick),
         args.peers,
         Measurement(worlds=worlds, repeats=args.repeats),
@@ -92,14 +103,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report=lambda line: console.print(line, markup=False, highlight=False),
     )
     if not records:
-        print("nothing was measured: no preset runs on the backends asked for", file=sys.stderr)
+        print(
+            failures[0] if failures else "nothing was measured: no preset runs on the backends asked for",
+            file=sys.stderr,
+        )
         return 1
     args.json.write_text(json.dumps(records, indent=1, allow_nan=False) + "\n")
     write_csv(records, args.csv)
-    draw(records, args.picture, title=f"What accuracy costs: {device}, {worlds} worlds, closed forms")
+    draw(records, args.picture, title=f"What accuracy costs: {device}, {worlds} worlds, {len(args.scenes)} scenes")
     print_report(records, console)
     seconds = time.perf_counter() - started
     console.print(f"{len(records)} records in {args.json}, {args.csv}, {args.picture}; {seconds:.0f} s", markup=False)
+    if failures:
+        count = f"{len(failures)} measurement{'s' if len(failures) > 1 else ''} failed"
+        print(f"{count}, without records in {args.json}; the first: {failures[0]}", file=sys.stderr)
+        return 1
     return 0
 
 

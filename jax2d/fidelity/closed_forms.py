@@ -10,14 +10,14 @@ in rad. A coefficient of friction mu is that between two shapes which both carry
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 
 import numpy as np
 
-from jax2d.builder import BuiltWorld, SceneBuilder
+from jax2d.builder import SceneBuilder
 from jax2d.fidelity.path import Path, bounce_heights, crossings, vertex
+from jax2d.fidelity.study_scene import Error, StudyScene
 from jax2d.scene import Capacity
 from jax2d.settings import Settings
 
@@ -28,28 +28,7 @@ MOTOR_ACCELERATION = 900.0  # rad/s^2 of a motor of power 1, Settings.base_motor
 MOTOR_SPEED = 6.0  # rad/s at motor_speed 1, Settings.base_motor_speed
 THRUST = 10.0  # N of a thruster of power 1, Settings.base_thruster_power
 
-Error = Callable[[Path], float]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ClosedForm:
-    """A scene and its formula."""
-
-    name: str
-    metric: str  # what the error is and what it is divided by
-    seconds: float  # how long the motion is followed
-    gravity: float  # m/s^2 downwards
-    control: float  # of every motor and thruster
-    needs_joint_force: bool  # not every engine tells
-    build: Callable[[SceneBuilder], Error]
-
-    def world(self) -> tuple[BuiltWorld, Error]:
-        builder = SceneBuilder(CAPACITY, gravity=(0.0, -self.gravity))
-        error = self.build(builder)
-        return builder.build(), error
-
-
-CLOSED_FORMS: dict[str, ClosedForm] = {}
+CLOSED_FORMS: dict[str, StudyScene] = {}
 
 
 def closed_form(
@@ -62,10 +41,11 @@ def closed_form(
     needs_joint_force: bool = False,
 ) -> Callable[[Callable[[SceneBuilder], Error]], Callable[[SceneBuilder], Error]]:
     def register(build: Callable[[SceneBuilder], Error]) -> Callable[[SceneBuilder], Error]:
-        CLOSED_FORMS[name] = ClosedForm(
+        CLOSED_FORMS[name] = StudyScene(
             name=name,
             metric=metric,
             seconds=seconds,
+            capacity=CAPACITY,
             gravity=gravity,
             control=control,
             needs_joint_force=needs_joint_force,
@@ -251,6 +231,22 @@ def bounce_elastic(b: SceneBuilder) -> Error:
     def error(path: Path) -> float:
         heights = bounce_heights(path.position[:, ball, 1] - 0.1, path.velocity[:, ball, 1])
         return max((abs(height - 1.0) for height in heights), default=1.0)
+
+    return error
+
+
+@closed_form("welded_bounce", metric="height error / e^2 h0 (a disc with a box welded on it)", seconds=0.9)
+def welded_bounce(b: SceneBuilder) -> Error:
+    e, height, radius = 0.5, 1.0, 0.1
+    b.add_box(width=10, height=1, position=(0, -0.5), fixed=True, restitution=e)
+    disc = b.add_circle(radius=radius, position=(0, height + radius), restitution=e)
+    box = b.add_box(width=0.4, height=0.2, position=(0, height + 3 * radius), restitution=e)
+    b.add_fixed_joint(disc, box, at=(0, height + 2 * radius))
+
+    def error(path: Path) -> float:
+        # It falls until 0.45 s and is down again at 0.9 s.
+        after = path.position[path.times > 0.5, disc, 1] - radius
+        return _off(vertex(after, int(np.argmax(after))), e**2 * height)
 
     return error
 

@@ -8,7 +8,11 @@ from typing import NamedTuple, TypedDict
 
 import numpy as np
 
+from jax2d.fidelity.labels import is_preset_itself
+from jax2d.fidelity.peers import PEER_NAMES
+
 SMALLEST_ERROR = 1e-6  # about what float32 resolves over a few hundred steps: smaller errors count as this
+NOT_ACCEPTED = "; not accepted: "  # in the metric of a record whose error may be that of its reference solution
 LARGEST_ERROR = 1.0  # wrong by all of it: larger errors, and motions that are not finite, count as this
 
 
@@ -21,7 +25,7 @@ class Record(TypedDict):
     dtype: str
     device: str
     setting: str
-    metric: str
+    metric: str  # what the error is; says so where it is not accepted
     error: float | None  # None: the motion is not finite
     us_per_world_second: float
 
@@ -61,11 +65,22 @@ def bounded(error: float | None) -> float:
     return LARGEST_ERROR if error is None else min(max(error, SMALLEST_ERROR), LARGEST_ERROR)
 
 
-def scenes_of_all(records: Sequence[Record]) -> list[str]:
-    """Scenes that every setting has: means are taken over these."""
-    by_setting: dict[tuple[str, ...], set[str]] = {}
+def accepted(record: Record) -> bool:
+    """Whether the truth is known well enough for the error shown (`references.TRUST`)."""
+    return NOT_ACCEPTED not in record["metric"]
+
+
+def scenes_of_means(records: Sequence[Record]) -> list[str]:
+    """Scenes over which means are taken: those of which each preset itself and each peer's first setting have an
+    accepted record (without any of these: all settings)."""
+    keys = list(dict.fromkeys(setting_key(record) for record in records))
+    named = {setting_key(record) for record in records if is_preset_itself(record)}
+    for peer in PEER_NAMES:
+        named |= set([key for key in keys if key[0] == peer][:1])
+    by_setting: dict[tuple[str, ...], set[str]] = {key: set() for key in named or keys}
     for record in records:
-        by_setting.setdefault(setting_key(record), set()).add(record["scene"])
+        if accepted(record) and setting_key(record) in by_setting:
+            by_setting[setting_key(record)].add(record["scene"])
     common = set.intersection(*by_setting.values()) if by_setting else set()
     return [scene for scene in dict.fromkeys(record["scene"] for record in records) if scene in common]
 
@@ -74,12 +89,13 @@ def setting_key(record: Record) -> tuple[str, str, str, str]:
     return record["preset"], record["backend"], record["dtype"], record["setting"]
 
 
-def points_of(records: Sequence[Record]) -> list[Point]:
-    """One point a setting, over the scenes that all settings have."""
-    scenes = set(scenes_of_all(records))
+def points_of(records: Sequence[Record], scenes: Sequence[str] | None = None) -> list[Point]:
+    """One point a setting over `scenes`, by default `scenes_of_means`. A setting without an accepted record of one of
+    them has no point: its mean would be one over other scenes."""
+    chosen = set(scenes_of_means(records) if scenes is None else scenes)
     groups: dict[tuple[str, str, str, str], list[Record]] = {}
     for record in records:
-        if record["scene"] in scenes:
+        if record["scene"] in chosen and accepted(record):
             groups.setdefault(setting_key(record), []).append(record)
     return [
         Point(
@@ -88,4 +104,5 @@ def points_of(records: Sequence[Record]) -> list[Point]:
             error=math.exp(np.mean([math.log(bounded(record["error"])) for record in group])),
         )
         for key, group in groups.items()
+        if {record["scene"] for record in group} == chosen
     ]

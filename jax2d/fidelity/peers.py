@@ -1,7 +1,8 @@
 """Other engines over the same motions: Box2D and the published jax2d, each in its own environment and process.
 
-    request (npz): the scenes' arrays, how they start, seconds, controls, and as JSON the settings to run
-    answer  (npz): a path [steps + 1, n, 6] for each setting and scene, and its cost
+    request (npz)  the scenes' arrays, how they start, seconds, controls, and as JSON the settings to run
+    answer  (npz)  a path [steps + 1, n, 6] for each setting and scene; the process says "ready" when it is written
+    then, line by line: {"setting": k, "scene": i} -> {"us": cost of one timed run, us per world-second}
 
 The programs are bench/peers/box2d_motions.py and bench/peers/jax2d_published_motions.py of a checkout; a peer that is
 not installed raises `PeerMissing` with one line that says how to install it.
@@ -9,14 +10,15 @@ not installed raises `PeerMissing` with one line that says how to install it.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path as File
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -29,7 +31,11 @@ CHECKOUT = File(__file__).resolve().parents[2]
 
 
 class PeerMissing(Exception):
-    """The peer cannot run here; one line says why and what to do."""
+    """The peer is not installed here; one line says so and what to do."""
+
+
+class PeerFailed(OSError):
+    """The peer's process failed; one line says with what."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,6 +50,7 @@ class Peer:
     variable: str  # names another Python; with PATH appended, its PYTHONPATH
     setup: str
     settings: tuple[dict[str, Any], ...]
+    cost_follows_motion: bool  # else one scene's cost is that of all
 
     def label(self, setting: dict[str, Any]) -> str:
         """As the settings of our engine are written in a record."""
@@ -66,6 +73,7 @@ PEERS = {
         setup="bash bench/peers/setup_box2d.sh",
         # 8 velocity and 3 position iterations are its manual's advice.
         settings=(*(_box2d(rate, 8, 3) for rate in (60, 30, 120, 240, 480)), _box2d(60, 4, 2), _box2d(60, 20, 10)),
+        cost_follows_motion=True,
     ),
     "published": Peer(
         name="published-jax2d",
@@ -76,51 +84,75 @@ PEERS = {
         variable="KINETIX_PEER_PYTHON",
         setup="bash bench/peers/setup.sh",
         settings=tuple({"dt": 1 / rate, "iterations": 10} for rate in (60, 30, 120)),
+        cost_follows_motion=False,  # every pair and slot is computed, in use or not
     ),
 }
 PEER_NAMES = tuple(peer.name for peer in PEERS.values())
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PeerRuns:
-    """What a peer answered: for each setting its label, and for each scene path and cost."""
+class PeerMotions:
+    """What a peer answered, and its process, ready to time."""
 
-    device: str
-    version: str
-    labels: list[str]
-    paths: list[list[Path]]  # [setting][scene]
-    microseconds: list[list[float]]  # [setting][scene] us per world-second
+    def __init__(self, peer: Peer, process: subprocess.Popen[str], said: IO[str]) -> None:
+        self.peer = peer
+        self._process = process
+        self._said = said  # its standard error
+        self.device = ""
+        self.labels: list[str] = []  # of settings
+        self.paths: list[list[Path]] = []  # [setting][scene]
+
+    def cost(self, setting: int, scene: int) -> float:
+        """us per world-second of one timed run; raises PeerFailed."""
+        return float(self.ask({"setting": setting, "scene": scene})["us"])
+
+    def ask(self, request: dict[str, int] | None) -> dict[str, Any]:
+        """Writes a request, if any, and reads the next line; raises PeerFailed."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            if request is not None:
+                print(json.dumps(request), file=self._process.stdin, flush=True)
+            answer = json.loads(self._process.stdout.readline() or "{}")
+        except (OSError, json.JSONDecodeError):
+            answer = {}
+        if not answer.get("ok"):
+            self._said.seek(0)
+            said = answer.get("error") or (self._said.read().strip().splitlines() or ["it ended without a word"])[-1]
+            raise PeerFailed(f"{self.peer.name} failed: {said[:200]}")
+        return answer
 
 
-def peer_runs(
+@contextlib.contextmanager
+def peer_motions(
     peer: Peer,
     worlds: Sequence[BuiltWorld],
     seconds: Sequence[float],
     control: Sequence[float],
     *,
     batch: int,
-    steps: int,
-    repeats: int,
     num_settings: int,
-) -> PeerRuns:
-    """Runs the peer over all worlds; raises PeerMissing where it is not installed or fails."""
+) -> Iterator[PeerMotions]:
+    """The peer's motions of all worlds. Its process lives as long as the context; raises PeerMissing or PeerFailed."""
     settings = peer.settings[:num_settings]
     python, environment = _python(peer)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
         request, answer = File(folder, "request.npz"), File(folder, "answer.npz")
-        _write_request(request, worlds, seconds, control, settings, batch=batch, steps=steps, repeats=repeats)
-        done = subprocess.run(
+        _write_request(request, worlds, seconds, control, settings, batch=batch, steps=8)
+        with subprocess.Popen(
             [str(python), str(CHECKOUT / "bench" / "peers" / peer.program), str(request), str(answer)],
             env=environment,
-            capture_output=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=said,
             text=True,
-            check=False,
-        )
-        if done.returncode != 0 or not answer.is_file():
-            said = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            raise PeerMissing(f"{peer.name} left out: its process failed: {said[:200]}")
-        with np.load(answer) as arrays:
-            return _read_answer(peer, dict(arrays), worlds, settings)
+        ) as process:
+            try:
+                motions = PeerMotions(peer, process, said)
+                motions.ask(None)  # waits until the answer is written
+                with np.load(answer) as arrays:
+                    _read_answer(motions, dict(arrays), worlds, settings)
+                yield motions
+            finally:
+                process.kill()
 
 
 def _python(peer: Peer) -> tuple[File, dict[str, str]]:
@@ -161,8 +193,11 @@ def _write_request(
 
 
 def _read_answer(
-    peer: Peer, arrays: dict[str, np.ndarray], worlds: Sequence[BuiltWorld], settings: Sequence[dict[str, Any]]
-) -> PeerRuns:
+    motions: PeerMotions,
+    arrays: dict[str, np.ndarray],
+    worlds: Sequence[BuiltWorld],
+    settings: Sequence[dict[str, Any]],
+) -> None:
     def path(k: int, i: int) -> Path:
         states = arrays[f"states.{k}.{i}"].astype(np.float64)
         return Path(
@@ -174,10 +209,6 @@ def _read_answer(
             angular_velocity=states[..., 5],
         )
 
-    return PeerRuns(
-        device=str(arrays["device"]),
-        version=str(arrays["version"]),
-        labels=[peer.label(setting) for setting in settings],
-        paths=[[path(k, i) for i in range(len(worlds))] for k in range(len(settings))],
-        microseconds=[arrays[f"us.{k}"].tolist() for k in range(len(settings))],
-    )
+    motions.device = str(arrays["device"])
+    motions.labels = [motions.peer.label(setting) for setting in settings]
+    motions.paths = [[path(k, i) for i in range(len(worlds))] for k in range(len(settings))]

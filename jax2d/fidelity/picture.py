@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path as File
 from typing import Any
 
-from jax2d.fidelity.frontier import Point, Record, bounded, pareto_set, points_of, setting_key, slope
+from jax2d.fidelity.frontier import Point, Record, accepted, bounded, pareto_set, points_of, setting_key, slope
+from jax2d.fidelity.labels import is_preset_itself
 from jax2d.fidelity.peers import PEER_NAMES
-from jax2d.fidelity.study import is_preset_itself
 
 COLOURS = {
     "standard": "#1f77b4",
@@ -100,9 +100,12 @@ def _scene_panel(panel: Any, scene: str, records: Sequence[Record]) -> None:
     for record, (cost, error) in zip(records, spots):
         mark = MARKS.get((record["backend"], record["dtype"]), "o")
         size = 9 if is_preset_itself(record) else 4
-        panel.plot(cost, error, mark, color=COLOURS.get(record["preset"], OTHER_COLOUR), markersize=size, alpha=0.7)
-    kept = [spots[i] for i in pareto_set(spots)]
-    panel.plot(*zip(*kept), "-", color="black", linewidth=0.8, zorder=0)
+        colour = COLOURS.get(record["preset"], OTHER_COLOUR)
+        face = colour if accepted(record) else "none"  # hollow: not accepted
+        panel.plot(cost, error, mark, color=colour, markerfacecolor=face, markersize=size, alpha=0.7)
+    trusted = [spot for record, spot in zip(records, spots) if accepted(record)]
+    if kept := [trusted[i] for i in pareto_set(trusted)]:
+        panel.plot(*zip(*kept), "-", color="black", linewidth=0.8, zorder=0)
     panel.set(xscale="log", yscale="log")
     panel.set_title(scene, fontsize=9)
     panel.set_ylabel(records[0]["metric"].split(" (")[0].split(" / ")[0][:34], fontsize=6)

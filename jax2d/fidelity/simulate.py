@@ -1,8 +1,8 @@
 """Runs worlds of one capacity under any settings: their paths, and what a simulated second of them costs.
 
-    group = Group(backend, dtype)          compiles once for each solver and batch size, not for each dt or substeps
+    group = Group(capacity, backend, dtype)    compiles once for each solver and batch size, not for each dt or substeps
     runs = group.paths(worlds, settings, seconds, control) -> one Run a world
-    group.microseconds_per_world_second(runs[i], settings, worlds=1024)
+    group.microseconds_per_world_second(runs[i].moments, settings, worlds=1024) -> of one run, timed
 
 Numbers of the settings are arguments of the compiled programs (the backend's `parameters`); dt changes how often a
 program is called, never the program.
@@ -14,10 +14,9 @@ import contextlib
 import copy
 import dataclasses
 import functools
-import statistics
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,23 +33,29 @@ MOMENTS = 32  # states of a motion that a timed batch holds
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Run:
-    """One world's path, and what it takes to time the same motion."""
+class Moments:
+    """What it takes to time a motion: one world at many times of it. Host arrays."""
 
-    path: Path
     scene: Any  # packed, [rows, 1]
-    moments: Any  # packed states at up to MOMENTS times, [rows, moments]
+    states: Any  # packed, [rows, up to MOMENTS]
     controls: Controls  # of one world
 
 
+class Run(NamedTuple):
+    """One world's motion."""
+
+    path: Path
+    moments: Moments
+
+
 def compiled_in(settings: Settings, backend: str) -> Settings:
-    """What of the settings is part of a compiled program: all but numbers, and in plain JAX the loop counts."""
+    """What of the settings a program is compiled for: all but numbers and switches; in plain JAX loop counts too."""
     loops = {"solver_batch_size"} | ({"substeps"} if backend == "xla" else set())
     defaults = Settings()
     numbers = {
         field.name: getattr(defaults, field.name)
         for field in dataclasses.fields(Settings)
-        if type(getattr(defaults, field.name)) in (int, float) and field.name not in loops
+        if type(getattr(defaults, field.name)) in (int, float, bool) and field.name not in loops
     }
     return settings.replace(**numbers)
 
@@ -86,12 +91,15 @@ class Group:
             controls = Controls(
                 motor=jnp.repeat(level, self.capacity.joints, 1), thruster=jnp.repeat(level, self.capacity.thrusters, 1)
             )
+            wanted = [_moments_of(steps) for steps in num_steps]
             recorded = [jax.device_get(_visible(engine, packed, add_axis=True))]
-            kept = [packed]
-            for _ in range(-(-max(num_steps) // CHUNK_STEPS)):
+            kept = {0: jax.device_get(packed)}
+            for chunk in range(1, 1 + -(-max(num_steps) // CHUNK_STEPS)):
                 packed, states = advance(engine.backend.parameters, scene, packed, controls)
                 recorded.append(jax.device_get(states))
-                kept.append(packed)
+                if any(chunk in chunks for chunks in wanted):
+                    kept[chunk] = jax.device_get(packed)
+            scene, controls = jax.device_get((scene, controls))
         fields = [np.concatenate(parts).astype(np.float64) for parts in zip(*recorded)]
         runs = []
         for i, (world, steps) in enumerate(zip(worlds, num_steps)):
@@ -105,32 +113,52 @@ class Group:
                 angular_velocity=angular_velocity,
                 joint_force=impulse[..., :2] / settings.substep_seconds,
             )
-            chunks = np.unique(np.linspace(0, max(0, steps // CHUNK_STEPS - 1), MOMENTS).round().astype(int))
             one = functools.partial(jax.tree.map, lambda x, i=i: x[..., i : i + 1])
-            moments = jax.tree.map(lambda *xs: np.concatenate(xs, -1), *[jax.device_get(one(kept[c])) for c in chunks])
-            here = jax.tree.map(lambda x, i=i: np.asarray(x[i]), controls)
-            runs.append(Run(path=path, scene=one(scene), moments=moments, controls=here))
+            moments = Moments(
+                scene=one(scene),
+                states=jax.tree.map(lambda *xs: np.concatenate(xs, -1), *[one(kept[chunk]) for chunk in wanted[i]]),
+                controls=jax.tree.map(lambda x, i=i: x[i], controls),
+            )
+            runs.append(Run(path, moments))
         return runs
 
+    def positions(
+        self, world: BuiltWorld, settings: Settings, *, control: float, moments: int, steps_between: int
+    ) -> np.ndarray:
+        """[moments, n, 2] of one world, every `steps_between` steps (a multiple of 96) after the start."""
+        engine = self.engine(settings)
+        chunk = 96
+        if steps_between % chunk:
+            raise ValueError(f"steps_between is {steps_between}; use a multiple of {chunk}")
+        advance = self._program(settings, chunk, record=False)
+        seen = []
+        with self._precision():
+            scene = engine.pack_scene(stack_worlds([world.scene]))
+            packed = engine.pack_state(stack_worlds([engine.initial_state(*world)]))
+            controls = jax.tree.map(lambda x: jnp.full_like(x, control), engine.no_controls(1))
+            for _ in range(moments):
+                for _ in range(steps_between // chunk):
+                    packed, _ = advance(engine.backend.parameters, scene, packed, controls)
+                seen.append(np.asarray(engine.bodies(packed)[0][0]))
+        return np.array(seen)
+
     def microseconds_per_world_second(
-        self, run: Run, settings: Settings, *, worlds: int, steps: int = 32, repeats: int = 5
+        self, moments: Moments, settings: Settings, *, worlds: int, steps: int = 32
     ) -> float:
-        """Median of `repeats` timed runs after one that is not timed. Each starts from the same batch, in which the
-        motion stands at MOMENTS different times: contacts and flights are timed in the share in which they occur."""
+        """Of one timed run, after those that compile. It starts from a batch in which the motion stands at many
+        different times: contacts and flights are timed in the share in which they occur."""
         engine = self.engine(settings)
         advance = self._program(settings, steps, record=False)
         with self._precision():
-            which = jnp.arange(worlds) % jax.tree.leaves(run.moments)[0].shape[-1]
-            state = jax.tree.map(lambda x: jnp.asarray(x)[..., which], run.moments)
-            scene = jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x), worlds, -1), run.scene)
-            controls = jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x)[None], worlds, 0), run.controls)
+            which = jnp.arange(worlds) % jax.tree.leaves(moments.states)[0].shape[-1]
+            state = jax.tree.map(lambda x: jnp.asarray(x)[..., which], moments.states)
+            scene = jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x), worlds, -1), moments.scene)
+            controls = jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x)[None], worlds, 0), moments.controls)
             arguments = jax.block_until_ready((scene, state, controls))
-            seconds = []
-            for _ in range(repeats + 1):
-                started = time.perf_counter()
-                jax.block_until_ready(advance(engine.backend.parameters, *arguments))
-                seconds.append(time.perf_counter() - started)
-        return 1e6 * statistics.median(seconds[1:]) / (worlds * steps * settings.dt)
+            started = time.perf_counter()
+            jax.block_until_ready(advance(engine.backend.parameters, *arguments))
+            seconds = time.perf_counter() - started
+        return 1e6 * seconds / (worlds * steps * settings.dt)
 
     def _program(self, settings: Settings, steps: int, *, record: bool) -> Callable:
         """(parameters, packed scene, packed state, controls) -> (packed state, visible states [steps, W, ...] or None).
@@ -154,6 +182,11 @@ class Group:
 
         self._programs[key] = advance
         return advance
+
+
+def _moments_of(num_steps: int) -> list[int]:
+    """Chunks before which a motion's states are kept: spread over it, the first included."""
+    return np.unique(np.linspace(0, max(0, num_steps // CHUNK_STEPS - 1), MOMENTS).round().astype(int)).tolist()
 
 
 def _visible(engine: Engine, packed: Any, add_axis: bool = False) -> tuple[jax.Array, ...]:

@@ -1,22 +1,30 @@
-"""The study: every closed form under every setting, its error and its cost, and the same for peers.
+"""The study: every scene under every setting, its error and its cost, and the same for peers.
 
-scenes x (presets, and sweeps of dt and of substeps or iterations around them) -> records
-cost: microseconds per simulated world-second in a batch of `worlds`, median of `repeats` runs after warm-up
+scenes x (presets, and sweeps of dt, of substeps or iterations and of warm starting around them) -> records
+1. all motions and their errors; 2. all costs, in turns (`turns.py`), in batches of `worlds`; 3. records.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import jax
 
-from jax2d.fidelity.closed_forms import CAPACITY, ClosedForm, with_plain_friction
-from jax2d.fidelity.frontier import Record
-from jax2d.fidelity.peers import PEERS, PeerMissing, peer_runs
+from jax2d.fidelity.closed_forms import with_plain_friction
+from jax2d.fidelity.frontier import NOT_ACCEPTED, Record
+from jax2d.fidelity.labels import setting_label
+from jax2d.fidelity.peers import PEERS, PeerFailed, PeerMissing, peer_motions
+from jax2d.fidelity.references import TRUST
 from jax2d.fidelity.simulate import Group
-from jax2d.settings import PRESETS, Settings, preset
+from jax2d.fidelity.study_scene import Error, StudyScene
+from jax2d.fidelity.turns import FAILURES, Turn, one_line, take_turns
+from jax2d.scene import Capacity
+from jax2d.settings import Settings, preset
 
 RATES = (30, 60, 120, 240, 480)  # 1/dt
 SUBSTEPS = (1, 2, 4, 8, 16)
@@ -35,6 +43,15 @@ class Case:
     backend: str = "warp"
     dtype: str = "float32"
 
+    @property
+    def name(self) -> str:
+        return f"{self.preset} ({setting_label(self.settings)}) on {self.backend} {self.dtype}"
+
+    @property
+    def cost_follows_motion(self) -> bool:
+        """Plain JAX computes every pair and slot, in use or not: one scene's cost is that of all."""
+        return self.backend == "warp"
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Measurement:
@@ -45,13 +62,20 @@ class Measurement:
     repeats: int = 5
 
 
-def setting_label(settings: Settings) -> str:
-    """What of the settings is swept, in words."""
-    count = f"{settings.substeps} substeps" if settings.solver == "soft_step" else f"{settings.substeps} iterations"
-    label = f"dt 1/{round(1 / settings.dt)}, {count}"
-    if settings.solver == "soft_step" and not math.isclose(settings.contact_hertz, Settings().contact_hertz):
-        label += f", contacts to {settings.contact_hertz:g} Hz"
-    return label
+class Part(NamedTuple):
+    """The scenes of one capacity, built."""
+
+    capacity: Capacity
+    scenes: list[StudyScene]
+    worlds: list[Any]
+    errors: list[Error]
+
+
+class Measured(NamedTuple):
+    """A record whose cost is still to be timed."""
+
+    fields: dict[str, Any]
+    turn: Turn
 
 
 def sweep(presets: Sequence[str], backends: Sequence[str], *, quick: bool) -> list[Case]:
@@ -67,6 +91,8 @@ def sweep(presets: Sequence[str], backends: Sequence[str], *, quick: bool) -> li
                 for settings in _around(preset(name), quick=quick):
                     if setting_label(settings) not in known:  # another preset's own point
                         cases[Case(preset=name, settings=settings)] = None
+            elif name not in TOO_SLOW and not quick:
+                cases[Case(preset=name, settings=preset(name).replace(warm_start=False))] = None
     if "xla" in backends:
         for dtype in ("float32", "float64"):
             for name in presets:
@@ -83,6 +109,8 @@ def _around(base: Settings, *, quick: bool) -> Iterator[Settings]:
         for count in counts:
             if not quick or rate == 60 or count == base.substeps:
                 yield base.replace(dt=1 / rate, substeps=count)
+    for count in (base.substeps,) if quick else counts:
+        yield base.replace(substeps=count, warm_start=False)
     if base.solver == "soft_step":
         for rate in (60,) if quick else RATES:
             for count in (8, 16):
@@ -91,111 +119,141 @@ def _around(base: Settings, *, quick: bool) -> Iterator[Settings]:
 
 
 def run_study(
-    scenes: Sequence[ClosedForm],
+    scenes: Sequence[StudyScene],
     cases: Sequence[Case],
     peers: Sequence[str],
     measurement: Measurement,
     *,
     quick: bool,
     report: Callable[[str], None],
-) -> list[Record]:
-    """All records; a case or peer that cannot run is reported in one line and left out."""
-    built = [scene.world() for scene in scenes]
-    records: list[Record] = []
-    groups: dict[tuple[str, str], Group] = {}
-    for number, case in enumerate(cases, 1):
-        group = groups.setdefault((case.backend, case.dtype), Group(CAPACITY, case.backend, case.dtype))
-        name = f"{case.preset} ({setting_label(case.settings)}) on {case.backend} {case.dtype}"
-        try:
-            group.engine(case.settings)
-        except ValueError as error:
-            report(f"{name} left out: {error}")
-            continue
-        report(f"{number}/{len(cases)} {name}")
-        records += _case_records(scenes, built, case, group, measurement)
-    for name in peers:
-        try:
-            records += _peer_records(scenes, built, name, measurement, quick=quick, report=report)
-        except PeerMissing as missing:
-            report(str(missing))
-    return records
+) -> tuple[list[Record], list[str]]:
+    """All records, and one line for each thing that failed and has none. What cannot run here at all (a preset that a
+    backend does not know, a peer that is not installed) is reported and is no failure."""
+    parts = _parts(scenes)
+    measured: list[Measured] = []
+    failures: list[str] = []
+    groups: dict[tuple[Capacity, str, str], Group] = {}
+    with contextlib.ExitStack() as stack:
+        for number, case in enumerate(cases, 1):
+            report(f"{number}/{len(cases)} {case.name}")
+            for part in parts:
+                key = (part.capacity, case.backend, case.dtype)
+                group = groups.setdefault(key, Group(*key))
+                try:
+                    group.engine(case.settings)
+                    measured += _case_motions(part, case, group, measurement)
+                except FAILURES as error:
+                    failures.append(f"{case.name}: {one_line(error)}")
+                    report(f"failed: {failures[-1]}")
+                except ValueError as error:
+                    report(f"{case.name} left out: {error}")
+        for name in peers:
+            for part in parts:
+                try:
+                    measured += _peer_motions(stack, part, name, measurement, quick=quick, report=report)
+                except PeerMissing as missing:
+                    report(str(missing))
+                    break
+                except PeerFailed as error:
+                    failures.append(str(error))
+                    report(f"failed: {error}")
+        turns = list(dict.fromkeys(one.turn for one in measured))
+        take_turns(turns, repeats=measurement.repeats, report=report)
+    failures += [turn.failure for turn in turns if turn.failure is not None]
+    return [
+        Record(**one.fields, us_per_world_second=one.turn.cost) for one in measured if one.turn.failure is None
+    ], failures
 
 
-def _case_records(
-    scenes: Sequence[ClosedForm], built: Sequence, case: Case, group: Group, measurement: Measurement
-) -> list[Record]:
+def _parts(scenes: Sequence[StudyScene]) -> list[Part]:
+    parts: dict[Capacity, Part] = {}
+    for scene in scenes:
+        world, error = scene.world()
+        part = parts.setdefault(scene.capacity, Part(scene.capacity, [], [], []))
+        part.scenes.append(scene)
+        part.worlds.append(world)
+        part.errors.append(error)
+    return list(parts.values())
+
+
+def _case_motions(part: Part, case: Case, group: Group, measurement: Measurement) -> list[Measured]:
     settings = with_plain_friction(case.settings)
     worlds = measurement.worlds
     if case.backend == "xla" and jax.default_backend() == "cpu":
         worlds = max(1, round(worlds * XLA_WORLDS_SHARE))
     runs = group.paths(
-        [world for world, _ in built], settings, [s.seconds for s in scenes], [s.control for s in scenes]
+        part.worlds, settings, [scene.seconds for scene in part.scenes], [scene.control for scene in part.scenes]
     )
-    records = []
-    for scene, (_, error), run in zip(scenes, built, runs):
-        cost = group.microseconds_per_world_second(
-            run, settings, worlds=worlds, steps=measurement.steps, repeats=measurement.repeats
+    turns = [
+        Turn(
+            f"{case.name}, {scene.name}",
+            functools.partial(
+                group.microseconds_per_world_second, run.moments, settings, worlds=worlds, steps=measurement.steps
+            ),
         )
-        records.append(
-            Record(
-                scene=scene.name,
-                preset=case.preset,
-                backend=case.backend,
-                dtype=case.dtype,
-                device=jax.devices()[0].device_kind,
-                setting=setting_label(case.settings),
-                metric=scene.metric,
-                error=_finite(error(run.path)),
-                us_per_world_second=cost,
-            )
-        )
-    return records
+        for scene, run in zip(part.scenes, runs)
+    ]
+    common = {
+        "preset": case.preset,
+        "backend": case.backend,
+        "dtype": case.dtype,
+        "device": jax.devices()[0].device_kind,
+        "setting": setting_label(case.settings),
+    }
+    return [
+        Measured(fields_of(scene, error(run.path), common), turn if case.cost_follows_motion else turns[0])
+        for scene, error, run, turn in zip(part.scenes, part.errors, runs, turns)
+    ]
 
 
-def _peer_records(
-    scenes: Sequence[ClosedForm],
-    built: Sequence,
+def _peer_motions(
+    stack: contextlib.ExitStack,
+    part: Part,
     name: str,
     measurement: Measurement,
     *,
     quick: bool,
     report: Callable[[str], None],
-) -> list[Record]:
-    told = [(scene, *both) for scene, both in zip(scenes, built) if not scene.needs_joint_force]
+) -> list[Measured]:
     peer = PEERS[name]
+    told = [i for i, scene in enumerate(part.scenes) if not scene.needs_joint_force]
     report(f"{peer.name}: {len(told)} scenes")
-    runs = peer_runs(
-        peer,
-        [world for _, world, _ in told],
-        [scene.seconds for scene, _, _ in told],
-        [scene.control for scene, _, _ in told],
-        batch=measurement.worlds,
-        steps=8,
-        repeats=measurement.repeats,
-        num_settings=1 if quick and name == "published" else len(peer.settings),
-    )
-    return [
-        Record(
-            scene=scene.name,
-            preset=peer.name,
-            backend=peer.backend,
-            dtype=peer.dtype,
-            device=runs.device,
-            setting=label,
-            metric=scene.metric,
-            error=_finite(error(path)),
-            us_per_world_second=cost,
+    motions = stack.enter_context(
+        peer_motions(
+            peer,
+            [part.worlds[i] for i in told],
+            [part.scenes[i].seconds for i in told],
+            [part.scenes[i].control for i in told],
+            batch=measurement.worlds,
+            num_settings=1 if quick and name == "published" else len(peer.settings),
         )
-        for label, paths, costs in zip(runs.labels, runs.paths, runs.microseconds)
-        for (scene, _, error), path, cost in zip(told, paths, costs)
-    ]
+    )
+    measured = []
+    for k, label in enumerate(motions.labels):
+        common = {
+            "preset": peer.name,
+            "backend": peer.backend,
+            "dtype": peer.dtype,
+            "device": motions.device,
+            "setting": label,
+        }
+        turns = [
+            Turn(f"{peer.name} ({label}), {part.scenes[i].name}", functools.partial(motions.cost, k, at))
+            for at, i in enumerate(told)
+        ]
+        measured += [
+            Measured(
+                fields_of(part.scenes[i], part.errors[i](motions.paths[k][at]), common),
+                turns[at if peer.cost_follows_motion else 0],
+            )
+            for at, i in enumerate(told)
+        ]
+    return measured
 
 
-def _finite(error: float) -> float | None:
-    return float(error) if math.isfinite(error) else None
-
-
-def is_preset_itself(record: Record) -> bool:
-    """Whether a record's setting is that of its preset, unswept."""
-    name = record["preset"]
-    return name in PRESETS and setting_label(PRESETS[name]) == record["setting"]
+def fields_of(scene: StudyScene, error: float, common: dict[str, Any]) -> dict[str, Any]:
+    """A record's fields but for its cost. The metric says where the error is too small for the truth to tell."""
+    metric = scene.metric
+    if error < TRUST * scene.uncertainty:
+        metric += f"{NOT_ACCEPTED}less than {TRUST:g} x the {scene.uncertainty:.0e} to which the reference agrees"
+    return {"scene": scene.name, **common, "metric": metric, "error": float(error) if math.isfinite(error) else None}

@@ -1,0 +1,28 @@
+"""How settings are named in records."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from jax2d.settings import PRESETS, Settings
+
+if TYPE_CHECKING:
+    from jax2d.fidelity.frontier import Record
+
+
+def setting_label(settings: Settings) -> str:
+    """What of the settings is swept, in words."""
+    count = f"{settings.substeps} substeps" if settings.solver == "soft_step" else f"{settings.substeps} iterations"
+    label = f"dt 1/{round(1 / settings.dt)}, {count}"
+    if settings.solver == "soft_step" and not math.isclose(settings.contact_hertz, Settings().contact_hertz):
+        label += f", contacts to {settings.contact_hertz:g} Hz"
+    if not settings.warm_start:
+        label += ", no warm start"
+    return label
+
+
+def is_preset_itself(record: Record) -> bool:
+    """Whether a record's setting is that of its preset, unswept."""
+    name = record["preset"]
+    return name in PRESETS and setting_label(PRESETS[name]) == record["setting"]

@@ -1,0 +1,153 @@
+"""Scenes with a reference solution: the stored truth, errors against it, and which of them are believed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from jax2d import preset
+from jax2d.fidelity import references
+from jax2d.fidelity.closed_forms import with_plain_friction
+from jax2d.fidelity.frontier import NOT_ACCEPTED, Record, accepted, points_of, scenes_of_means
+from jax2d.fidelity.path import Path
+from jax2d.fidelity.reference_scenes import CAPACITY, REFERENCE_SCENES
+from jax2d.fidelity.references import MOMENTS_A_SECOND, TRUST, StaleReference, signature, solve, study_scenes
+from jax2d.fidelity.simulate import Group
+from jax2d.fidelity.study import fields_of
+
+# Impacts of several rubbing bodies: half the step does not come ten times closer than what `standard` errs by.
+WITHOUT_A_SOLUTION_FOR_STANDARD = {"ragdoll_slope"}
+
+
+def stored_positions(name: str) -> np.ndarray:
+    return np.array(json.loads(references.FILE.read_text())[name]["position"])
+
+
+def path_through(name: str, positions: np.ndarray) -> Path:
+    """A path with one step a moment, movable bodies at `positions` [moments, movable, 2]."""
+    world, _ = study_scenes([name])[name].world()
+    there = np.tile(world.position, (len(positions) + 1, 1, 1)).astype(float)
+    there[1:, references.movable(world)] = positions
+    angle = np.zeros(there.shape[:2])
+    return Path(
+        scene=world.scene,
+        dt=1 / MOMENTS_A_SECOND,
+        position=there,
+        angle=angle,
+        velocity=np.zeros_like(there),
+        angular_velocity=angle,
+    )
+
+
+def test_stored_solution_is_what_the_command_computes():
+    (computed,) = solve(REFERENCE_SCENES["double_pendulum_path"], divisions=(1024,), seconds=0.1)
+    assert computed[0] == pytest.approx(stored_positions("double_pendulum_path")[0], abs=1e-8)  # stored to 1e-9 m
+
+
+@pytest.mark.parametrize("name", sorted(REFERENCE_SCENES))
+def test_every_scene_has_its_solution_with_all_moments(name: str):
+    scene = REFERENCE_SCENES[name]
+    truth = stored_positions(name)
+    bodies = int(references.movable(scene.world()).sum())
+    assert truth.shape == (round(scene.seconds * MOMENTS_A_SECOND), bodies, 2)
+    assert np.isfinite(truth).all()
+    # Something happens: over the motion some body gets as far as a third of what errors are divided by.
+    assert np.linalg.norm(truth - truth[:1], axis=-1).max() > scene.length / 3
+
+
+def test_error_is_the_largest_distance_of_a_body_over_the_length():
+    name = "triple_pendulum"
+    truth = stored_positions(name)
+    _, error = study_scenes([name])[name].world()
+    assert error(path_through(name, truth)) == 0.0
+    truth[3, 1] += (0.03, -0.04)
+    assert error(path_through(name, truth)) == pytest.approx(0.05 / REFERENCE_SCENES[name].length)
+    truth[5, 0] = np.nan
+    assert not np.isfinite(error(path_through(name, truth)))
+
+
+def test_a_dt_that_misses_the_moments_is_refused():
+    name = "triple_pendulum"
+    _, error = study_scenes([name])[name].world()
+    path = dataclasses.replace(path_through(name, stored_positions(name)), dt=0.03)
+    with pytest.raises(ValueError, match=r"dt is 0.03 s; errors are taken every 0.1 s"):
+        error(path)
+
+
+def test_a_changed_scene_refuses_its_old_solution(monkeypatch):
+    scene = REFERENCE_SCENES["stack_on_cart"]
+
+    def rougher(b):
+        scene.build(b)
+        b._scene["friction"][2] += 0.01
+
+    changed = dataclasses.replace(scene, build=rougher)
+    assert signature(changed) != signature(scene)
+    monkeypatch.setitem(REFERENCE_SCENES, "stack_on_cart", changed)
+    with pytest.raises(StaleReference, match=r"run python -m jax2d.fidelity.references stack_on_cart"):
+        study_scenes(["stack_on_cart"])
+
+
+def test_a_missing_solution_names_the_command(monkeypatch, tmp_path):
+    monkeypatch.setattr(references, "FILE", tmp_path / "references.json")
+    references.FILE.write_text("{}\n")
+    with pytest.raises(StaleReference, match="no solution of pinball"):
+        study_scenes(["pinball"])
+
+
+def test_the_solution_is_good_enough_to_judge_standard_by():
+    scenes = study_scenes()
+    built = {name: scene.world() for name, scene in scenes.items()}
+    runs = Group(CAPACITY).paths(
+        [world for world, _ in built.values()],
+        with_plain_friction(preset("standard")),
+        [scene.seconds for scene in scenes.values()],
+        [scene.control for scene in scenes.values()],
+    )
+    errors = {name: error(run.path) for (name, (_, error)), run in zip(built.items(), runs)}
+    refused = {name for name, error in errors.items() if error < TRUST * scenes[name].uncertainty}
+    assert refused <= WITHOUT_A_SOLUTION_FOR_STANDARD
+    assert max(errors.values()) < 0.4  # of the scene's length: it is the same motion
+
+
+def record(scene: str, preset_name: str, metric: str, error: float) -> Record:
+    return Record(
+        scene=scene,
+        preset=preset_name,
+        backend="warp",
+        dtype="float32",
+        device="cpu",
+        setting="dt 1/60, 4 substeps",
+        metric=metric,
+        error=error,
+        us_per_world_second=1.0,
+    )
+
+
+def test_an_error_smaller_than_ten_times_the_doubt_says_so_and_is_kept():
+    scene = dataclasses.replace(study_scenes(["catapult"])["catapult"], uncertainty=1e-3)
+    believed, doubted = fields_of(scene, 1.01e-2, {}), fields_of(scene, 0.99e-2, {})
+    assert believed["metric"] == scene.metric
+    assert doubted["metric"].startswith(scene.metric + NOT_ACCEPTED)
+    assert doubted["error"] == 0.99e-2
+
+
+def test_means_leave_out_what_is_not_accepted():
+    doubted = "m" + NOT_ACCEPTED + "why"
+    records = [
+        record("a", "standard", "m", 0.1),
+        record("b", "standard", doubted, 0.1),
+        record("a", "swept", "m", 0.01),
+        record("b", "swept", "m", 0.01),
+        record("a", "finer", doubted, 0.001),
+    ]
+    assert [accepted(r) for r in records] == [True, False, True, True, False]
+    assert scenes_of_means(records) == ["a"]  # the preset itself has no accepted record of b
+    # The finer setting has no mean at all rather than one over other scenes.
+    assert [(point.preset, point.error) for point in points_of(records)] == [
+        ("standard", pytest.approx(0.1)),
+        ("swept", pytest.approx(0.01)),
+    ]
