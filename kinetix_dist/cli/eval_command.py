@@ -181,7 +181,8 @@ def _evaluate(
 
     capacity = capacity_of(levels)
     size = next(name for name, known in SIZES.items() if known == capacity)
-    env = Environment(dataclasses.replace(config.env if config is not None else EnvConfig(), size=size))
+    env_config = config.env if config is not None else EnvConfig()
+    env = Environment(dataclasses.replace(env_config, size=size, effect_groups=0))
     players: dict[str, tuple[Any, Any]] = {}
     if checkpoint is not None and config is not None:
         with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path} does not fit levels of size {size}: "):

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Controls, index_worlds
+from jax2d.scene import Array, index_worlds
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.environment import Environment, PreparedLevels
 from kinetix_dist.env.observations.entities import observe
@@ -108,20 +108,13 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
             env.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
         )
         # The environment restarts a finished episode at once: its last state is only seen by stepping beside it.
-        bodies = _bodies_after(env, prepared, env_state.packed_state, controls)
+        bodies = env.bodies_after(prepared, env_state, controls)
         env_state, obs, reward, done, info = env.step(prepared, env_state, actions)
         commands = {"actions": actions, "motor": controls.motor, "thruster": controls.thruster}
         ended = {"done": done, "solved": info.solved, "failed": info.failed, "unstable": info.unstable}
         return (env_state, obs), {**bodies, **commands, **ended, "reward": reward}
 
     return jax.lax.scan(play, (env_state, obs), jnp.arange(env.config.max_steps))[1]
-
-
-def _bodies_after(
-    env: Environment, prepared: PreparedLevels, packed_state: Any, controls: Controls
-) -> dict[str, Array]:
-    after, _ = env.engine.step_packed(prepared.packed_scene, packed_state, controls, num_steps=env.config.frame_skip)
-    return dict(zip(("position", "angle", "velocity", "angular_velocity"), env.engine.bodies(after)))
 
 
 def _trajectory(level: Level, world: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -34,9 +34,9 @@ from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import make_update
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.messages import LevelOutcome
 from kinetix_dist.models.policy import init_params, make_policy
+from kinetix_dist.runtime.levels import fixed_levels, make_environment
 
 # Names in a checkpoint
 LEARNER, BUFFER, ACTING = "learner", "buffer", "acting"
@@ -70,7 +70,7 @@ class RolloutCore:
             capacity=env.capacity,
             worlds_per_group=config.rollout.worlds_per_group,
             noop_solved=lambda levels: noop_solved(env, levels),
-            fixed_levels=_fixed_levels(config),
+            fixed_levels=fixed_levels(config),
         )
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._play = jax.jit(
@@ -152,7 +152,7 @@ class CuratorCore:
 
     def __init__(self, config: TrainConfig) -> None:
         curriculum = config.curriculum
-        env = Environment(config.env)
+        env = make_environment(config)
         policy = make_policy(config.policy, env.action_head_sizes)
 
         def draw_levels(key: Array, num_levels: int) -> Level:
@@ -186,13 +186,6 @@ class CuratorCore:
 # Pieces
 
 
-def _fixed_levels(config: TrainConfig) -> Level | None:
-    """The levels of curriculum `fixed`."""
-    if not config.curriculum.levels:
-        return None
-    return load_level_set(config.curriculum.levels, config.env.size)[0]
-
-
 def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
     """Parameters drawn from the seed; the observation of any level gives the shapes."""
     key = stream(config.run.seed, _INIT)
@@ -203,13 +196,13 @@ def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> Learne
 
 
 def _some_observation(config: TrainConfig, env: Environment) -> Any:
-    prepared = env.prepare(_one_level(config, env))
+    prepared = env.prepare(_one_level(config))
     _, obs = env.reset(prepared)
     return observe(prepared.static_obs, obs)
 
 
-def _one_level(config: TrainConfig, env: Environment) -> Level:
-    level = generate_level(jax.random.key(0), env.capacity, config.curriculum.generator)
+def _one_level(config: TrainConfig) -> Level:
+    level = generate_level(jax.random.key(0), config.env.capacity, config.curriculum.generator)
     return jax.tree.map(lambda x: x[None], level)
 
 
@@ -221,7 +214,7 @@ def stored_buffer(config: TrainConfig, arrays: Mapping[str, np.ndarray] | None) 
     curriculum = config.curriculum
 
     def template() -> LevelBuffer:
-        level = _one_level(config, Environment(config.env))
+        level = _one_level(config)
         count = jnp.zeros(curriculum.buffer_size, jnp.int32)
         levels = jax.tree.map(lambda x: jnp.broadcast_to(x, (curriculum.buffer_size, *x.shape[1:])), level)
         return keep_best(levels, count, count, size=curriculum.buffer_size, policy_version=0)

@@ -19,12 +19,12 @@ from jax.sharding import Mesh
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.level_buffer import LevelBuffer, buffer_metrics
-from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, shard_worlds
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.compile_cache import compile_seconds, enable_compile_cache
 from kinetix_dist.runtime.cores import BUFFER, LEARNER, CuratorCore, LearnerCore, RolloutCore, stored_buffer
 from kinetix_dist.runtime.evaluator import Evaluator
+from kinetix_dist.runtime.levels import make_environment
 from kinetix_dist.runtime.placement import ProcessPlan
 
 
@@ -34,7 +34,7 @@ class LearnerWorker:
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
         self._config = config
         self._mesh = mesh
-        self._env = Environment(config.env)
+        self._env = make_environment(config)
         self._policy = make_policy(config.policy, self._env.action_head_sizes)
         self._learner = LearnerCore(config, self._env, self._policy, mesh)
         self._evaluator = Evaluator(config, self._env, self._policy)
@@ -126,7 +126,7 @@ class RolloutWorker:
     def __init__(self, config: TrainConfig, mesh: Mesh, *, index: int, num_parts: int) -> None:
         self._mesh = mesh
         self._num_env_steps = config.rollout.steps_per_update // num_parts
-        env = Environment(config.env)
+        env = make_environment(config)
         policy = make_policy(config.policy, env.action_head_sizes)
         num_groups = config.rollout.num_groups // num_parts
         self._rollout = RolloutCore(config, env, policy, mesh, first_group=index * num_groups, num_groups=num_groups)

@@ -8,9 +8,11 @@ import math
 import pytest
 from rich.console import Console
 
+from jax2d.effects import Effects, effects_of
 from kinetix_dist.config import ConfigError, differences, from_dict, to_dict
 from kinetix_dist.recipes import RECIPES, recipe
 from kinetix_dist.runtime.clock import RoleClock
+from kinetix_dist.runtime.levels import fixed_levels, make_environment
 from kinetix_dist.runtime.placement import PlacementError, plan, resolve_device
 from kinetix_dist.runtime.weight_sync import WeightStore
 from kinetix_dist.runtime.work_buffer import Work, WorkBuffer, WorkBufferFullError
@@ -32,6 +34,8 @@ def test_the_hash_covers_what_changes_the_numbers_and_nothing_else():
     config = tiny_config(num_updates=4)
     longer = tiny_config(num_updates=40, checkpoint_every=7, placement="colocated")
     assert longer.hash == config.hash
+    grouped = dataclasses.replace(config, env=dataclasses.replace(config.env, effect_groups=4))
+    assert grouped.hash == config.hash  # engines agree bit for bit
     assert tiny_config(num_updates=4, seed=1).hash != config.hash
     assert tiny_config(num_updates=4, placement="split").hash != config.hash  # lag 1
     faster = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, learning_rate=1.0))
@@ -54,6 +58,15 @@ def test_paper_recipes_have_the_papers_numbers():
         curriculum = config.curriculum
         assert (curriculum.num_candidates, curriculum.scoring_steps, curriculum.buffer_size) == (12288, 512, 1024)
         assert (curriculum.refresh_every, curriculum.buffer_share) == (128, 0.5)
+
+
+def test_engines_of_grouped_worlds_suit_the_levels_of_the_run():
+    single = recipe("single_level")
+    config = dataclasses.replace(single, env=dataclasses.replace(single.env, effect_groups=2))
+    levels = fixed_levels(config)
+    expected = (effects_of(levels.scene), Effects.full(config.env.capacity))
+    assert make_environment(config).variants == expected
+    assert make_environment(single).variants == ()
 
 
 # Placement
