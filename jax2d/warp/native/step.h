@@ -25,14 +25,12 @@ struct World {
     overflow = 0;
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {
-      bodies.begin_step();
       noting_now = step == num_steps - 1;
       joints.load(bodies, scene, ints, params, impulses);
       if (SOFT_STEP)
         soft_step();
       else
         paper_step();
-      bodies.end_step();
       joints.store(impulses);
     }
     bodies.store(state);
@@ -63,18 +61,15 @@ struct World {
 
     real reach = params.get(PARAM_SPECULATIVE_DISTANCE);
 
-    geometry.build(scene, ints, bodies);
-    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, dt, true);
-    joints.prepare(bodies, scene, controls, params, h);
-    bool anew = contacts.swinging;  // contacts are found for every sub-step
+    bool anew = false;  // contacts are found for every sub-step, where a body turns too far for those found once
     for (int substep = 0; substep < substeps; ++substep) {
-      if (anew && substep > 0) {
-        finish_contacts(gravity, h);
-        bodies.end_step();
+      // One call of each function: what is inlined twice is twice the code.
+      if (anew || substep == 0) {
         bodies.begin_step();
         geometry.build(scene, ints, bodies);
-        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, h, true);
+        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, substep == 0 ? dt : h, true);
         joints.prepare(bodies, scene, controls, params, h);
+        if (substep == 0) anew = contacts.swinging;
       }
       bodies.apply_gravity(gravity, h);
       thrusters.apply(bodies, h);
@@ -86,8 +81,11 @@ struct World {
       bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
       joints.solve_soft(bodies, joint_soft, inverse_h, false);
       contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, false);
+      if (anew || substep + 1 == substeps) {
+        finish_contacts(gravity, h);
+        bodies.end_step();
+      }
     }
-    finish_contacts(gravity, h);
   }
 
   // Bounces what hit, notes who touched, and keeps the impulses for the contacts found next.
@@ -102,6 +100,7 @@ struct World {
   KFN void paper_step() {
     real dt = params.get(PARAM_DT);
     int iterations = (int)(params.get(PARAM_SUBSTEPS));
+    bodies.begin_step();
     bodies.apply_gravity(scene.get2(SCENE_GRAVITY), dt);
     geometry.build(scene, ints, bodies);
     contacts.find(bodies, geometry, scene, ints, params, keys, impulses, real(0), dt, false);
@@ -118,6 +117,7 @@ struct World {
     }
     bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
     finish_contacts(scene.get2(SCENE_GRAVITY), dt);
+    bodies.end_step();
   }
 
   // Shapes touch when their contact carried an impulse in the step or they overlap.
