@@ -98,3 +98,50 @@ struct Bodies {
     omega[b] += inverse_inertia[b] * impulse_on_b;
   }
 };
+
+// Two bodies held in registers while constraints between them are solved: bodies stand in local memory, where each
+// use of one is a load and each push a store and a wait.
+struct Pair {
+  int a, b;
+  Vec2 velocity_a, velocity_b;
+  real omega_a, omega_b;
+  real inverse_mass_a, inverse_mass_b, inverse_inertia_a, inverse_inertia_b;
+
+  KFN static Pair of(const Bodies& bodies, int a, int b) {
+    return {a,
+            b,
+            bodies.velocity[a],
+            bodies.velocity[b],
+            bodies.omega[a],
+            bodies.omega[b],
+            bodies.inverse_mass[a],
+            bodies.inverse_mass[b],
+            bodies.inverse_inertia[a],
+            bodies.inverse_inertia[b]};
+  }
+
+  KFN void give_back(Bodies& bodies) const {
+    bodies.velocity[a] = velocity_a;
+    bodies.omega[a] = omega_a;
+    bodies.velocity[b] = velocity_b;
+    bodies.omega[b] = omega_b;
+  }
+
+  // Velocity of b at the end of its arm, seen from a at the end of its own.
+  KFN Vec2 relative(Vec2 arm_a, Vec2 arm_b) const {
+    return (velocity_b + arm_b.left() * omega_b) - (velocity_a + arm_a.left() * omega_a);
+  }
+
+  KFN void push(Vec2 arm_a, Vec2 arm_b, Vec2 impulse_on_b) {
+    Vec2 impulse_on_a = -impulse_on_b;
+    velocity_a = velocity_a + impulse_on_a * inverse_mass_a;
+    omega_a += inverse_inertia_a * arm_a.cross(impulse_on_a);
+    velocity_b = velocity_b + impulse_on_b * inverse_mass_b;
+    omega_b += inverse_inertia_b * arm_b.cross(impulse_on_b);
+  }
+
+  KFN void twist(real impulse_on_b) {
+    omega_a -= inverse_inertia_a * impulse_on_b;
+    omega_b += inverse_inertia_b * impulse_on_b;
+  }
+};

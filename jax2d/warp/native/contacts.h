@@ -171,6 +171,7 @@ struct Contacts {
                       real push_out_speed, bool use_bias) {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
+      Pair pair = Pair::of(bodies, c.a, c.b);
       real separation = current_separation(bodies, c);
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
       if (separation > real(0)) {
@@ -181,26 +182,27 @@ struct Contacts {
         impulse_scale = soft.impulse_scale;
         bias = Math::max(mass_scale * soft.bias_rate * separation, -push_out_speed);
       }
-      real vn = c.normal.dot(relative_velocity(bodies, c));
+      real vn = c.normal.dot(pair.relative(c.arm_a, c.arm_b));
       real impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
       real total = Math::max(c.impulse_normal + impulse, real(0));
       impulse = total - c.impulse_normal;
       c.impulse_normal = total;
       c.most_impulse = Math::max(c.most_impulse, total);
-      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
-      if (!use_bias) solve_friction(bodies, c);
+      pair.push(c.arm_a, c.arm_b, c.normal * impulse);
+      if (!use_bias) solve_friction(pair, c);
+      pair.give_back(bodies);
     }
   }
 
-  KFN static void solve_friction(Bodies& bodies, Contact& c) {
+  KFN static void solve_friction(Pair& pair, Contact& c) {
     if (!HAS_FRICTION || c.friction == real(0)) return;
     Vec2 tangent = c.normal.right();
-    real vt = tangent.dot(relative_velocity(bodies, c));
+    real vt = tangent.dot(pair.relative(c.arm_a, c.arm_b));
     real most = c.friction * c.impulse_normal;
     real total = Math::clamp(c.impulse_tangent - c.mass_tangent * vt, -most, most);
     real impulse = total - c.impulse_tangent;
     c.impulse_tangent = total;
-    bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, tangent * impulse);
+    pair.push(c.arm_a, c.arm_b, tangent * impulse);
   }
 
   // Restitution once, after all sub-steps.
@@ -209,13 +211,15 @@ struct Contacts {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (c.restitution == real(0) || c.approach > -threshold || c.most_impulse == real(0)) continue;
-      real vn = c.normal.dot(relative_velocity(bodies, c));
+      Pair pair = Pair::of(bodies, c.a, c.b);
+      real vn = c.normal.dot(pair.relative(c.arm_a, c.arm_b));
       real wanted = c.restitution * impact_speed(bodies, c, gravity, h);
       real total = Math::max(c.impulse_normal - c.mass_normal * (vn - wanted), real(0));
       real impulse = total - c.impulse_normal;
       c.impulse_normal = total;
-      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
-      solve_friction(bodies, c);  // the bounce presses the surfaces together once more
+      pair.push(c.arm_a, c.arm_b, c.normal * impulse);
+      solve_friction(pair, c);  // the bounce presses the surfaces together once more
+      pair.give_back(bodies);
     }
   }
 
@@ -238,14 +242,16 @@ struct Contacts {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       real bias = correction_rate * Math::max(-c.separation - slop, real(0));
-      real vn = c.normal.dot(relative_velocity(bodies, c));
+      Pair pair = Pair::of(bodies, c.a, c.b);
+      real vn = c.normal.dot(pair.relative(c.arm_a, c.arm_b));
       real wanted = c.restitution * c.approach;
       real total = Math::max(c.impulse_normal + c.mass_normal * (-vn + bias - wanted), real(0));
       real impulse = total - c.impulse_normal;
       c.impulse_normal = total;
       c.most_impulse = Math::max(c.most_impulse, total);
-      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * impulse);
-      solve_friction(bodies, c);
+      pair.push(c.arm_a, c.arm_b, c.normal * impulse);
+      solve_friction(pair, c);
+      pair.give_back(bodies);
     }
   }
 

@@ -94,8 +94,10 @@ struct Joints {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       turn_arms(bodies, joint);
-      bodies.push_pair(joint.a, joint.arm_a, joint.b, joint.arm_b, joint.impulse);
-      bodies.twist_pair(joint.a, joint.b, joint.twist + joint.impulse_lower - joint.impulse_upper);
+      Pair pair = Pair::of(bodies, joint.a, joint.b);
+      pair.push(joint.arm_a, joint.arm_b, joint.impulse);
+      pair.twist(joint.twist + joint.impulse_lower - joint.impulse_upper);
+      pair.give_back(bodies);
     }
   }
 
@@ -106,44 +108,46 @@ struct Joints {
   KFN void solve_soft(Bodies& bodies, const Softness& soft, real inverse_h, bool use_bias) {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
+      Pair pair = Pair::of(bodies, joint.a, joint.b);
       if (is_fixed(joint.flags)) {
-        solve_angle(bodies, joint, soft, use_bias);
+        solve_angle(pair, joint, current_angle(bodies, joint), soft, use_bias);
       } else {
-        if (HAS_MOTORS && (joint.flags & JOINT_MOTOR) != 0) solve_motor(bodies, joint);
-        if (is_limited(joint.flags)) solve_limits(bodies, joint, soft, inverse_h, use_bias);
+        if (HAS_MOTORS && (joint.flags & JOINT_MOTOR) != 0) solve_motor(pair, joint);
+        if (is_limited(joint.flags))
+          solve_limits(pair, joint, current_angle(bodies, joint), soft, inverse_h, use_bias);
       }
-      solve_point(bodies, joint, soft, use_bias);
+      solve_point(bodies, pair, joint, soft, use_bias);
+      pair.give_back(bodies);
     }
   }
 
   // Velocity constraint with a bounded torque: dt changes neither its target nor its strength.
-  KFN static void solve_motor(Bodies& bodies, Joint& joint) {
-    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+  KFN static void solve_motor(Pair& pair, Joint& joint) {
+    real speed = pair.omega_b - pair.omega_a;
     real total = Math::clamp(joint.twist - joint.axial_mass * (speed - joint.motor_target), -joint.motor_most,
                              joint.motor_most);
     real twist = total - joint.twist;
     joint.twist = total;
-    bodies.twist_pair(joint.a, joint.b, twist);
+    pair.twist(twist);
   }
 
-  KFN static void solve_angle(Bodies& bodies, Joint& joint, const Softness& soft, bool use_bias) {
-    real bias = use_bias ? soft.bias_rate * current_angle(bodies, joint) : real(0);
+  KFN static void solve_angle(Pair& pair, Joint& joint, real angle, const Softness& soft, bool use_bias) {
+    real bias = use_bias ? soft.bias_rate * angle : real(0);
     real mass_scale = use_bias ? soft.mass_scale : real(1);
     real impulse_scale = use_bias ? soft.impulse_scale : real(0);
-    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+    real speed = pair.omega_b - pair.omega_a;
     real twist = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * joint.twist;
     joint.twist += twist;
-    bodies.twist_pair(joint.a, joint.b, twist);
+    pair.twist(twist);
   }
 
-  KFN static void solve_limits(Bodies& bodies, Joint& joint, const Softness& soft, real inverse_h, bool use_bias) {
-    real angle = current_angle(bodies, joint);
-    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+  KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Softness& soft, real inverse_h, bool use_bias) {
+    real speed = pair.omega_b - pair.omega_a;
     real lower = limit_impulse(joint, angle - joint.lower, speed, joint.impulse_lower, soft, inverse_h, use_bias);
-    bodies.twist_pair(joint.a, joint.b, lower);
-    speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+    pair.twist(lower);
+    speed = pair.omega_b - pair.omega_a;
     real upper = limit_impulse(joint, joint.upper - angle, -speed, joint.impulse_upper, soft, inverse_h, use_bias);
-    bodies.twist_pair(joint.a, joint.b, -upper);
+    pair.twist(-upper);
   }
 
   // One-sided: room is what is left before the limit, speed that at which room grows.
@@ -162,9 +166,9 @@ struct Joints {
     return impulse;
   }
 
-  KFN static void solve_point(Bodies& bodies, Joint& joint, const Softness& soft, bool use_bias) {
+  KFN static void solve_point(const Bodies& bodies, Pair& pair, Joint& joint, const Softness& soft, bool use_bias) {
     turn_arms(bodies, joint);
-    Vec2 wrong = bodies.velocity_at(joint.b, joint.arm_b) - bodies.velocity_at(joint.a, joint.arm_a);
+    Vec2 wrong = pair.relative(joint.arm_a, joint.arm_b);
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
       Vec2 gap = joint.centre_gap + (bodies.delta[joint.b] - bodies.delta[joint.a]) + (joint.arm_b - joint.arm_a);
@@ -172,15 +176,15 @@ struct Joints {
       mass_scale = soft.mass_scale;
       impulse_scale = soft.impulse_scale;
     }
-    Vec2 impulse = -(point_mass_times(bodies, joint, wrong) * mass_scale) - joint.impulse * impulse_scale;
+    Vec2 impulse = -(point_mass_times(pair, joint, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
-    bodies.push_pair(joint.a, joint.arm_a, joint.b, joint.arm_b, impulse);
+    pair.push(joint.arm_a, joint.arm_b, impulse);
   }
 
   // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.
-  KFN static Vec2 point_mass_times(const Bodies& bodies, const Joint& joint, Vec2 v) {
-    real mass = bodies.inverse_mass[joint.a] + bodies.inverse_mass[joint.b];
-    real ia = bodies.inverse_inertia[joint.a], ib = bodies.inverse_inertia[joint.b];
+  KFN static Vec2 point_mass_times(const Pair& pair, const Joint& joint, Vec2 v) {
+    real mass = pair.inverse_mass_a + pair.inverse_mass_b;
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
     Vec2 ra = joint.arm_a, rb = joint.arm_b;
     real k11 = mass + ia * ra.y * ra.y + ib * rb.y * rb.y;
     real k12 = -ia * ra.x * ra.y - ib * rb.x * rb.y;
