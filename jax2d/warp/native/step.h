@@ -136,3 +136,8 @@ struct World {
     }
   }
 };
+
+#if defined(__CUDA_ARCH__)
+#undef for
+#undef while
+#endif
