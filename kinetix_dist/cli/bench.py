@@ -23,6 +23,7 @@ SIZES = ("s", "m", "l")
 # Over the range from bound by latency to bound by arithmetic. A core steps about as fast with 64 worlds as with more.
 WORLDS_CPU = (64, 256, 1024)
 WORLDS_GPU = (2048, 16384, 131072, 262144)
+WORLDS_OF_GROWTH = (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000)
 # Where the published engine stops by default: on a CPU one run would take minutes, on a GPU memory runs out.
 PEER_MAX_WORLDS_CPU = {"s": 1024, "m": 1024, "l": 256}
 PEER_MAX_WORLDS_GPU = {"s": 131072, "m": 131072, "l": 32768}
@@ -53,6 +54,13 @@ class Args:
     levels drawn at random."""
     peers: bool = False
     """Also run the published jax2d, turn by turn with ours (bench/peers/setup.sh installs it)."""
+    growth: bool = False
+    """Measure how time and memory grow with the number of worlds and shapes instead, with the first of --presets; with
+    --json also a picture beside it (bench_growth.py says what the records hold)."""
+    shapes: tuple[int, ...] = (4, 8, 16, 32, 64, 128, 256, 512)
+    """Numbers of shapes a world of --growth."""
+    point_seconds: float = 60.0
+    """Points of --growth that would take longer are left out."""
     peer_max_worlds: int | None = None
     """Leave the published engine out above this number of worlds. Default: by device and size."""
     seed: int = 0
@@ -71,6 +79,8 @@ def run(args: Args) -> int:
         with user_errors(OSError):
             args.json.parent.mkdir(parents=True, exist_ok=True)
             args.json.touch()
+    if args.growth:
+        return _growth(args)
     records, failures = bench_engine.measure(args, report=print)
     if args.json is not None:
         args.json.write_text(json.dumps(records, indent=1) + "\n")
@@ -78,6 +88,21 @@ def run(args: Args) -> int:
     for failure in failures:
         print(f"failed: {failure}")
     return 1 if failures else 0
+
+
+def _growth(args: Args) -> int:
+    from kinetix_dist.cli import bench_growth, growth_picture
+
+    records = bench_growth.measure(args, report=print)
+    least = bench_growth.FITTED_FROM_SHAPES
+    for name, power in bench_growth.exponents(records).items():
+        print(f"{name}: time a world-step grows as shapes to the power {power:.2f} from {least} shapes on")
+    if args.json is not None:
+        args.json.write_text(json.dumps(records, indent=1) + "\n")
+        picture = args.json.with_suffix(".png")
+        growth_picture.draw(records, picture)
+        print(f"{len(records)} records in {args.json}, picture in {picture}")
+    return 0
 
 
 def _validate(args: Args) -> None:

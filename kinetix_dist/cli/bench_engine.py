@@ -67,7 +67,7 @@ def measure(args: Args, report: Callable[[str], None]) -> tuple[list[Record], li
         if peer is not None:
             report(f"published jax2d {peer.description['version']} on {peer.description['device']}")
         for size in args.sizes:
-            files, source = stack.enter_context(_level_files(args, size))
+            files, source = stack.enter_context(level_files(args, size))
             report(f"size {size.upper()}: {len(files)} levels, {source}; {device.device_kind}, jax {jax.__version__}")
             peer_max = args.peer_max_worlds or (PEER_MAX_WORLDS_GPU if on_gpu else PEER_MAX_WORLDS_CPU)[size]
             for worlds in args.worlds or (WORLDS_GPU if on_gpu else WORLDS_CPU):
@@ -168,7 +168,7 @@ class OurEngine:
 
 
 @contextmanager
-def _level_files(args: Args, size: str) -> Iterator[tuple[list[Path], str]]:
+def level_files(args: Args, size: str) -> Iterator[tuple[list[Path], str]]:
     """Level files of one size in the public format, and where they are from."""
     for directory in (args.levels, os.environ.get("KINETIX_LEVELS"), _CHECKOUT.parent / "shared" / "kinetix_levels"):
         files = sorted(Path(directory, size).glob("*.json")) if directory else []

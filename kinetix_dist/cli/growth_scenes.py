@@ -18,8 +18,10 @@ BODIES_A_PLATFORM = 15
 
 
 def capacity_of(num_shapes: int) -> Capacity:
-    """Half polygons, half circles; no joints or thrusters."""
-    return Capacity(polygons=(num_shapes + 1) // 2, circles=num_shapes // 2, joints=0, thrusters=0)
+    """Polygons and circles by halves, two polygons more for floors and walls; no joints or thrusters."""
+    if num_shapes < 4:
+        raise ValueError(f"a world of {num_shapes} shapes was asked for; these worlds have 4 or more")
+    return Capacity(polygons=num_shapes // 2 + 1, circles=(num_shapes + 1) // 2 - 1, joints=0, thrusters=0)
 
 
 def row(num_shapes: int, seed: int = 0) -> BuiltWorld:
@@ -68,8 +70,6 @@ SCENES: dict[str, Callable[..., BuiltWorld]] = {"row": row, "platforms": platfor
 
 class _Yard:
     def __init__(self, num_shapes: int, seed: int) -> None:
-        if num_shapes < 4:
-            raise ValueError(f"num_shapes is {num_shapes}; these worlds need 4 or more")
         self.builder = SceneBuilder(capacity_of(num_shapes))
         self.random = np.random.default_rng(seed)
         self._boxes = self._balls = 0

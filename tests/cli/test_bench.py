@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import sys
@@ -9,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from kinetix_dist.cli.bench_growth import Record, exponent
+from kinetix_dist.cli.growth_scenes import SCENES
 from kinetix_dist.cli.main import main
 from tests.helpers import REPOSITORY
 
@@ -35,6 +38,8 @@ def test_records_have_exactly_the_documented_fields(tmp_path: Path) -> None:
     [
         (["--steps", "3"], "--steps is 3"),
         (["--repeats", "2"], "--repeats is 2"),
+        (["--growth", "--shapes", "64", "3"], "a world of 3 shapes"),
+        (["--growth", "--shapes", "513"], "at most 512 shapes"),
         (["--worlds", "0"], "--worlds has 0"),
         (["--levels", "no/such/folder"], "no/such/folder"),
         (["--presets", "exact", "--worlds", "2", "--sizes", "s"], "exact"),
@@ -47,6 +52,31 @@ def test_what_cannot_be_measured_is_refused(
     assert main(["bench", "engine", *arguments]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and words in error
+
+
+def test_growth_measures_worlds_and_shapes_and_says_what_it_left_out(tmp_path: Path) -> None:
+    file = tmp_path / "growth.json"
+    arguments = ["--growth", "--worlds", "1", "3", "--shapes", "4", "--presets", "standard", "--point-seconds", "1e-9"]
+    one, three, *shapes = bench(file, *arguments)
+    assert all(set(record) == {field.name for field in dataclasses.fields(Record)} for record in (one, three, *shapes))
+    assert (one["swept"], one["size"], one["worlds"], one["left_out"]) == ("worlds", "s", 1, None)
+    assert one["physics_steps_per_second"] == pytest.approx(1e6 / one["us_per_world_step"], abs=0.1)
+    assert (three["worlds"], three["us_per_world_step"]) == (3, None)
+    assert "--point-seconds" in three["left_out"]
+    assert [record["scene"] for record in shapes] == ["row", "platforms", "heap"]
+    assert all(record["us_per_world_step"] > 0 and record["shapes"] == 4 for record in shapes)
+    assert file.with_suffix(".png").stat().st_size > 0
+
+
+def test_the_exponent_of_growth_is_that_of_the_power_law() -> None:
+    assert exponent([16, 64, 512], [3 * n**1.5 for n in (16, 64, 512)]) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("shapes", [4, 5, 33])
+@pytest.mark.parametrize("scene", SCENES)
+def test_worlds_of_growth_have_as_many_shapes_as_asked_for(scene: str, shapes: int) -> None:
+    world = SCENES[scene](shapes)
+    assert world.scene.shape_active.all() and world.scene.shape_active.size == shapes
 
 
 def test_our_own_engine_is_not_taken_for_the_published_one(
