@@ -56,7 +56,7 @@ class Args:
     """Also run the published jax2d, turn by turn with ours (bench/peers/setup.sh installs it)."""
     growth: bool = False
     """Measure how time and memory grow with the number of worlds and shapes instead, with the first of --presets; with
-    --json also a picture beside it (bench_growth.py says what the records hold)."""
+    --json also tables and a picture beside it (bench_growth.py says what the records hold)."""
     shapes: tuple[int, ...] = (4, 8, 16, 32, 64, 128, 256, 512)
     """Numbers of shapes a world of --growth."""
     point_seconds: float = 60.0
@@ -91,7 +91,7 @@ def run(args: Args) -> int:
 
 
 def _growth(args: Args) -> int:
-    from kinetix_dist.cli import bench_growth, growth_picture
+    from kinetix_dist.cli import bench_growth, growth_picture, growth_table
 
     records = bench_growth.measure(args, report=print)
     least = bench_growth.FITTED_FROM_SHAPES
@@ -99,9 +99,9 @@ def _growth(args: Args) -> int:
         print(f"{name}: time a world-step grows as shapes to the power {power:.2f} from {least} shapes on")
     if args.json is not None:
         args.json.write_text(json.dumps(records, indent=1) + "\n")
-        picture = args.json.with_suffix(".png")
-        growth_picture.draw(records, picture)
-        print(f"{len(records)} records in {args.json}, picture in {picture}")
+        args.json.with_suffix(".md").write_text(growth_table.tables(records))
+        growth_picture.draw(records, args.json.with_suffix(".png"))
+        print(f"{len(records)} records in {args.json}; tables and picture beside it, .md and .png")
     return 0
 
 

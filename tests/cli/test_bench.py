@@ -66,6 +66,8 @@ def test_growth_measures_worlds_and_shapes_and_says_what_it_left_out(tmp_path: P
     assert [record["scene"] for record in shapes] == ["row", "platforms", "heap"]
     assert all(record["us_per_world_step"] > 0 and record["shapes"] == 4 for record in shapes)
     assert file.with_suffix(".png").stat().st_size > 0
+    table = file.with_suffix(".md").read_text()
+    assert "| 3 | left out |" in table and "| S (7) |" in table
 
 
 def test_the_exponent_of_growth_is_that_of_the_power_law() -> None:
