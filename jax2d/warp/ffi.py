@@ -67,6 +67,11 @@ def _worlds_last(x: Array, dtype: Any) -> jax.Array:
     return x.reshape(x.shape[0], -1).astype(dtype).T
 
 
+def _bit_rows(matrix: Array) -> jax.Array:
+    """[num_worlds, m, n] bool -> [m * words, num_worlds] int32 with a bit for each of n."""
+    return _worlds_last(jax.lax.bitcast_convert_type(touch_bits(matrix), jnp.int32), jnp.int32)
+
+
 def _worlds_first(rows: Array, *shape: int) -> jax.Array:
     return rows.T.reshape(rows.shape[1], *shape)
 
@@ -123,12 +128,11 @@ class WarpBackend:
             + jnp.asarray(scene.has_limits) * JOINT_FLAGS["JOINT_LIMITED"]
         )
         joints = flags + (jnp.asarray(scene.joint_a) << 8) + (jnp.asarray(scene.joint_b) << 20)
-        meets = scene.can_touch.any(-1) | scene.can_touch.any(-2)  # shapes with any partner
         owners = jnp.where(jnp.asarray(scene.thruster_active), scene.thruster_body, -1)
         ints = jnp.concatenate(
             [
-                _worlds_last(jax.lax.bitcast_convert_type(touch_bits(scene.can_touch), jnp.int32), jnp.int32),
-                _worlds_last(jax.lax.bitcast_convert_type(touch_bits(meets[:, None]), jnp.int32), jnp.int32),
+                _bit_rows(jnp.asarray(scene.shape_active)[:, None, :]),
+                _bit_rows(scene.can_touch),
                 _worlds_last(scene.num_vertices, jnp.int32),
                 _worlds_last(joints, jnp.int32),
                 _worlds_last(owners, jnp.int32),

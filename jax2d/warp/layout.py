@@ -79,8 +79,8 @@ class Layout:
                 GRAVITY=2,
             ),
             "INTS": _stack(
+                ACTIVE=c.touch_words,
                 PARTNERS=n * c.touch_words,
-                MEETS=c.touch_words,
                 NUM_VERTICES=c.polygons,
                 JOINTS=joints,
                 THRUSTERS=thrusters,

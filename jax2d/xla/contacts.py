@@ -70,8 +70,10 @@ def find(
     )
     pair = pair_up(bodies, a, b, points.exists)
     friction_a, friction_b = scene.friction[a], scene.friction[b]
-    arm_a = points.point
-    arm_b = arm_a - (bodies.position[b] - bodies.position[a])
+    # Where the surfaces are apart each is met at its own point: they will have moved together by then.
+    half_gap = points.normal * (0.5 * jnp.maximum(points.separation, 0))[:, None]
+    arm_a = points.point - half_gap
+    arm_b = points.point + half_gap - (bodies.position[b] - bodies.position[a])
     key = jnp.where(points.exists, (a << FEATURE_BITS + SHAPE_BITS) | (b << FEATURE_BITS) | points.feature, -1)
     impulse = jnp.where(params.warm_start, _remembered(key, memory), 0)
     velocity = relative_velocity(pair_motion(pair, bodies.motion), arm_a, arm_b)

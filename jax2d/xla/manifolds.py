@@ -331,7 +331,8 @@ def bounds_overlap(geometry: Geometry, a: np.ndarray, b: np.ndarray, d: jax.Arra
 def margins(bodies: Bodies, geometry: Geometry, reach: Scalar, dt: Scalar, *, ahead: bool) -> jax.Array:
     """Distance at which a contact of each pair is prepared, [n, n] m.
 
-    `ahead`: farther than `reach` by a step's motion where a body could step over what is in its way.
+    `ahead`: within a step's motion if that is more than `reach`, so that no step ends inside; and within both where a
+    body could step over what is in its way.
     """
     n = bodies.angle.shape[0]
     velocity, omega = bodies.motion
@@ -342,4 +343,4 @@ def margins(bodies: Bodies, geometry: Geometry, reach: Scalar, dt: Scalar, *, ah
     speed = vec2.length(velocity[None] - velocity[:, None])
     motion = (speed + spin[:, None] + spin[None]) * dt
     safe = 0.5 * jnp.minimum(geometry.core[:, None], geometry.core[None])
-    return (reach + jnp.where(motion > safe, motion, 0)).astype(dtype)
+    return jnp.where(motion > safe, reach + motion, jnp.maximum(reach, motion)).astype(dtype)

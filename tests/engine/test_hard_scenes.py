@@ -29,6 +29,7 @@ BEYOND = {
         "card house",
         "stack of 10 1000 m away",
         "stack of 10 10000 m away",
+        "pyramid of 10 rows 10000 m away",
         "bridge",
         "ball and chain, mass ratio 50",
         "ball and chain, mass ratio 150",

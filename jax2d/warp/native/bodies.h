@@ -11,13 +11,27 @@ struct Bodies {
   Rotation rotation[NUM_SHAPES];
   real inverse_mass[NUM_SHAPES];
   real inverse_inertia[NUM_SHAPES];
+  unsigned int active[TOUCH_WORDS];  // a bit a slot
+  int moving[NUM_SHAPES];     // shapes that can move; most work is for these alone
+  int num_moving;
   int limited;                // times a speed limit acted
 
   KFN bool is_dynamic(int i) const { return inverse_mass[i] > real(0) || inverse_inertia[i] > real(0); }
 
-  KFN void load(const Column& scene, const Column& state) {
+  KFN bool is_active(int i) const {
+    int slot = Slot::of(i);
+    return (active[slot / 32] >> (slot % 32) & 1u) != 0u;
+  }
+
+  KFN void load(const Column& scene, const IntColumn& ints, const Column& state) {
     limited = 0;
+    num_moving = 0;
+    for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
+      if (!is_active(i)) {
+        inverse_mass[i] = inverse_inertia[i] = real(0);
+        continue;
+      }
       int slot = Slot::of(i);
       position[i] = state.get2(STATE_POSITION + 2 * slot);
       angle[i] = state.get(STATE_ANGLE + slot);
@@ -25,11 +39,13 @@ struct Bodies {
       omega[i] = state.get(STATE_OMEGA + slot);
       inverse_mass[i] = scene.get(SCENE_INVERSE_MASS + slot);
       inverse_inertia[i] = scene.get(SCENE_INVERSE_INERTIA + slot);
+      if (is_dynamic(i)) moving[num_moving++] = i;
     }
   }
 
   KFN void store(const Column& state) const {
-    for (int i = 0; i < NUM_SHAPES; ++i) {
+    for (int k = 0; k < num_moving; ++k) {
+      int i = moving[k];
       int slot = Slot::of(i);
       state.set2(STATE_POSITION + 2 * slot, position[i]);
       state.set(STATE_ANGLE + slot, angle[i]);
@@ -40,6 +56,7 @@ struct Bodies {
 
   KFN void begin_step() {
     for (int i = 0; i < NUM_SHAPES; ++i) {
+      if (!is_active(i)) continue;
       delta[i] = {real(0), real(0)};
       turn[i] = real(0);
       rotation[i] = {cosf(angle[i]), sinf(angle[i])};
@@ -47,8 +64,8 @@ struct Bodies {
   }
 
   KFN void end_step() {
-    for (int i = 0; i < NUM_SHAPES; ++i) {
-      if (!is_dynamic(i)) continue;  // to the bit where it was
+    for (int k = 0; k < num_moving; ++k) {
+      int i = moving[k];
       position[i] = position[i] + delta[i];
       angle[i] += turn[i];
     }
@@ -57,14 +74,16 @@ struct Bodies {
   // Semi-implicit Euler: velocity from gravity.
   KFN void apply_gravity(Vec2 gravity, real dt) {
     if (!HAS_GRAVITY || (gravity.x == real(0) && gravity.y == real(0))) return;
-    for (int i = 0; i < NUM_SHAPES; ++i)
+    for (int k = 0; k < num_moving; ++k) {
+      int i = moving[k];
       if (inverse_mass[i] > real(0)) velocity[i] = velocity[i] + gravity * dt;
+    }
   }
 
   // Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted.
   KFN void move(real dt, real max_speed, real max_omega) {
-    for (int i = 0; i < NUM_SHAPES; ++i) {
-      if (!is_dynamic(i)) continue;
+    for (int k = 0; k < num_moving; ++k) {
+      int i = moving[k];
       real speed_squared = velocity[i].dot(velocity[i]);
       if (speed_squared > max_speed * max_speed) {
         velocity[i] = velocity[i] * (max_speed / sqrtf(speed_squared));

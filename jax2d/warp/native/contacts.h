@@ -43,6 +43,7 @@ struct Contacts {
     int old_slot = 0;
     if (SWEEP) sweep.find(bodies, geometry, reach, dt, ahead);
     for (int a = 0; a < NUM_SHAPES; ++a) {
+      if (!bodies.is_active(a)) continue;
       int slot_a = Slot::of(a);
       for (int word = SWEEP ? sweep.first_word(a) : slot_a / 32; word < TOUCH_WORDS;
            word = SWEEP ? sweep.next_word(a, word) : word + 1) {
@@ -55,7 +56,7 @@ struct Contacts {
           int b = Slot::shape(slot_b);
           Vec2 d = bodies.position[b] - bodies.position[a];
           real margin = reach;
-          if (ahead) margin += fast_margin(bodies, geometry, a, b, dt);
+          if (ahead) margin = margin_ahead(bodies, geometry, a, b, reach, dt);
           if (!geometry.bounds_overlap(a, b, d, margin)) continue;
           Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], bodies.omega[a], margin);
           if (m.count == 0) continue;
@@ -81,8 +82,10 @@ struct Contacts {
             c.b = b;
             c.key = pair_key | m.points[p].feature;
             c.normal = m.normal;
-            c.arm_a = m.points[p].point;
-            c.arm_b = m.points[p].point - d;
+            // Where the surfaces are apart each is met at its own point: they will have moved together by then.
+            Vec2 half_gap = m.normal * (real(0.5) * Math::max(m.points[p].separation, real(0)));
+            c.arm_a = m.points[p].point - half_gap;
+            c.arm_b = m.points[p].point + half_gap - d;
             c.separation = m.points[p].separation;
             c.friction = friction;
             c.restitution = restitution;
@@ -108,15 +111,16 @@ struct Contacts {
     }
   }
 
-  // How much farther than `reach` a contact is prepared for a body that could step over what is in its way.
-  KFN static real fast_margin(const Bodies& bodies, const Geometry& geometry, int a, int b, real dt) {
+  // A contact is prepared within `reach`, or within what the pair moves in a step, so that it does not end inside; and
+  // within both for a body that could step over what is in its way.
+  KFN static real margin_ahead(const Bodies& bodies, const Geometry& geometry, int a, int b, real reach, real dt) {
     Vec2 relative = bodies.velocity[b] - bodies.velocity[a];
     real spin_a = bodies.omega[a] < real(0) ? -bodies.omega[a] : bodies.omega[a];
     real spin_b = bodies.omega[b] < real(0) ? -bodies.omega[b] : bodies.omega[b];
     real motion = (relative.length() + spin_a * (geometry.extent[a] - geometry.core[a]) +
                    spin_b * (geometry.extent[b] - geometry.core[b])) * dt;
     real safe = real(0.5) * Math::min(geometry.core[a], geometry.core[b]);
-    return motion > safe ? motion : real(0);
+    return motion > safe ? reach + motion : Math::max(reach, motion);
   }
 
   // Contact points and normals of a step hold for small turns only: a rod that spins fast sweeps over what they say.

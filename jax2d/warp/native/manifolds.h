@@ -35,6 +35,7 @@ struct Geometry {
 
   KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies) {
     for (int p = 0; p < NUM_POLYGONS; ++p) {
+      if (!bodies.is_active(p)) continue;
       corners[p] = ints.get(INTS_NUM_VERTICES + p);
       Rotation q = bodies.rotation[p];
       Vec2 lo = {real(1e30), real(1e30)}, hi = {real(-1e30), real(-1e30)};
@@ -60,6 +61,7 @@ struct Geometry {
       extent[p] = sqrtf(far_squared);
     }
     for (int c = 0; c < NUM_CIRCLES; ++c) {
+      if (!bodies.is_active(NUM_POLYGONS + c)) continue;
       real r = scene.get(SCENE_RADIUS + c);
       radius[c] = r;
       lower[NUM_POLYGONS + c] = {-r, -r};

@@ -19,9 +19,9 @@ struct World {
   int overflow;
 
   KFN void run(int num_steps, const IntColumn& out) {
-    bodies.load(scene, state);
+    bodies.load(scene, ints, state);
     thrusters.load(scene, ints, controls, params);
-    if (SWEEP) contacts.sweep.load(ints);
+    if (SWEEP) contacts.sweep.load(bodies);
     overflow = 0;
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {

@@ -17,16 +17,11 @@ struct Sweep {
   unsigned int used[SWEEP_SHAPES];                // bit w: word w of the row holds a bit; the others are stale
   int count;
 
-  // Shapes that may touch something, once a launch: those of unused slots all stand in one place.
-  KFN void load(const IntColumn& ints) {
+  // Active shapes, once a launch: those of unused slots all stand in one place.
+  KFN void load(const Bodies& bodies) {
     count = 0;
-    for (int word = 0; word < TOUCH_WORDS; ++word) {
-      unsigned int meets = (unsigned int)(ints.get(INTS_MEETS + word));
-      for (; meets != 0u; meets &= meets - 1u) {
-        int slot = word * 32 + Math::lowest_bit(meets);
-        if (Slot::in_use(slot)) sorted[count++].shape = Slot::shape(slot);
-      }
-    }
+    for (int i = 0; i < NUM_SHAPES; ++i)
+      if (bodies.is_active(i)) sorted[count++].shape = i;
   }
 
   KFN void find(const Bodies& bodies, const Geometry& geometry, real reach, real dt, bool ahead) {
