@@ -10,13 +10,15 @@ import dataclasses
 import math
 from typing import Literal
 
+from jax2d.published_details import PUBLISHED_DETAILS
+
 Solver = Literal["soft_step", "sequential_impulses"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver`,
-    `friction_mixing` and `solver_batch_size` are compiled in."""
+    `friction_mixing`, `solver_batch_size` and `published_details` are compiled in."""
 
     solver: Solver = "soft_step"
     dt: float = 1 / 60  # s, one physics step
@@ -57,6 +59,7 @@ class Settings:
     motor_decay: float = 0.1  # s/rad, rho in p tanh((w - sA) rho)
     motor_fade_angle: float = 0.1  # rad before a limit within which a motor weakens
     solver_batch_size: int = 1  # contacts solved at a time from the same velocities; the published package's is 16
+    published_details: tuple[str, ...] = ()  # names from jax2d/published_details.py, for comparison with that package
 
     def __post_init__(self) -> None:
         if self.solver not in ("soft_step", "sequential_impulses"):
@@ -76,10 +79,26 @@ class Settings:
                 f"Settings.solver_batch_size is {self.solver_batch_size}, but soft_step solves contacts one after "
                 "another; use 1, or solver='sequential_impulses'"
             )
+        self._check_published_details()
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"Settings.{field.name} is {value}; it must be finite and not negative")
+
+    def _check_published_details(self) -> None:
+        details = self.published_details
+        if unknown := [name for name in details if name not in PUBLISHED_DETAILS]:
+            raise ValueError(f"Settings.published_details has {unknown[0]!r}; known: {', '.join(PUBLISHED_DETAILS)}")
+        if details and self.solver == "soft_step":
+            raise ValueError(
+                f"Settings.published_details has {details[0]!r}, but soft_step is another solver than the published "
+                "one; use (), or solver='sequential_impulses'"
+            )
+        if "last_pair" in details and self.solver_batch_size == 1:
+            raise ValueError(
+                "Settings.published_details has 'last_pair', which needs batches that can be less than full; leave it "
+                "out, or set solver_batch_size=16"
+            )
 
     @property
     def substep_seconds(self) -> float:

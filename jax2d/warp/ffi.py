@@ -85,6 +85,11 @@ class WarpBackend:
                 f"Settings.solver_batch_size is {settings.solver_batch_size}; backend 'warp' solves contacts one after "
                 "another: use 1, or backend='xla'"
             )
+        if settings.published_details:
+            raise ValueError(
+                f"Settings.published_details has {settings.published_details[0]!r}; backend 'warp' follows the paper "
+                "alone: use (), or backend='xla'"
+            )
         self.capacity = capacity
         self.settings = settings
         self.num_contact_slots = capacity.contact_slots

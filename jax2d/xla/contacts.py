@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Capacity, Scene
-from jax2d.xla import manifolds, vec2
+from jax2d.xla import manifolds, published, vec2
 from jax2d.xla.bodies import Bodies, Motion, Pair, pair_motion, pair_up, pick, push_pair, put_back, relative_velocity
 from jax2d.xla.manifolds import Geometry, Points
 from jax2d.xla.parameters import Parameters, Rules, Scalar
@@ -41,6 +41,7 @@ class Contacts(NamedTuple):
     against_fixed: jax.Array  # [K] bool
     overflow: jax.Array  # [] int32, points that found no slot
     swinging: jax.Array  # [] bool, a body with a contact turns too far in a step for contacts found once
+    turns: published.Turns | None  # when each is solved, where the published package's order is asked for
 
 
 class Memory(NamedTuple):
@@ -65,7 +66,7 @@ def find(
     dt: Scalar,
 ) -> Contacts:
     """Points of all pairs that may touch within `dt`, compacted into the slots of `memory`."""
-    points, a, b, overflow, swinging = _points_in_use(
+    points, a, b, overflow, swinging, turns = _points_in_use(
         bodies, geometry, scene, params, rules, capacity, dt, slots=memory.key.shape[0]
     )
     pair = pair_up(bodies, a, b, points.exists)
@@ -96,6 +97,7 @@ def find(
         against_fixed=~(dynamic[a] & dynamic[b]),
         overflow=overflow,
         swinging=swinging,
+        turns=turns,
     )
 
 
@@ -109,24 +111,27 @@ def _points_in_use(
     dt: Scalar,
     *,
     slots: int,
-) -> tuple[Points, jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Points [slots] that exist, first and in order of pairs; their shapes a and b; overflow; swinging."""
-    is_soft = rules.solver == "soft_step"
+) -> tuple[Points, jax.Array, jax.Array, jax.Array, jax.Array, published.Turns | None]:
+    """Points [slots] that exist, first and in order of pairs; their shapes a and b; overflow; swinging; turns."""
+    is_soft = rules.is_soft
     reach = params.speculative_distance if is_soft else 0.0
     if capacity.shapes == 1:  # no pair at all, one slot
         zeros, none = jnp.zeros((slots, 2), bodies.position.dtype), jnp.zeros(slots, jnp.int32)
-        return Points(zeros, zeros, zeros[:, 0], none, none > 0), none, none, none[0], none[0] > 0
+        return Points(zeros, zeros, zeros[:, 0], none, none > 0), none, none, none[0], none[0] > 0, None
     pairs = manifolds.pair_list(capacity)
     margin = manifolds.margins(bodies, geometry, reach, dt, ahead=is_soft)
-    points = manifolds.collide(geometry, bodies, capacity, margin, seams=is_soft)
+    points = manifolds.collide(geometry, bodies, capacity, margin, rules)
     # Contact points and normals hold for small turns only: a rod that spins fast sweeps over what they say.
     swings = is_soft & ((geometry.extent - geometry.core) * jnp.square(bodies.motion.omega * dt) > reach)
     exists = points.exists & scene.can_touch[pairs.point_a, pairs.point_b]
+    if "fixed_slots" in rules.published_details:
+        exists &= ~published.is_fixed_pair(pairs, capacity)
     swinging = jnp.any(exists & (swings[pairs.point_a] | swings[pairs.point_b]))
     source = jnp.argsort(~exists, stable=True)[:slots]
-    points = jax.tree.map(lambda x: x[source], points._replace(exists=exists))
+    turns = published.turns(points.exists, scene, bodies.is_dynamic, pairs, capacity, rules)
+    points, turns = jax.tree.map(lambda x: x[source], (points._replace(exists=exists), turns))
     overflow = jnp.maximum(jnp.sum(exists, dtype=jnp.int32) - slots, 0)
-    return points, jnp.asarray(pairs.point_a)[source], jnp.asarray(pairs.point_b)[source], overflow, swinging
+    return points, jnp.asarray(pairs.point_a)[source], jnp.asarray(pairs.point_b)[source], overflow, swinging, turns
 
 
 def _remembered(key: jax.Array, memory: Memory) -> jax.Array:
@@ -295,11 +300,17 @@ def impact_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, h: Scal
     return vec2.sqrt_or_zero(half * half + twice_energy) + half
 
 
-def solve_hard(bodies: Bodies, contacts: Contacts, params: Parameters, *, batch_size: int) -> tuple[Bodies, Contacts]:
+def solve_hard(
+    bodies: Bodies, contacts: Contacts, params: Parameters, rules: Rules, capacity: Capacity
+) -> tuple[Bodies, Contacts]:
     """One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and penetration
     bias in the numerator, accumulated impulse kept non-negative, friction by Coulomb's law."""
     bias = params.collision_correction / params.dt * jnp.maximum(-contacts.separation - params.slop, 0)
     wanted = bias - contacts.restitution * contacts.approach  # m/s, separating
+    details, batch_size = rules.published_details, rules.solver_batch_size
+    rows = _rows(contacts)
+    if "arms_follow_joints" in details:
+        rows = arms_from_here(bodies, rows)
 
     def solve(motion: Motion, row: tuple) -> tuple[Motion, tuple]:
         c, wanted = row
@@ -310,9 +321,57 @@ def solve_hard(bodies: Bodies, contacts: Contacts, params: Parameters, *, batch_
         of, tangent_total = solve_friction(of, c, normal_total)
         return put_back(motion, c.pair, before, of), (normal_total, tangent_total)
 
-    rows = (_rows(contacts), wanted)
-    if batch_size == 1:
-        motion, (normal, tangent) = jax.lax.scan(solve, bodies.motion, rows)
+    if "solve_order" in details:
+        motion, (normal, tangent) = _in_turn(solve, bodies.motion, rows, wanted, contacts, capacity, rules)
+    elif batch_size == 1:
+        motion, (normal, tangent) = jax.lax.scan(solve, bodies.motion, (rows, wanted))
     else:
-        motion, (normal, tangent) = _in_batches(solve, bodies.motion, rows, batch_size)
-    return bodies._replace(motion=motion), _with_impulses(contacts, normal, tangent)
+        motion, (normal, tangent) = _in_batches(solve, bodies.motion, (rows, wanted), batch_size)
+    contacts = _with_impulses(contacts, normal, tangent)
+    if "last_pair" in details:
+        assert contacts.turns is not None
+        kept = ~contacts.turns.is_forgotten
+        contacts = contacts._replace(
+            impulse_normal=jnp.where(kept, normal, 0), impulse_tangent=jnp.where(kept, tangent, 0)
+        )
+    return bodies._replace(motion=motion), contacts
+
+
+def arms_from_here(bodies: Bodies, rows: Row) -> Row:
+    """Arms lead to the same points from where the positional correction of joints has moved the bodies."""
+    pair = rows.pair
+    arm_a, arm_b = rows.arm_a - pick(pair.is_a, bodies.delta), rows.arm_b - pick(pair.is_b, bodies.delta)
+    return rows._replace(
+        arm_a=arm_a,
+        arm_b=arm_b,
+        mass_normal=pair_mass(pair, arm_a, arm_b, rows.normal),
+        mass_tangent=pair_mass(pair, arm_a, arm_b, vec2.right(rows.normal)),
+    )
+
+
+def _in_turn(
+    solve: Callable,
+    motion: Motion,
+    rows: Row,
+    wanted: jax.Array,
+    contacts: Contacts,
+    capacity: Capacity,
+    rules: Rules,
+) -> tuple[Motion, Any]:
+    """Solves in the published package's order: one batch after another, the contacts of each from the same
+    velocities."""
+    assert contacts.turns is not None
+    pair, batch = rows.pair, contacts.turns.batch
+
+    def solve_batch(carry: tuple, now: jax.Array) -> tuple[tuple, None]:
+        motion, (normal, tangent) = carry
+        is_due = batch == now
+        due = pair._replace(is_a=pair.is_a & is_due[:, None], is_b=pair.is_b & is_due[:, None])
+        row = rows._replace(pair=due, impulse_normal=normal, impulse_tangent=tangent)
+        motion, totals = solve(motion, (row, wanted))
+        return (motion, jax.tree.map(lambda x, y: jnp.where(is_due, x, y), totals, (normal, tangent))), None
+
+    batches = jnp.arange(published.num_batches(capacity, rules))
+    start = (motion, (rows.impulse_normal, rows.impulse_tangent))
+    (motion, totals), _ = jax.lax.scan(solve_batch, start, batches)
+    return motion, totals

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Capacity, Scene
-from jax2d.xla import vec2
+from jax2d.xla import published, vec2
 from jax2d.xla.bodies import Bodies
-from jax2d.xla.parameters import Scalar
+from jax2d.xla.parameters import Rules, Scalar
 
 FAR_M = 1e30  # distance of what does not exist
 COINCIDENT_M = 1e-9  # centres closer than this have no direction of their own
@@ -33,7 +33,7 @@ class Points(NamedTuple):
     """Contact points of a pair, or of all pairs: leading axes are the points'."""
 
     normal: jax.Array  # [..., 2], from a to b
-    point: jax.Array  # [..., 2] m, midway between the surfaces, relative to the centre of mass of a
+    point: jax.Array  # [..., 2] m, relative to the centre of mass of a
     separation: jax.Array  # [...] m
     feature: jax.Array  # [...] int32, which vertex on which edge: matches the point between steps
     exists: jax.Array  # [...] bool
@@ -81,13 +81,15 @@ def build(scene: Scene, bodies: Bodies) -> Geometry:
     )
 
 
-def circle_circle(radius_a: jax.Array, radius_b: jax.Array, d: jax.Array, margin: jax.Array) -> Points:
-    """At most one point, [1]. d [2]: centre of b relative to centre of a."""
+def circle_circle(radius_a: jax.Array, radius_b: jax.Array, d: jax.Array, margin: jax.Array, *, rules: Rules) -> Points:
+    """At most one point, [1]. d [2]: centre of b relative to centre of a. In `paper` the point lies on a's surface."""
     distance = vec2.length(d)
     separation = distance - radius_a - radius_b
-    # Coincident centres have no direction of their own: any fixed one separates them.
-    normal = jnp.where(distance > COINCIDENT_M, vec2.unit_or_zero(d), jnp.array([0, 1], d.dtype))
-    point = normal * (radius_a + 0.5 * separation)
+    normal = vec2.unit_or_zero(d)
+    if "coincident_circles" not in rules.published_details:
+        # Coincident centres have no direction of their own: any fixed one separates them.
+        normal = jnp.where(distance > COINCIDENT_M, normal, jnp.array([0, 1], d.dtype))
+    point = normal * (radius_a + (0.5 * separation if rules.is_soft else 0))
     return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), (separation <= margin)[None])
 
 
@@ -107,10 +109,10 @@ def polygon_circle(
     spin: jax.Array,
     margin: jax.Array,
     *,
-    seams: bool,
+    rules: Rules,
 ) -> Points:
     """At most one point, [1]; one polygon, centre [2] relative to it, motion [2] m/s: how that changes, spin [] rad/s
-    of the polygon."""
+    of the polygon. In `paper` the point lies on the polygon."""
     distances = jnp.where(polygon.is_corner, vec2.dot(polygon.normal, centre - polygon.corner), -FAR_M)
     face = jnp.argmax(distances)
     face_distance = distances[face]
@@ -125,9 +127,11 @@ def polygon_circle(
     distance = jnp.where(at_corner, vec2.length(away), face_distance)
     normal = jnp.where(at_corner, vec2.unit_or_zero(away), polygon.normal[face])
     separation = distance - radius
-    point = centre - normal * (radius + 0.5 * separation)
+    point = centre - normal * (radius + (0.5 if rules.is_soft else 1) * separation)
     exists = (face_distance - radius <= margin) & (separation <= margin)
-    if seams:
+    if "centre_inside" in rules.published_details:
+        normal, separation = published.centre_inside(normal, separation, face_distance, radius)
+    if rules.is_soft:
         exists &= ~(at_corner & (separation > 0) & rolls_past(away, motion - vec2.left(corner) * spin, radius))
     return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), exists[None])
 
@@ -187,12 +191,14 @@ def slides_past(
 
 
 def polygon_polygon(
-    a: Polygons, b: Polygons, d: jax.Array, motion: jax.Array, margin: jax.Array, *, seams: bool
+    a: Polygons, b: Polygons, d: jax.Array, motion: jax.Array, margin: jax.Array, *, rules: Rules
 ) -> Points:
     """At most two points, [2]: the incident edge clipped to the reference face, corner against corner, or a seam.
 
-    d [2] m: centre of b relative to centre of a; motion [2] m/s: how that changes.
+    d [2] m: centre of b relative to centre of a; motion [2] m/s: how that changes. In `paper` points lie on the
+    incident edge.
     """
+    details = rules.published_details
     zero = jnp.zeros_like(d)
     depth_a, edge_a = deepest_axis(a, zero, b, d)
     depth_b, edge_b = deepest_axis(b, d, a, zero)
@@ -200,6 +206,8 @@ def polygon_polygon(
     # floor holds its normal while what stands on it rocks.
     larger_b = b.extent > CLEARLY_LARGER * a.extent
     flipped = depth_b > depth_a + jnp.where(larger_b, -FLIP_ADVANTAGE_M, FLIP_ADVANTAGE_M)
+    if "reference_bias" in details:
+        flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
 
     def choose(of_b, of_a):
         return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)
@@ -209,10 +217,15 @@ def polygon_polygon(
     n = ref.normal[edge]
     r1, r2 = ref.corner[edge] + ref_at, ref.following[edge] + ref_at
 
-    # The incident edge is the one that faces the reference face most, and runs against the reference edge.
-    incident = jnp.argmin(jnp.where(inc.is_corner, vec2.dot(inc.normal, n), FAR_M))
+    # The incident edge is the one that faces the reference face most, in `paper` the one whose corners are deepest.
+    opposed = vec2.dot(inc.normal if rules.is_soft else inc.corner + inc.following, n)
+    incident = jnp.argmin(jnp.where(inc.is_corner, opposed, FAR_M))
+    # Its first corner is the farther along the reference edge, unless a steep and short edge has the deepest corners.
     upper_end, lower_end = inc.corner[incident] + inc_at, inc.following[incident] + inc_at
     along = vec2.left(n)  # from r1 to r2
+    if not rules.is_soft:
+        is_steep = vec2.dot(upper_end - lower_end, along) < 0
+        upper_end, lower_end = jnp.where(is_steep, lower_end, upper_end), jnp.where(is_steep, upper_end, lower_end)
     edge_length = vec2.dot(r2 - r1, along)
     u_upper, u_lower = vec2.dot(upper_end - r1, along), vec2.dot(lower_end - r1, along)
     base = jnp.where(flipped, FLIPPED, 0) + edge * EDGE
@@ -225,7 +238,8 @@ def polygon_polygon(
     distance, face_separation = vec2.length(gap), vec2.dot(n, gap)
     is_outside = face_separation > 0
     corner_separation = jnp.where(is_outside, distance, face_separation)
-    corner_point = jnp.where(is_outside, 0.5 * (ref_corner + inc_corner), inc_corner - 0.5 * face_separation * n)
+    halfway = 0.5 if rules.is_soft else 0
+    corner_point = jnp.where(is_outside, 0.5 * (ref_corner + inc_corner), inc_corner - halfway * face_separation * n)
     corner_feature = jnp.where(is_outside, CORNER_OUTSIDE, CORNER_INSIDE) + base + jnp.where(before_start, 0, 1)
 
     # Clip the incident edge to the sides of the reference face; depth follows the clipped point.
@@ -238,6 +252,9 @@ def polygon_polygon(
         (u_upper > edge_length) & is_wide, lower_end + edge_vector * ((edge_length - u_lower) * share), upper_end
     )
     clipped = jnp.stack([lower_point, upper_point])
+    if "clip_keeps_depth" in details:
+        clipped = published.clip_and_keep_depth(jnp.stack([lower_end, upper_end]) - r1, n, edge_length) + r1
+        beside = jnp.array(False)
     clipped_separation = vec2.dot(clipped - r1, n)
     clipped_feature = base + incident * INCIDENT + jnp.arange(2)
 
@@ -245,10 +262,12 @@ def polygon_polygon(
     separation = jnp.where(beside, corner_separation, clipped_separation)
     in_reach = (depth_a <= margin) & (depth_b <= margin)
     is_one_of = jnp.where(beside, jnp.array([True, False]), True)
-    point = jnp.where(beside, corner_point, clipped - 0.5 * clipped_separation[:, None] * n)
+    point = jnp.where(beside, corner_point, clipped - halfway * clipped_separation[:, None] * n)
     feature = jnp.where(beside, corner_feature, clipped_feature)
     exists = is_one_of & (separation <= margin)
-    if seams:
+    if "deepest_depth" in details:
+        separation = jnp.full(2, jnp.maximum(depth_a, depth_b))
+    if rules.is_soft:
         closing = vec2.dot(n, choose(motion, -motion))
         over = Incident(lower_end - ref_at, upper_end - ref_at, u_lower, u_upper, edge_length, closing)
         seam = slides_past(ref, inc, edge, inc_at - ref_at, over, margin)
@@ -257,13 +276,19 @@ def polygon_polygon(
         separation = jnp.where(seam.exists, seam.separation, separation)
         feature = jnp.where(seam.exists, SEAM + base + seam.number, feature)
         exists = jnp.where(seam.exists, jnp.array([True, False]), exists)
-    return Points(
+    points = Points(
         normal=jnp.broadcast_to(jnp.where(flipped, -normal, normal), (2, 2)),
         point=point,
         separation=separation,
         feature=feature.astype(jnp.int32),
         exists=in_reach & exists,
     )
+    if details & {"warm_start_by_depth", "solve_order"}:
+        depth = jnp.where(beside, corner_separation, clipped_separation)
+        points = jax.tree.map(lambda x: jnp.where(depth[0] <= depth[1], x, x[::-1]), points)
+    if "warm_start_by_depth" in details:
+        points = points._replace(feature=jnp.arange(2, dtype=jnp.int32))
+    return points
 
 
 class PairList(NamedTuple):
@@ -288,10 +313,11 @@ def pair_list(capacity: Capacity) -> PairList:
     return PairList(*kinds, order=order, point_a=points[order, 0], point_b=points[order, 1])
 
 
-def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, *, seams: bool) -> Points:
+def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, rules: Rules) -> Points:
     """Points of all pairs, in order of pairs. margin [n, n] m: points farther apart than this are left out.
 
-    `seams`: what slides over the seams of a floor is not stopped by them.
+    For soft step points lie midway, and what slides over the seams of a floor is not stopped by them. For `paper` they
+    lie where its appendix says (Collision Manifolds), and only what penetrates has any.
     """
     pairs = pair_list(capacity)
     velocity, omega = bodies.motion
@@ -310,11 +336,12 @@ def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.
         other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
         motion, spin = velocity[b] - velocity[a], omega[a]
         if collide_one is polygon_polygon:
-            points = jax.vmap(functools.partial(polygon_polygon, seams=seams))(one, other, d, motion, margin[a, b])
+            points = jax.vmap(functools.partial(polygon_polygon, rules=rules))(one, other, d, motion, margin[a, b])
         elif collide_one is polygon_circle:
-            points = jax.vmap(functools.partial(polygon_circle, seams=seams))(one, other, d, motion, spin, margin[a, b])
+            collide_circle = functools.partial(polygon_circle, rules=rules)
+            points = jax.vmap(collide_circle)(one, other, d, motion, spin, margin[a, b])
         else:
-            points = jax.vmap(circle_circle)(one, other, d, margin[a, b])
+            points = jax.vmap(functools.partial(circle_circle, rules=rules))(one, other, d, margin[a, b])
         near = bounds_overlap(geometry, a, b, d, margin[a, b])
         points = points._replace(exists=points.exists & near[:, None])
         found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))

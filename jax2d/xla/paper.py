@@ -25,22 +25,18 @@ from jax2d.xla.parameters import Parameters
 
 
 def apply_motors(bodies: Bodies, joints: Joints, params: Parameters) -> Bodies:
-    """j = p tanh((w_b - w_a - s A) rho), weaker within params.motor_fade_angle of a limit it runs into."""
+    """j = p tanh((w_b - w_a - s A) rho), weaker within params.motor_fade_angle of a limit it runs into. All at once (as
+    in "Parallelised Computation"): no motor sees what another does in the same step."""
     fade = params.motor_fade_angle
     beyond = joints.start_angle - jnp.clip(joints.start_angle, joints.lower + fade, joints.upper - fade)
     into_limit = joints.is_limited & (beyond * joints.control > 0)
     power = joints.motor_most * jnp.where(into_limit, jnp.maximum(0, 1 - jnp.abs(beyond) / fade), 1)
 
-    def drive(motion: Motion, row: tuple) -> tuple[Motion, None]:
-        pair, is_driven, power, target = row
-        before = pair_motion(pair, motion)
-        excess = before.omega_b - before.omega_a - target
-        twist = jnp.where(is_driven, -power * jnp.tanh(excess * params.motor_decay), 0)
-        return put_back(motion, pair, before, twist_pair(before, pair, twist)), None
-
-    rows = (joints.pair, joints.is_driven, power, joints.motor_target)
-    motion, _ = jax.lax.scan(drive, bodies.motion, rows)
-    return bodies._replace(motion=motion)
+    before = pair_motion(joints.pair, bodies.motion)
+    excess = before.omega_b - before.omega_a - joints.motor_target
+    twist = jnp.where(joints.is_driven, -power * jnp.tanh(excess * params.motor_decay), 0)
+    after = twist_pair(before, joints.pair, twist)
+    return bodies._replace(motion=put_back(bodies.motion, joints.pair, before, after))
 
 
 def warm_start(bodies: Bodies, joints: Joints) -> tuple[Bodies, Joints]:

@@ -56,6 +56,11 @@ class Rules(NamedTuple):
     friction_mixing: str
     substeps: int
     solver_batch_size: int
+    published_details: frozenset[str]  # of jax2d/published_details.py
+
+    @property
+    def is_soft(self) -> bool:
+        return self.solver == "soft_step"
 
 
 def parameters_of(settings: Settings) -> Parameters:
@@ -73,4 +78,10 @@ def parameters_of(settings: Settings) -> Parameters:
 
 
 def rules_of(settings: Settings) -> Rules:
-    return Rules(settings.solver, settings.friction_mixing, settings.substeps, settings.solver_batch_size)
+    return Rules(
+        settings.solver,
+        settings.friction_mixing,
+        settings.substeps,
+        settings.solver_batch_size,
+        frozenset(settings.published_details),
+    )

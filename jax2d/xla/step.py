@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax2d.scene import Capacity, Controls, Noted, Scene, State, touch_bits
 from jax2d.xla import bodies as bodies_of
 from jax2d.xla import contacts as contacts_of
-from jax2d.xla import forces, manifolds, paper
+from jax2d.xla import forces, manifolds, paper, published
 from jax2d.xla import joints as joints_of
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.contacts import Contacts, Memory
@@ -41,7 +41,7 @@ def run(
 ) -> tuple[State, Noted]:
     """Steps one world. `scene.can_touch` holds each pair that may touch once, at [lower, higher]; shapes that are not
     active have no mass."""
-    one_step = soft_step if rules.solver == "soft_step" else paper_step
+    one_step = soft_step if rules.is_soft else paper_step
 
     def body(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array, jax.Array]]:
         end = one_step(scene, state, controls, params, rules, capacity)
@@ -130,11 +130,12 @@ def paper_step(
     def iteration(carry: tuple[Bodies, Joints, Contacts], _: None) -> tuple[tuple[Bodies, Joints, Contacts], None]:
         bodies, joints, contacts = carry
         bodies, joints = paper.solve(bodies, joints, params)
-        bodies, contacts = contacts_of.solve_hard(bodies, contacts, params, batch_size=rules.solver_batch_size)
+        bodies, contacts = contacts_of.solve_hard(bodies, contacts, params, rules, capacity)
         return (bodies, joints, contacts), None
 
     (bodies, joints, contacts), _ = jax.lax.scan(iteration, (bodies, joints, contacts), length=rules.substeps)
-    bodies = bodies_of.move(bodies, params.dt, params.max_speed, params.max_angular_speed)
+    move = published.move_and_clip if "state_clips" in rules.published_details else bodies_of.move
+    bodies = move(bodies, params.dt, params.max_speed, params.max_angular_speed)
     return _finish_contacts(Progress(bodies, joints, contacts, memory, *_nothing_noted(capacity)))
 
 

@@ -9,8 +9,12 @@
 #define GRAZING real(0.005)
 #define STANDING real(0.1)
 
+// Contact points lie midway between the surfaces; for `paper` where its appendix has them (Collision Manifolds): on the
+// surface of circle a, on the polygon that meets a circle, on the incident edge of two polygons.
+#define HALFWAY (SOFT_STEP ? real(0.5) : real(0))
+
 struct ContactPoint {
-  Vec2 point;       // midway between the surfaces, relative to the centre of mass of a
+  Vec2 point;       // relative to the centre of mass of a; midway between the surfaces, for `paper` see HALFWAY
   real separation;  // m
   int feature;      // which vertex on which edge: matches the point between steps
 };
@@ -99,7 +103,7 @@ struct Geometry {
     // Coincident centres have no direction of their own: any fixed one separates them.
     m.normal = distance > real(1e-9) ? d * (real(1) / distance) : Vec2{real(0), real(1)};
     m.count = 1;
-    m.points[0] = {m.normal * (radius[a] + real(0.5) * separation), separation, 0};
+    m.points[0] = {m.normal * (radius[a] + HALFWAY * separation), separation, 0};
     return m;
   }
 
@@ -148,7 +152,7 @@ struct Geometry {
     }
     real separation = distance - r;
     m.count = 1;
-    m.points[0] = {centre - m.normal * (r + real(0.5) * separation), separation, 0};
+    m.points[0] = {centre - m.normal * (r + (real(1) - HALFWAY) * separation), separation, 0};
     return m;
   }
 
@@ -219,13 +223,15 @@ struct Geometry {
     Vec2 r1 = corner[ref * MAX_VERTICES + edge] + ref_at;
     Vec2 r2 = corner[ref * MAX_VERTICES + successor(ref, edge)] + ref_at;
 
-    // The incident edge is the one that faces the reference face most.
+    // The incident edge is the one that faces the reference face most, for `paper` the one whose corners are deepest.
     int incident = 0;
     real most_opposed = real(1e30);
     for (int k = 0; k < corners[inc]; ++k) {
-      real along = n.dot(normal[inc * MAX_VERTICES + k]);
-      if (along < most_opposed) {
-        most_opposed = along;
+      Vec2 v = normal[inc * MAX_VERTICES + k];
+      if (!SOFT_STEP) v = corner[inc * MAX_VERTICES + k] + corner[inc * MAX_VERTICES + successor(inc, k)];
+      real opposed = n.dot(v);
+      if (opposed < most_opposed) {
+        most_opposed = opposed;
         incident = k;
       }
     }
@@ -236,6 +242,14 @@ struct Geometry {
     Vec2 along = n.left();  // from r1 to r2
     real length = (r2 - r1).dot(along);
     real u_upper = (upper_end - r1).dot(along), u_lower = (lower_end - r1).dot(along);
+    if (!SOFT_STEP && u_upper < u_lower) {  // the deepest corners may be those of a steep and short edge
+      Vec2 end = upper_end;
+      upper_end = lower_end;
+      lower_end = end;
+      real u = u_upper;
+      u_upper = u_lower;
+      u_lower = u;
+    }
 
     m.normal = flipped ? -n : n;
     int base = (flipped ? 64 : 0) + edge * 8;
@@ -262,7 +276,7 @@ struct Geometry {
         m.points[0] = {(ref_corner + inc_corner) * real(0.5), distance, 128 + base + (u_upper < real(0) ? 0 : 1)};
       } else {
         m.count = 1;
-        m.points[0] = {inc_corner - n * (real(0.5) * face_separation), face_separation,
+        m.points[0] = {inc_corner - n * (HALFWAY * face_separation), face_separation,
                        256 + base + (u_upper < real(0) ? 0 : 1)};
       }
       return m;
@@ -277,8 +291,8 @@ struct Geometry {
       upper_point = lower_end + (upper_end - lower_end) * ((length - u_lower) / span);
     real s_lower = n.dot(lower_point - r1), s_upper = n.dot(upper_point - r1);
     int feature = base + incident * 512;
-    if (s_lower <= margin) m.points[m.count++] = {lower_point - n * (real(0.5) * s_lower), s_lower, feature};
-    if (s_upper <= margin) m.points[m.count++] = {upper_point - n * (real(0.5) * s_upper), s_upper, feature + 1};
+    if (s_lower <= margin) m.points[m.count++] = {lower_point - n * (HALFWAY * s_lower), s_lower, feature};
+    if (s_upper <= margin) m.points[m.count++] = {upper_point - n * (HALFWAY * s_upper), s_upper, feature + 1};
     return m;
   }
 };

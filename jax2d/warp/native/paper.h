@@ -3,11 +3,14 @@
 struct PaperJoints {
   Joints& joints;
 
-  // j = p tanh((w_b - w_a - s A) rho), weaker within PARAM_MOTOR_FADE_ANGLE of a limit it runs into.
+  // j = p tanh((w_b - w_a - s A) rho), weaker within PARAM_MOTOR_FADE_ANGLE of a limit it runs into. All at once (as in
+  // "Parallelised Computation"): no motor sees what another does in the same step.
   KFN void apply_motors(Bodies& bodies, const Column& scene, const Column& controls, const Column& params) {
+    if (!HAS_MOTORS) return;
+    real twist[NUM_JOINTS + 1];
     for (int k = 0; k < joints.count; ++k) {
-      Joint& joint = joints.list[k];
-      if (!HAS_MOTORS || (joint.flags & JOINT_MOTOR) == 0) continue;
+      const Joint& joint = joints.list[k];
+      if ((joint.flags & JOINT_MOTOR) == 0) continue;
       real power = joint.motor_most;
       if (Joints::is_limited(joint.flags)) {
         real fade = params.get(PARAM_MOTOR_FADE_ANGLE);
@@ -16,7 +19,11 @@ struct PaperJoints {
         if (into_limit) power *= Math::max(real(0), real(1) - fabsf(beyond) / fade);
       }
       real excess = bodies.omega[joint.b] - bodies.omega[joint.a] - joint.motor_target;
-      bodies.twist_pair(joint.a, joint.b, -power * tanhf(excess * params.get(PARAM_MOTOR_DECAY)));
+      twist[k] = -power * tanhf(excess * params.get(PARAM_MOTOR_DECAY));
+    }
+    for (int k = 0; k < joints.count; ++k) {
+      const Joint& joint = joints.list[k];
+      if (joint.flags & JOINT_MOTOR) bodies.twist_pair(joint.a, joint.b, twist[k]);
     }
   }
 
