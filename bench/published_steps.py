@@ -1,0 +1,203 @@
+"""Single steps of the published jax2d, as arrays of ours: what bench/peers/jax2d_published_steps.py writes.
+
+Masses, inertias, vertices and positions are those of its own states, so that its mass defects do not mix in. The
+published package has polygons clockwise and names the impulse on a joint's first body; ours are the other way round.
+
+    python -m bench.published_steps runs/published_steps/m-seed0.npz tests/engine/published_steps_m.npz
+
+writes an excerpt: of each level the state with most contacts, as played and stirred, and what a test needs of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jax2d import Capacity, Controls, Scene, State
+from jax2d.engine import JOINT_IMPULSES
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+PROGRAM = CHECKOUT / "bench" / "peers" / "jax2d_published_steps.py"
+KEY_A, KEY_B = 1 << 22, 1 << 12  # of a contact's key, which is KEY_A a + KEY_B b + feature
+
+
+class PeerMissing(Exception):
+    """The published package is not installed here; one line says what to do."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Steps:
+    """`S` states that the published engine reached, and its next step from each."""
+
+    capacity: Capacity
+    scene: Scene
+    controls: Controls
+    state: State  # without contact impulses
+    contact_key: np.ndarray  # [S, C] int32 with the order in the pair as the feature, -1 where nothing is remembered
+    contact_impulse: np.ndarray  # [S, C, 2] N s
+    after: dict[tuple[str, str], np.ndarray]  # (precision, "warm" or "cold") -> [S, n, 6]
+
+
+def python() -> Path:
+    named = os.environ.get("KINETIX_PEER_PYTHON")
+    path = Path(named) if named else CHECKOUT / "bench" / ".peers" / "jax2d" / "bin" / "python"
+    if not path.is_file():
+        raise PeerMissing(f"{path} does not exist; run `bash bench/peers/setup.sh` first")
+    return path
+
+
+def run_published(files: Sequence[Path], moments: Sequence[int], seed: int, to: Path) -> None:
+    """Lets the published package play the levels (of one size) and writes its states and steps to `to`."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {"JAX_PLATFORMS": "cpu"}
+    if path := os.environ.get("KINETIX_PEER_PYTHONPATH"):
+        environment["PYTHONPATH"] = path
+    with tempfile.TemporaryDirectory() as folder:
+        request = Path(folder) / "request.json"
+        request.write_text(json.dumps({"levels": [str(f) for f in files], "moments": [*moments], "seed": seed}))
+        ended = subprocess.run(
+            [str(python()), str(PROGRAM), str(request), str(to)], env=environment, capture_output=True, text=True
+        )
+    if ended.returncode != 0:
+        last = (ended.stderr.strip().splitlines() or ["no message"])[-1]
+        raise RuntimeError(f"{PROGRAM.name} failed: {last}")
+
+
+def load(file: Path) -> Steps:
+    with np.load(file) as archive:
+        d = {name: archive[name] for name in archive.files}
+    polygons, circles = d["polygon.position"].shape[1], d["circle.position"].shape[1]
+    capacity = Capacity(
+        polygons=polygons,
+        circles=circles,
+        joints=d["joint.active"].shape[1],
+        thrusters=d["thruster.active"].shape[1],
+        vertices=d["polygon.vertices"].shape[2],
+    )
+
+    def shapes(name: str) -> np.ndarray:
+        return np.concatenate([d[f"polygon.{name}"], d[f"circle.{name}"]], axis=1)
+
+    scene = Scene(
+        shape_active=shapes("active"),
+        inverse_mass=shapes("inverse_mass"),
+        inverse_inertia=shapes("inverse_inertia"),
+        density=np.ones_like(shapes("friction")),
+        friction=shapes("friction"),
+        restitution=shapes("restitution"),
+        vertices=counter_clockwise(d["polygon.vertices"], d["polygon.n_vertices"]),
+        num_vertices=d["polygon.n_vertices"],
+        radius=d["circle.radius"],
+        can_touch=d["can_touch"],
+        joint_active=d["joint.active"],
+        joint_a=d["joint.a_index"],
+        joint_b=d["joint.b_index"],
+        joint_anchor_a=d["joint.a_relative_pos"],
+        joint_anchor_b=d["joint.b_relative_pos"],
+        joint_is_fixed=d["joint.is_fixed_joint"],
+        joint_rest_angle=d["joint.rotation"],
+        motor_on=d["joint.motor_on"],
+        motor_speed=d["joint.motor_speed"],
+        motor_power=d["joint.motor_power"],
+        has_limits=d["joint.motor_has_joint_limits"],
+        lower_limit=d["joint.min_rotation"],
+        upper_limit=d["joint.max_rotation"],
+        thruster_active=d["thruster.active"],
+        thruster_body=d["thruster.object_index"],
+        thruster_position=d["thruster.relative_position"],
+        thruster_angle=d["thruster.rotation"],
+        thruster_power=d["thruster.power"],
+        gravity=d["gravity"],
+    )
+    joint_impulse = np.zeros((*d["joint.active"].shape, JOINT_IMPULSES), np.float32)
+    joint_impulse[..., :2] = -d["joint.acc_impulse"]
+    joint_impulse[..., 2] = -d["joint.acc_r_impulse"]
+    count, slots = len(d["gravity"]), capacity.contact_slots
+    state = State(
+        position=shapes("position"),
+        angle=shapes("rotation"),
+        velocity=shapes("velocity"),
+        angular_velocity=shapes("angular_velocity"),
+        joint_impulse=joint_impulse,
+        contact_key=np.full((count, slots), -1, np.int32),
+        contact_impulse=np.zeros((count, slots, 2), np.float32),
+    )
+    key = d["contact_pair"] @ np.array([KEY_A, KEY_B]) + d["contact_order"]
+    return Steps(
+        capacity=capacity,
+        scene=scene,
+        controls=Controls(motor=d["action"][:, : capacity.joints], thruster=d["action"][:, capacity.joints :]),
+        state=state,
+        contact_key=np.where(d["contact_active"], key, -1).astype(np.int32),
+        contact_impulse=d["contact_impulse"],
+        after={
+            (precision, start): d[name]
+            for precision in ("float32", "float64")
+            for start in ("warm", "cold")
+            if (name := f"after.{precision}.{start}") in d
+        },
+    )
+
+
+def counter_clockwise(vertices: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """[S, P, V, 2] with the first corner first, unused slots repeating the last corner."""
+    slot = np.arange(vertices.shape[2])
+    source = np.where(slot == 0, 0, np.maximum(counts[..., None] - slot, 1))
+    return np.take_along_axis(vertices, source[..., None], axis=2)
+
+
+def warm(steps: Steps) -> State:
+    """The states with the impulses that the published engine remembers of its contacts."""
+    keys, impulses = np.array(steps.state.contact_key), np.array(steps.state.contact_impulse)
+    for i, key in enumerate(steps.contact_key):
+        used = np.flatnonzero(key >= 0)
+        if len(used) > keys.shape[1]:
+            raise ValueError(f"state {i} remembers {len(used)} contacts; {steps.capacity} has {keys.shape[1]} slots")
+        keys[i, : len(used)], impulses[i, : len(used)] = key[used], steps.contact_impulse[i, used]
+    return dataclasses.replace(steps.state, contact_key=keys, contact_impulse=impulses)
+
+
+def differences(ours: State, theirs: np.ndarray, active: np.ndarray) -> dict[str, np.ndarray]:
+    """Largest difference of each field in each state, [S], in units of 1 + the field's largest value there."""
+    fields = {
+        "position": (ours.position, theirs[..., 0:2]),
+        "angle": (ours.angle, theirs[..., 2]),
+        "velocity": (ours.velocity, theirs[..., 3:5]),
+        "angular_velocity": (ours.angular_velocity, theirs[..., 5]),
+    }
+
+    def largest(x: Any) -> np.ndarray:
+        x = np.abs(np.asarray(x, np.float64)).reshape(*active.shape, -1)
+        return np.max(np.where(active[..., None], x, 0), axis=(1, 2))
+
+    return {name: largest(x - y) / (1 + largest(y)) for name, (x, y) in fields.items()}
+
+
+OF_ALL_STATES = ("contact_pair", "contact_order", "described")
+NOT_NEEDED = ("global_position", "collision_mode")
+
+
+def write_excerpt(file: Path, to: Path, moments: int = 8) -> None:
+    """`moments` states of each level lie side by side, first as played, then stirred."""
+    with np.load(file) as archive:
+        d = {name: archive[name] for name in archive.files}
+    contacts = d["contact_active"].sum(axis=1).reshape(-1, moments)
+    chosen = np.arange(len(contacts)) * moments + contacts.argmax(axis=1)
+    kept = {
+        name: value if name in OF_ALL_STATES else value[chosen]
+        for name, value in d.items()
+        if name.split(".")[-1] not in NOT_NEEDED and (not name.startswith("after.") or name == "after.float64.warm")
+    }
+    np.savez_compressed(to, **kept)
+
+
+if __name__ == "__main__":
+    write_excerpt(Path(sys.argv[1]), Path(sys.argv[2]))
