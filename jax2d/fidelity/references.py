@@ -3,8 +3,8 @@
     python -m jax2d.fidelity.references [SCENE ...]     computes them again (minutes), into references.json beside it
 
 Preset `reference` (float64, 1,024 steps in 1/60 s, stiffness that rises with 1/h) in the reference backend; the file
-keeps where each movable body is at every tenth of a second, and how far half as many steps end from there. An error
-is accepted when it is at least TRUST times that distance: smaller ones may be errors of the reference.
+keeps where each movable body is at every tenth of a second from `judged_from` on, and how far half as many steps end
+from there. An error is accepted when it is at least TRUST times that distance: smaller ones may be the reference's.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ def _study_scene(scene: ReferenceScene, stored: dict[str, Any] | None) -> StudyS
             f"run python -m jax2d.fidelity.references {scene.name}"
         )
     error = error_against(scene, world, np.array(stored["position"]))
+    when = f"from {scene.judged_from:g} to {scene.seconds:g} s" if scene.judged_from else f"in {scene.seconds:g} s"
 
     def build(builder: SceneBuilder) -> Error:
         scene.build(builder)
@@ -62,7 +63,7 @@ def _study_scene(scene: ReferenceScene, stored: dict[str, Any] | None) -> StudyS
 
     return StudyScene(
         name=scene.name,
-        metric=f"largest position error of a body in {scene.seconds:g} s / {scene.length:g} m (reference solution)",
+        metric=f"largest position error of a body {when} / {scene.length:g} m (reference solution)",
         seconds=scene.seconds,
         capacity=CAPACITY,
         gravity=G,
@@ -75,7 +76,7 @@ def _study_scene(scene: ReferenceScene, stored: dict[str, Any] | None) -> StudyS
 def error_against(scene: ReferenceScene, world: BuiltWorld, truth: np.ndarray) -> Error:
     """Largest distance of a movable body from `truth` [moments, movable, 2] over `scene.length`."""
     bodies = movable(world)
-    moments = np.arange(1, len(truth) + 1) / MOMENTS_A_SECOND
+    moments = moments_of(scene) / MOMENTS_A_SECOND
 
     def error(path: Path) -> float:
         steps = moments / path.dt
@@ -85,6 +86,11 @@ def error_against(scene: ReferenceScene, world: BuiltWorld, truth: np.ndarray) -
         return float(np.linalg.norm(there - truth, axis=-1).max()) / scene.length
 
     return error
+
+
+def moments_of(scene: ReferenceScene) -> np.ndarray:
+    """Which tenths of a second are judged."""
+    return np.arange(max(1, round(scene.judged_from * MOMENTS_A_SECOND)), round(scene.seconds * MOMENTS_A_SECOND) + 1)
 
 
 def movable(world: BuiltWorld) -> np.ndarray:
@@ -101,7 +107,12 @@ def signature(scene: ReferenceScene) -> list[float]:
         return float(flat @ np.cos(np.arange(len(flat))))
 
     fields = [getattr(world.scene, field.name) for field in dataclasses.fields(world.scene)]
-    return [scene.seconds, scene.control, *(round(number(values), 6) for values in (*fields, *world[1:]))]
+    return [
+        scene.seconds,
+        scene.control,
+        scene.judged_from,
+        *(round(number(values), 6) for values in (*fields, *world[1:])),
+    ]
 
 
 # Computing them
@@ -148,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in chosen:
         started = time.perf_counter()
         scene = REFERENCE_SCENES[name]
-        coarse, fine = solve(scene, divisions=(512, 1024))
+        coarse, fine = (x[moments_of(scene) - 1] for x in solve(scene, divisions=(512, 1024)))
         if not np.isfinite(fine).all():
             Console(stderr=True).print(f"{name}: the reference solution is not finite; change the scene")
             return 1

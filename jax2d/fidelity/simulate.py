@@ -37,7 +37,7 @@ class Moments:
     """What it takes to time a motion: one world at many times of it. Host arrays."""
 
     scene: Any  # packed, [rows, 1]
-    states: Any  # packed, [rows, up to MOMENTS]
+    states: Any  # packed, [rows, MOMENTS]; a motion of few steps has some of them several times
     controls: Controls  # of one world
 
 
@@ -150,11 +150,7 @@ class Group:
         engine = self.engine(settings)
         advance = self._program(settings, steps, record=False)
         with self._precision():
-            which = jnp.arange(worlds) % jax.tree.leaves(moments.states)[0].shape[-1]
-            state = jax.tree.map(lambda x: jnp.asarray(x)[..., which], moments.states)
-            scene = jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x), worlds, -1), moments.scene)
-            controls = jax.tree.map(lambda x: jnp.repeat(jnp.asarray(x)[None], worlds, 0), moments.controls)
-            arguments = jax.block_until_ready((scene, state, controls))
+            arguments = jax.block_until_ready(_batch(moments.scene, moments.states, moments.controls, worlds=worlds))
             started = time.perf_counter()
             jax.block_until_ready(advance(engine.backend.parameters, *arguments))
             seconds = time.perf_counter() - started
@@ -186,7 +182,18 @@ class Group:
 
 def _moments_of(num_steps: int) -> list[int]:
     """Chunks before which a motion's states are kept: spread over it, the first included."""
-    return np.unique(np.linspace(0, max(0, num_steps // CHUNK_STEPS - 1), MOMENTS).round().astype(int)).tolist()
+    return np.linspace(0, max(0, num_steps // CHUNK_STEPS - 1), MOMENTS).round().astype(int).tolist()
+
+
+@functools.partial(jax.jit, static_argnames="worlds")
+def _batch(scene: Any, states: Any, controls: Controls, *, worlds: int) -> tuple[Any, Any, Controls]:
+    """(packed scene, packed states, controls) of a batch of one scene at its many moments."""
+    which = jnp.arange(worlds) % MOMENTS
+    return (
+        jax.tree.map(lambda x: jnp.repeat(x, worlds, -1), scene),
+        jax.tree.map(lambda x: x[..., which], states),
+        jax.tree.map(lambda x: jnp.repeat(x[None], worlds, 0), controls),
+    )
 
 
 def _visible(engine: Engine, packed: Any, add_axis: bool = False) -> tuple[jax.Array, ...]:

@@ -58,7 +58,7 @@ class Measurement:
     """How costs are measured."""
 
     worlds: int
-    steps: int = 32  # of one timed run
+    steps: int  # of one timed run
     repeats: int = 5
 
 
