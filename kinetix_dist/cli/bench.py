@@ -4,7 +4,11 @@ The JSON is a list of records, one a measurement that succeeded, with exactly th
 
     {"engine": "ours"|"published", "backend", "preset", "size", "worlds", "device", "physics_steps_per_second"}
 
-How it is measured stands in `bench_engine.py`; what it takes to compare, in bench/README.md.
+How it is measured stands in `bench_engine.py`; what it takes to compare, in bench/README.md. With `--effects` the
+question is what each effect costs; `bench_effects.py` says how that is measured. Its records:
+
+    {"size", "effect", "engine": "full"|"without"|"specialised", "worlds", "device", "us_per_world_step",
+     "relative_to_full"}
 """
 
 from __future__ import annotations
@@ -24,6 +28,8 @@ SIZES = ("s", "m", "l")
 WORLDS_CPU = (64, 256, 1024)
 WORLDS_GPU = (2048, 16384, 131072, 262144)
 WORLDS_OF_GROWTH = (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000)
+# For effects: enough for a launch not to count.
+EFFECTS_WORLDS_CPU, EFFECTS_WORLDS_GPU = (1000,), (131072,)
 # Where the published engine stops by default: on a CPU one run would take minutes, on a GPU memory runs out.
 PEER_MAX_WORLDS_CPU = {"s": 1024, "m": 1024, "l": 256}
 PEER_MAX_WORLDS_GPU = {"s": 131072, "m": 131072, "l": 32768}
@@ -52,6 +58,8 @@ class Args:
     levels: Path | None = None
     """Folder of the public Kinetix levels (s/, m/, l/). Default: $KINETIX_LEVELS, else beside the checkout, else
     levels drawn at random."""
+    effects: bool = False
+    """What each effect (friction, joints, ...) costs, instead of how fast the engine is; with the first preset."""
     peers: bool = False
     """Also run the published jax2d, turn by turn with ours (bench/peers/setup.sh installs it)."""
     growth: bool = False
@@ -73,7 +81,7 @@ def run(args: Args) -> int:
     if args.peers:  # two processes share a GPU in turns: neither may take all its memory (read when jax starts)
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     with user_errors(ImportError):
-        from kinetix_dist.cli import bench_engine
+        from kinetix_dist.cli import bench_effects, bench_engine
 
     if args.json is not None:
         with user_errors(OSError):
@@ -81,7 +89,7 @@ def run(args: Args) -> int:
             args.json.touch()
     if args.growth:
         return _growth(args)
-    records, failures = bench_engine.measure(args, report=print)
+    records, failures = (bench_effects if args.effects else bench_engine).measure(args, report=print)
     if args.json is not None:
         args.json.write_text(json.dumps(records, indent=1) + "\n")
         print(f"{len(records)} records in {args.json}")
@@ -115,5 +123,9 @@ def _validate(args: Args) -> None:
             raise UserError(f"--worlds has {worlds}; give 1 or more")
     if args.levels is not None and not args.levels.is_dir():
         raise UserError(f"--levels {args.levels} is not a folder; give one with s/, m/ and l/ of level files")
-    if not args.sizes:
-        raise UserError("--sizes is empty; give one or more of s, m, l")
+    if args.effects and args.peers:
+        raise UserError("--effects compares our engine with itself; leave --peers out")
+    if args.effects and args.backend != "warp":
+        raise UserError(f"--effects with --backend {args.backend}: only backend 'warp' leaves effects out")
+    if not args.sizes or not args.presets:
+        raise UserError("--sizes or --presets is empty; give one or more, such as --sizes s --presets standard")

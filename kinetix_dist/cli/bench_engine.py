@@ -34,7 +34,7 @@ from kinetix_dist.cli.bench_peer import Peer, PeerError
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.kinetix_format import export_kinetix, load_kinetix
-from kinetix_dist.level.level import SIZES
+from kinetix_dist.level.level import SIZES, Level
 
 EPISODE_STEPS = 512  # physics steps: 256 environment steps of 2
 FRAME_SKIP = 2
@@ -118,8 +118,7 @@ class OurEngine:
     def __init__(self, args: Args, size: str, files: list[Path], worlds: int, preset_name: str, device: Any) -> None:
         with user_errors(ValueError):
             engine = Engine(SIZES[size], settings=preset(preset_name), backend=args.backend)
-        with user_errors(ValueError, OSError):
-            levels = stack_worlds([fit_level(load_kinetix(file), SIZES[size]) for file in files])
+        levels = load_levels(files, size)
         num_levels = len(files)
         num_joints, num_thrusters = SIZES[size].joints, SIZES[size].thrusters
         order = jnp.arange(worlds) % num_levels
@@ -165,6 +164,12 @@ class OurEngine:
         started = time.perf_counter()
         self._state = jax.block_until_ready(self._run_steps(self._scene, self._state, key))
         return time.perf_counter() - started
+
+
+def load_levels(files: list[Path], size: str) -> Level:
+    """The levels of these files as one batch."""
+    with user_errors(ValueError, OSError):
+        return stack_worlds([fit_level(load_kinetix(file), SIZES[size]) for file in files])
 
 
 @contextmanager

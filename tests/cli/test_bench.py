@@ -8,11 +8,15 @@ import os
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from kinetix_dist.cli.bench_growth import Record, exponent
 from kinetix_dist.cli.growth_scenes import SCENES
+from jax2d.effects import EFFECTS, effects_of
+from kinetix_dist.cli.bench_effects import without
 from kinetix_dist.cli.main import main
+from kinetix_dist.level.sets import load_level_set
 from tests.helpers import REPOSITORY
 
 FIELDS = {"engine", "backend", "preset", "size", "worlds", "device", "physics_steps_per_second"}
@@ -44,6 +48,8 @@ def test_records_have_exactly_the_documented_fields(tmp_path: Path) -> None:
         (["--levels", "no/such/folder"], "no/such/folder"),
         (["--presets", "exact", "--worlds", "2", "--sizes", "s"], "exact"),
         (["--backend", "cuda", "--worlds", "2", "--sizes", "s"], "cuda"),
+        (["--effects", "--peers"], "--effects"),
+        (["--effects", "--backend", "xla"], "--backend xla"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(
@@ -79,6 +85,35 @@ def test_the_exponent_of_growth_is_that_of_the_power_law() -> None:
 def test_worlds_of_growth_have_as_many_shapes_as_asked_for(scene: str, shapes: int) -> None:
     world = SCENES[scene](shapes)
     assert world.scene.shape_active.all() and world.scene.shape_active.size == shapes
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_levels_edited_to_do_without_an_effect_do_not_call_for_it(effect: str) -> None:
+    scene = load_level_set("designed_l")[0].scene
+    everything_meets = np.broadcast_to(~np.eye(scene.can_touch.shape[-1], dtype=bool), scene.can_touch.shape)
+    bounces = np.full_like(scene.restitution, 0.5)
+    scene = dataclasses.replace(scene, can_touch=everything_meets, restitution=bounces)
+    before, after = effects_of(scene), effects_of(without(scene, effect))
+    gone = {effect} | ({"motors", "joint_limits"} if effect == "revolute_joints" else set())
+    if effect == "continuous_collision":  # all that may touch calls for it
+        gone = set()
+    assert all(getattr(before, name) for name in EFFECTS)
+    assert {name for name in EFFECTS if not getattr(after, name)} == gone
+
+
+@pytest.mark.slow
+def test_every_effect_is_measured_with_and_without_its_code(tmp_path: Path) -> None:
+    records = bench(tmp_path / "effects.json", "--effects", "--worlds", "4", "--presets", "standard")
+    fields = {"size", "effect", "engine", "worlds", "device", "us_per_world_step", "relative_to_full"}
+    assert all(set(record) == fields for record in records)
+    measured = [(record["effect"], record["engine"]) for record in records]
+    assert len(set(measured)) == len(measured)
+    assert {effect for effect, engine in measured if engine == "without"} == set(EFFECTS)
+    assert {effect for effect, engine in measured if engine == "full"} == {
+        "all", "bouncing everywhere", "empty scene", "one falling box", *EFFECTS
+    } - {"continuous_collision"}  # fmt: skip
+    assert ("all", "specialised") in measured
+    assert records[0]["relative_to_full"] == 1.0
 
 
 def test_our_own_engine_is_not_taken_for_the_published_one(
