@@ -15,12 +15,14 @@ as they are and it has no row "full".
 
 Worlds start where the full engine is at a random moment of their episodes, and every run starts there again: in
 `steps` physics steps the absence of an effect changes little about where things are. Actions are drawn before. Engines
-take turns run by run. A time includes the launches, one for every 2 physics steps.
+take turns run by run, in random order. A time includes the launches, one for every 2 physics steps. On a CPU it is
+what this process computed, so that other jobs count little: a launch uses one core.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import random
 import statistics
 import time
 from collections.abc import Callable
@@ -139,13 +141,16 @@ def _measure_size(args: Args, size: str, levels: Level, worlds: int, device: Any
     # One program an engine: cases of the same engine differ in what they are given.
     engines = {effects: Engine(capacity, settings=settings, effects=effects) for effects in {c.effects for c in cases}}
     programs = {effects: _program(engine) for effects, engine in engines.items()}
+    clock = time.perf_counter if device.platform == "gpu" else time.process_time
     seconds: list[list[float]] = [[] for _ in cases]
+    turns = random.Random(args.seed)
     for repeat in range(1 + args.repeats):
-        for case, times in zip(cases, seconds, strict=True):
-            started = time.perf_counter()
+        # In another order each turn: caches are warm or cold by what ran before.
+        for case, times in turns.sample(list(zip(cases, seconds, strict=True)), len(cases)):
+            started = clock()
             jax.block_until_ready(programs[case.effects](case.scene, case.start, controls))
             if repeat:  # the first run compiles
-                times.append(time.perf_counter() - started)
+                times.append(clock() - started)
     reference = statistics.median(seconds[0])
     return [
         {
