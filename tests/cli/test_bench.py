@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinetix_dist.cli.bench_growth import Record, exponent
-from kinetix_dist.cli.growth_scenes import SCENES
 from jax2d.effects import EFFECTS, effects_of
 from kinetix_dist.cli.bench_effects import without
+from kinetix_dist.cli.bench_growth import Record, exponent
+from kinetix_dist.cli.growth_scenes import SCENES
 from kinetix_dist.cli.main import main
 from kinetix_dist.level.sets import load_level_set
 from tests.helpers import REPOSITORY
@@ -49,6 +49,7 @@ def test_records_have_exactly_the_documented_fields(tmp_path: Path) -> None:
         (["--presets", "exact", "--worlds", "2", "--sizes", "s"], "exact"),
         (["--backend", "cuda", "--worlds", "2", "--sizes", "s"], "cuda"),
         (["--effects", "--peers"], "--effects"),
+        (["--effects", "--growth"], "--growth"),
         (["--effects", "--backend", "xla"], "--backend xla"),
     ],
 )
