@@ -19,6 +19,7 @@ NATIVE_FILES = (
     "bodies.h",
     "manifolds.h",
     "sweep.h",
+    "pairs.h",
     "contacts.h",
     "joints.h",
     "forces.h",

@@ -23,14 +23,13 @@ struct Softness {
 struct Contacts {
   Contact list[NUM_CONTACTS + 1];
   int count, overflow;
-  Sweep sweep;    // in kernels of many shapes only
+  Pairs pairs;
   bool swinging;  // a body with a contact turns too far in a step for contacts found once
 
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << 22) | (slot_b << 12) | feature; }
 
-  // Searches the pairs that may touch (all, or those that a sweep finds near each other), in slot order, so that keys
-  // ascend and old impulses are found by one walk over the old list. `reach` is the distance at which a contact is
-  // prepared.
+  // Looks at the pairs near each other in the order of slots, so that keys ascend and old impulses are found by one walk
+  // over the old list. `reach` is the distance at which a contact is prepared.
   KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
                 const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
                 bool ahead) {
@@ -40,87 +39,62 @@ struct Contacts {
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
     bool warm = params.get(PARAM_WARM_START) != real(0);
-    int old_slot = 0;
-    if (SWEEP) sweep.find(bodies, geometry, reach, dt, ahead);
-    for (int a = 0; a < NUM_SHAPES; ++a) {
-      if (!bodies.is_active(a)) continue;
-      int slot_a = Slot::of(a);
-      for (int word = SWEEP ? sweep.first_word(a) : slot_a / 32; word < TOUCH_WORDS;
-           word = SWEEP ? sweep.next_word(a, word) : word + 1) {
-        unsigned int partners = (unsigned int)(ints.get(INTS_PARTNERS + slot_a * TOUCH_WORDS + word));
-        if (SWEEP) partners &= sweep.nearby(a, word);
-        while (partners != 0u) {  // only partners in later slots are stored
-          int slot_b = word * 32 + Math::lowest_bit(partners);
-          partners &= partners - 1u;
-          if (!Slot::in_use(slot_b)) continue;
-          int b = Slot::shape(slot_b);
-          Vec2 d = bodies.position[b] - bodies.position[a];
-          real margin = reach;
-          if (ahead) margin = margin_ahead(bodies, geometry, a, b, reach, dt);
-          if (!geometry.bounds_overlap(a, b, d, margin)) continue;
-          Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], bodies.omega[a], margin);
-          if (m.count == 0) continue;
-          if (ahead) swinging |= swings(bodies, geometry, a, reach, dt) || swings(bodies, geometry, b, reach, dt);
-          real friction = real(0), restitution = real(0);
-          if (HAS_FRICTION)
-            friction = mix_friction(scene.get(SCENE_FRICTION + slot_a), scene.get(SCENE_FRICTION + slot_b), params);
-          if (HAS_RESTITUTION)
-            restitution = Math::min(scene.get(SCENE_RESTITUTION + slot_a), scene.get(SCENE_RESTITUTION + slot_b));
-          int pair_key = key_of(slot_a, slot_b, 0);
-          while (old_slot < CAPACITY_CONTACTS) {  // keys of earlier pairs are behind us for good
-            int key = old_keys.get(old_slot);
-            if (key < 0 || key >= pair_key) break;
-            ++old_slot;
-          }
-          for (int p = 0; p < m.count; ++p) {
-            if (count == NUM_CONTACTS) {
-              ++overflow;
-              continue;
-            }
-            Contact& c = list[count++];
-            c.a = a;
-            c.b = b;
-            c.key = pair_key | m.points[p].feature;
-            c.normal = m.normal;
-            // Where the surfaces are apart each is met at its own point: they will have moved together by then.
-            Vec2 half_gap = m.normal * (real(0.5) * Math::max(m.points[p].separation, real(0)));
-            c.arm_a = m.points[p].point - half_gap;
-            c.arm_b = m.points[p].point + half_gap - d;
-            c.separation = m.points[p].separation;
-            c.friction = friction;
-            c.restitution = restitution;
-            c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
-            c.mass_normal = pair_mass(bodies, c, m.normal);
-            c.mass_tangent = pair_mass(bodies, c, m.normal.right());
-            c.impulse_normal = real(0);
-            c.impulse_tangent = real(0);
-            c.most_impulse = real(0);
-            for (int s = old_slot; warm && s < CAPACITY_CONTACTS; ++s) {
-              int key = old_keys.get(s);
-              if (key < 0 || (key >> 12) != (pair_key >> 12)) break;
-              if (key == c.key) {
-                c.impulse_normal = old_impulses.get(IMPULSE_CONTACT + 2 * s);
-                c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT + 2 * s + 1);
-                break;
-              }
-            }
-            c.approach = c.normal.dot(relative_velocity(bodies, c));
+    pairs.find(bodies, geometry, ints, reach, dt, ahead);
+    PairWalk walk = PairWalk::over(pairs);
+    int old_slot = 0, slot_b;
+    while ((slot_b = walk.next_slot(pairs)) >= 0) {
+      int a = walk.a, b = Slot::shape(slot_b), slot_a = Slot::of(a);
+      Vec2 d = bodies.position[b] - bodies.position[a];
+      real margin = Pairs::margin(bodies, geometry, a, b, reach, dt, ahead);
+      Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], bodies.omega[a], margin);
+      if (m.count == 0) continue;
+      if (ahead) swinging |= swings(bodies, geometry, a, reach, dt) || swings(bodies, geometry, b, reach, dt);
+      real friction = real(0), restitution = real(0);
+      if (HAS_FRICTION)
+        friction = mix_friction(scene.get(SCENE_FRICTION + slot_a), scene.get(SCENE_FRICTION + slot_b), params);
+      if (HAS_RESTITUTION)
+        restitution = Math::min(scene.get(SCENE_RESTITUTION + slot_a), scene.get(SCENE_RESTITUTION + slot_b));
+      int pair_key = key_of(slot_a, slot_b, 0);
+      while (old_slot < CAPACITY_CONTACTS) {  // keys of earlier pairs are behind us for good
+        int key = old_keys.get(old_slot);
+        if (key < 0 || key >= pair_key) break;
+        ++old_slot;
+      }
+      for (int p = 0; p < m.count; ++p) {
+        if (count == NUM_CONTACTS) {
+          ++overflow;
+          continue;
+        }
+        Contact& c = list[count++];
+        c.a = a;
+        c.b = b;
+        c.key = pair_key | m.points[p].feature;
+        c.normal = m.normal;
+        // Where the surfaces are apart each is met at its own point: they will have moved together by then.
+        Vec2 half_gap = m.normal * (real(0.5) * Math::max(m.points[p].separation, real(0)));
+        c.arm_a = m.points[p].point - half_gap;
+        c.arm_b = m.points[p].point + half_gap - d;
+        c.separation = m.points[p].separation;
+        c.friction = friction;
+        c.restitution = restitution;
+        c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
+        c.mass_normal = pair_mass(bodies, c, m.normal);
+        c.mass_tangent = pair_mass(bodies, c, m.normal.right());
+        c.impulse_normal = real(0);
+        c.impulse_tangent = real(0);
+        c.most_impulse = real(0);
+        for (int s = old_slot; warm && s < CAPACITY_CONTACTS; ++s) {
+          int key = old_keys.get(s);
+          if (key < 0 || (key >> 12) != (pair_key >> 12)) break;
+          if (key == c.key) {
+            c.impulse_normal = old_impulses.get(IMPULSE_CONTACT + 2 * s);
+            c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT + 2 * s + 1);
+            break;
           }
         }
+        c.approach = c.normal.dot(relative_velocity(bodies, c));
       }
     }
-  }
-
-  // A contact is prepared within `reach`, or within what the pair moves in a step, so that it does not end inside; and
-  // within both for a body that could step over what is in its way.
-  KFN static real margin_ahead(const Bodies& bodies, const Geometry& geometry, int a, int b, real reach, real dt) {
-    Vec2 relative = bodies.velocity[b] - bodies.velocity[a];
-    real spin_a = bodies.omega[a] < real(0) ? -bodies.omega[a] : bodies.omega[a];
-    real spin_b = bodies.omega[b] < real(0) ? -bodies.omega[b] : bodies.omega[b];
-    real motion = (relative.length() + spin_a * (geometry.extent[a] - geometry.core[a]) +
-                   spin_b * (geometry.extent[b] - geometry.core[b])) * dt;
-    real safe = real(0.5) * Math::min(geometry.core[a], geometry.core[b]);
-    return motion > safe ? reach + motion : Math::max(reach, motion);
   }
 
   // Contact points and normals of a step hold for small turns only: a rod that spins fast sweeps over what they say.

@@ -21,7 +21,7 @@ struct World {
   KFN void run(int num_steps, const IntColumn& out) {
     bodies.load(scene, ints, state);
     thrusters.load(scene, ints, controls, params);
-    if (SWEEP) contacts.sweep.load(bodies);
+    if (SWEEP) contacts.pairs.sweep.load(bodies);
     overflow = 0;
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {

@@ -2,7 +2,7 @@
 //
 // Bounds are widened by each shape's share of what the pair's margin can be and sorted by their lower ends along one
 // axis; each then meets those that begin before it ends. That costs n log n and one comparison for each pair that
-// overlaps along the axis. What is found holds every pair that Contacts::find would find by testing them all, and
+// overlaps along the axis. What is found holds every pair that Pairs::find would find by testing them all, and
 // contacts still come in the order of slots, so both searches give bitwise the same.
 
 struct Sweep {

@@ -1,0 +1,74 @@
+// Which pairs of shapes are near each other: their bounds overlap when widened by the margin of the pair.
+//
+// They are found before any is looked at closely. The worlds of a GPU's warp run in lockstep: so each goes to its own next
+// pair, where a loop over all pairs would have every world wait at each pair that is near in any of them.
+
+struct Pairs {
+  Sweep sweep;                                                    // in kernels of many shapes, else:
+  unsigned int rows[SWEEP ? 1 : NUM_SHAPES * TOUCH_WORDS + 1];  // row a, bit of slot b: near; only later slots
+
+  // `reach` is the distance at which a contact is prepared.
+  KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real dt, bool ahead) {
+    if (SWEEP) sweep.find(bodies, geometry, reach, dt, ahead);
+    for (int a = 0; a < NUM_SHAPES; ++a) {
+      for (int word = first_word(a); word < TOUCH_WORDS; word = next_word(a, word)) {
+        unsigned int partners = 0u, near = 0u;
+        if (bodies.is_active(a)) partners = (unsigned int)(ints.get(INTS_PARTNERS + Slot::of(a) * TOUCH_WORDS + word));
+        if (SWEEP) partners &= sweep.nearby(a, word);
+        for (; partners != 0u; partners &= partners - 1u) {
+          int slot_b = word * 32 + Math::lowest_bit(partners);
+          if (!Slot::in_use(slot_b)) continue;
+          int b = Slot::shape(slot_b);
+          Vec2 d = bodies.position[b] - bodies.position[a];
+          if (geometry.bounds_overlap(a, b, d, margin(bodies, geometry, a, b, reach, dt, ahead)))
+            near |= partners & (~partners + 1u);  // its lowest bit
+        }
+        row(a, word) = near;
+      }
+    }
+  }
+
+  // The words of row a that may hold a bit, in turn; TOUCH_WORDS or more after the last.
+  KFN int first_word(int a) const { return SWEEP ? sweep.first_word(a) : Slot::of(a) / 32; }
+  KFN int next_word(int a, int word) const { return SWEEP ? sweep.next_word(a, word) : word + 1; }
+  KFN unsigned int& row(int a, int word) { return SWEEP ? sweep.rows[a * TOUCH_WORDS + word] : rows[a * TOUCH_WORDS + word]; }
+
+  // A contact is prepared within `reach`, or within what the pair moves in a step, so that it does not end inside; and
+  // within both for a body that could step over what is in its way.
+  KFN static real margin(const Bodies& bodies, const Geometry& geometry, int a, int b, real reach, real dt, bool ahead) {
+    if (!ahead) return reach;
+    Vec2 relative = bodies.velocity[b] - bodies.velocity[a];
+    real spin_a = bodies.omega[a] < real(0) ? -bodies.omega[a] : bodies.omega[a];
+    real spin_b = bodies.omega[b] < real(0) ? -bodies.omega[b] : bodies.omega[b];
+    real motion = (relative.length() + spin_a * (geometry.extent[a] - geometry.core[a]) +
+                   spin_b * (geometry.extent[b] - geometry.core[b])) * dt;
+    real safe = real(0.5) * Math::min(geometry.core[a], geometry.core[b]);
+    return motion > safe ? reach + motion : Math::max(reach, motion);
+  }
+};
+
+// The pairs found, one after another, in the order of slots.
+struct PairWalk {
+  int a, word;
+  unsigned int left;  // of the row
+
+  KFN static PairWalk over(Pairs& pairs) {
+    int word = pairs.first_word(0);
+    return {0, word, word < TOUCH_WORDS ? pairs.row(0, word) : 0u};
+  }
+
+  // Goes to the next pair and gives the slot of b; -1 after the last.
+  KFN int next_slot(Pairs& pairs) {
+    while (left == 0u) {
+      if (word < TOUCH_WORDS) word = pairs.next_word(a, word);
+      if (word >= TOUCH_WORDS) {
+        if (++a == NUM_SHAPES) return -1;
+        word = pairs.first_word(a);
+      }
+      if (word < TOUCH_WORDS) left = pairs.row(a, word);
+    }
+    int slot_b = word * 32 + Math::lowest_bit(left);
+    left &= left - 1u;
+    return slot_b;
+  }
+};
