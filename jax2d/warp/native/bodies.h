@@ -54,9 +54,10 @@ struct Bodies {
     }
   }
 
-  KFN void begin_step() {
+  // `fixed_too`: in the first step of a call; what cannot move stays as it was made then.
+  KFN void begin_step(bool fixed_too) {
     for (int i = 0; i < NUM_SHAPES; ++i) {
-      if (!is_active(i)) continue;
+      if (!is_active(i) || (!fixed_too && !is_dynamic(i))) continue;
       delta[i] = {real(0), real(0)};
       turn[i] = real(0);
       rotation[i] = {cosf(angle[i]), sinf(angle[i])};

@@ -37,9 +37,10 @@ struct Geometry {
 
   KFN int successor(int polygon, int k) const { return k + 1 < corners[polygon] ? k + 1 : 0; }
 
-  KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies) {
+  // `fixed_too`: as in Bodies::begin_step.
+  KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies, bool fixed_too) {
     for (int p = 0; p < NUM_POLYGONS; ++p) {
-      if (!bodies.is_active(p)) continue;
+      if (!bodies.is_active(p) || (!fixed_too && !bodies.is_dynamic(p))) continue;
       corners[p] = ints.get(INTS_NUM_VERTICES + p);
       Rotation q = bodies.rotation[p];
       Vec2 lo = {real(1e30), real(1e30)}, hi = {real(-1e30), real(-1e30)};

@@ -15,6 +15,7 @@ struct World {
   Thrusters thrusters;
   unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
   unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
+  bool first;       // nothing has been prepared in this call yet
   bool noting_now;  // in the last step of the call
   int overflow;
 
@@ -23,6 +24,7 @@ struct World {
     thrusters.load(scene, ints, controls, params);
     if (SWEEP) contacts.pairs.sweep.load(bodies);
     overflow = 0;
+    first = true;
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {
       noting_now = step == num_steps - 1;
@@ -65,8 +67,9 @@ struct World {
     for (int substep = 0; substep < substeps; ++substep) {
       // One call of each function: what is inlined twice is twice the code.
       if (anew || substep == 0) {
-        bodies.begin_step();
-        geometry.build(scene, ints, bodies);
+        bodies.begin_step(first);
+        geometry.build(scene, ints, bodies, first);
+        first = false;
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, substep == 0 ? dt : h, true);
         joints.prepare(bodies, scene, controls, params, h);
         if (substep == 0) anew = contacts.swinging;
@@ -100,9 +103,10 @@ struct World {
   KFN void paper_step() {
     real dt = params.get(PARAM_DT);
     int iterations = (int)(params.get(PARAM_SUBSTEPS));
-    bodies.begin_step();
+    bodies.begin_step(first);
     bodies.apply_gravity(scene.get2(SCENE_GRAVITY), dt);
-    geometry.build(scene, ints, bodies);
+    geometry.build(scene, ints, bodies, first);
+    first = false;
     contacts.find(bodies, geometry, scene, ints, params, keys, impulses, real(0), dt, false);
     joints.prepare(bodies, scene, controls, params, dt);
     PaperJoints paper = {joints};
