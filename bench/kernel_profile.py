@@ -168,8 +168,7 @@ def phase_records(size: str, source: Path, instructions: list[Record]) -> list[R
 
 
 def load_levels(size: str, folder: Path | None, count: int, seed: int) -> Level:
-    """Public levels from a folder with s/, m/ and l/ of level files, one after another as in `bench engine`, else random
-    ones, [count, ...]."""
+    """Public levels from a folder with s/, m/ and l/ of level files, in turn as in `bench engine`, else random ones."""
     capacity = SIZES[size]
     if folder is None:
         return generate_levels(jax.random.key(seed), count, capacity, GeneratorConfig())

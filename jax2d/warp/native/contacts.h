@@ -28,8 +28,8 @@ struct Contacts {
 
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << 22) | (slot_b << 12) | feature; }
 
-  // Looks at the pairs near each other in the order of slots, so that keys ascend and old impulses are found by one walk
-  // over the old list. `reach` is the distance at which a contact is prepared.
+  // Looks at the pairs near each other in the order of slots, so that keys ascend and old impulses are found by one
+  // walk over the old list. `reach` is the distance at which a contact is prepared.
   KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
                 const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
                 bool ahead) {

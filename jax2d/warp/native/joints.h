@@ -141,7 +141,8 @@ struct Joints {
     pair.twist(twist);
   }
 
-  KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Softness& soft, real inverse_h, bool use_bias) {
+  KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Softness& soft, real inverse_h,
+                               bool use_bias) {
     real speed = pair.omega_b - pair.omega_a;
     real lower = limit_impulse(joint, angle - joint.lower, speed, joint.impulse_lower, soft, inverse_h, use_bias);
     pair.twist(lower);

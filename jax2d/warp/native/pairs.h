@@ -1,14 +1,15 @@
 // Which pairs of shapes are near each other: their bounds overlap when widened by the margin of the pair.
 //
-// They are found before any is looked at closely. The worlds of a GPU's warp run in lockstep: so each goes to its own next
-// pair, where a loop over all pairs would have every world wait at each pair that is near in any of them.
+// They are found before any is looked at closely. The worlds of a GPU's warp run in lockstep: so each goes to its own
+// next pair, where a loop over all pairs would have every world wait at each pair that is near in any of them.
 
 struct Pairs {
-  Sweep sweep;                                                    // in kernels of many shapes, else:
+  Sweep sweep;                                                  // in kernels of many shapes, else:
   unsigned int rows[SWEEP ? 1 : NUM_SHAPES * TOUCH_WORDS + 1];  // row a, bit of slot b: near; only later slots
 
   // `reach` is the distance at which a contact is prepared.
-  KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real dt, bool ahead) {
+  KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real dt,
+                bool ahead) {
     if (SWEEP) sweep.find(bodies, geometry, reach, dt, ahead);
     for (int a = 0; a < NUM_SHAPES; ++a) {
       for (int word = first_word(a); word < TOUCH_WORDS; word = next_word(a, word)) {
@@ -31,11 +32,12 @@ struct Pairs {
   // The words of row a that may hold a bit, in turn; TOUCH_WORDS or more after the last.
   KFN int first_word(int a) const { return SWEEP ? sweep.first_word(a) : Slot::of(a) / 32; }
   KFN int next_word(int a, int word) const { return SWEEP ? sweep.next_word(a, word) : word + 1; }
-  KFN unsigned int& row(int a, int word) { return SWEEP ? sweep.rows[a * TOUCH_WORDS + word] : rows[a * TOUCH_WORDS + word]; }
+  KFN unsigned int& row(int a, int word) { return (SWEEP ? sweep.rows : rows)[a * TOUCH_WORDS + word]; }
 
   // A contact is prepared within `reach`, or within what the pair moves in a step, so that it does not end inside; and
   // within both for a body that could step over what is in its way.
-  KFN static real margin(const Bodies& bodies, const Geometry& geometry, int a, int b, real reach, real dt, bool ahead) {
+  KFN static real margin(const Bodies& bodies, const Geometry& geometry, int a, int b, real reach, real dt,
+                         bool ahead) {
     if (!ahead) return reach;
     Vec2 relative = bodies.velocity[b] - bodies.velocity[a];
     real spin_a = bodies.omega[a] < real(0) ? -bodies.omega[a] : bodies.omega[a];
