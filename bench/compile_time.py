@@ -1,11 +1,12 @@
 """Seconds until the first step of an engine, with nothing cached and in a second process that finds the cache.
 
-    python bench/compile_time.py [--sizes s m l 64 128 512] [--json FILE]
+    python bench/compile_time.py [--sizes s m l 64 128 512] [--compute-capability 9.0] [--json FILE]
 
 A size is s, m, l, or a number of shapes without joints. Each measurement is a process of its own with caches in a new
 folder: "cold" compiles the kernel and the program around it, "cached" loads both. Times are from before the first step
 to its result; imports and building the scene are not part of them. `cpu_seconds` is the processor time of the same
-span, which a busy machine does not change.
+span, which a busy machine changes less. `--compute-capability` also compiles for a GPU of that kind, which need not be
+there, and reads from the result how much local memory a thread takes.
 """
 
 from __future__ import annotations
@@ -19,16 +20,21 @@ import tempfile
 import time
 from pathlib import Path
 
+import jax
+
+from jax2d import Capacity, Effects, Engine, SceneBuilder, preset
+from jax2d.warp.memory import thread_bytes
+from kinetix_dist.cli.growth_scenes import capacity_of
+from kinetix_dist.level.level import SIZES
+
+
+def capacity_named(size: str) -> Capacity:
+    return SIZES[size] if size in SIZES else capacity_of(int(size))
+
 
 def first_step(size: str) -> dict:
     """In the process measured: one world of one resting ball, stepped once."""
-    import jax
-
-    from jax2d import Engine, SceneBuilder
-    from kinetix_dist.cli.growth_scenes import capacity_of
-    from kinetix_dist.level.level import SIZES
-
-    capacity = SIZES[size] if size in SIZES else capacity_of(int(size))
+    capacity = capacity_named(size)
     builder = SceneBuilder(capacity)
     builder.add_circle(radius=0.5)
     world = builder.build()
@@ -46,7 +52,22 @@ def first_step(size: str) -> dict:
     }
 
 
-def measure(size: str) -> list[dict]:
+def compile_for_gpu(size: str, compute_capability: str) -> dict:
+    """In the process measured. Warp keeps nothing of it."""
+    capacity = capacity_named(size)
+    wall, processor = time.perf_counter(), time.process_time()
+    local = thread_bytes(capacity, preset("standard"), Effects.full(capacity), compute_capability)
+    return {
+        "size": size,
+        "shapes": capacity.shapes,
+        "device": f"compute capability {compute_capability}, compiled only",
+        "seconds": round(time.perf_counter() - wall, 3),
+        "cpu_seconds": round(time.process_time() - processor, 3),
+        "thread_bytes": local,
+    }
+
+
+def measure(size: str, compute_capability: str | None) -> list[dict]:
     records = []
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {
@@ -55,13 +76,17 @@ def measure(size: str) -> list[dict]:
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "PYTHONPATH": str(Path(__file__).resolve().parent.parent),
         }
-        for cache in ("cold", "cached"):
-            command = [sys.executable, __file__, "--first-step", size]
+        runs = [("cold", "--first-step"), ("cached", "--first-step")]
+        if compute_capability is not None:
+            runs.append(("cold", f"--compute-capability={compute_capability}"))
+        for cache, what in runs:
+            command = [sys.executable, __file__, "--in-this-process", size, what]
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             if done.returncode != 0:
-                raise SystemExit(f"the process that was to step size {size} failed:\n{done.stderr}")
+                raise SystemExit(f"the process that was to compile size {size} failed:\n{done.stderr}")
             records.append({"cache": cache} | json.loads(done.stdout.splitlines()[-1]))
-            print("{cache:<7} {size:>4} {seconds:8.2f} s {cpu_seconds:8.2f} s of processor".format(**records[-1]))
+            row = "{size:>4} {cache:<7} {seconds:8.2f} s {cpu_seconds:8.2f} s of processor, {device}"
+            print(row.format(**records[-1]), flush=True)
     return records
 
 
@@ -69,12 +94,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", nargs="+", default=["s", "m", "l", "64", "128", "512"])
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--first-step", help=argparse.SUPPRESS)
+    parser.add_argument("--compute-capability")
+    parser.add_argument("--in-this-process", help=argparse.SUPPRESS)
+    parser.add_argument("--first-step", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.first_step:
-        print(json.dumps(first_step(arguments.first_step)))
+    if arguments.in_this_process is not None:
+        size = arguments.in_this_process
+        record = first_step(size) if arguments.first_step else compile_for_gpu(size, arguments.compute_capability)
+        print(json.dumps(record))
         return
-    records = [record for size in arguments.sizes for record in measure(size)]
+    records = [record for size in arguments.sizes for record in measure(size, arguments.compute_capability)]
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(records, indent=1) + "\n")
 

@@ -5,7 +5,9 @@
 
 One record is the median of `repeats` runs from the same start, after one that compiles. A run has as many physics
 steps as fit a quarter of a second, 2 at least and 128 at most. A point that does not fit `point_seconds`, or the memory
-that is free, is left out, and its record says so. The JSON is a list of records with exactly the fields of `Record`.
+that is free, is left out, and its record says so. On a CPU seconds are those of the processor, which other jobs change
+less: a launch uses one core, so this is what it would take with that core to itself. The JSON is a list of records with
+exactly the fields of `Record`.
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ class Record:
     backend: str
     preset: str
     device: str
-    us_per_world_step: float | None = None
+    us_per_world_step: float | None = None  # of processor time on a CPU
     physics_steps_per_second: float | None = None
     steps_a_run: int | None = None
     contacts_per_world: float  # on average, at the start of a run
@@ -206,11 +208,12 @@ def _timed(args: Args, device: Any, start: Start, worlds: int, expected: float |
         keys = jax.random.split(key, steps // FRAME_SKIP)
         return jax.lax.scan(lambda x, k: (env_step(x, k, packed_scene), None), packed, keys)[0]
 
+    clock = time.perf_counter if device.platform == "gpu" else time.process_time
     seconds = []
     for key in jax.random.split(jax.random.key(args.seed), args.repeats + 1):
-        started = time.perf_counter()
+        started = clock()
         jax.block_until_ready(run(scene, state, key))
-        seconds.append(time.perf_counter() - started)
+        seconds.append(clock() - started)
     median = statistics.median(seconds[1:])  # the first one compiles
     return {
         "us_per_world_step": 1e6 * median / (worlds * steps),
