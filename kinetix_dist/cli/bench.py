@@ -114,6 +114,8 @@ def _growth(args: Args) -> int:
 
 
 def _validate(args: Args) -> None:
+    if args.growth and (args.peers or args.effects):
+        raise UserError("--growth measures our engine alone and as a whole; run --peers and --effects by themselves")
     if args.steps < 2 or args.steps % 2:
         raise UserError(f"--steps is {args.steps}; give an even number of physics steps, 2 or more")
     if args.repeats < 5:

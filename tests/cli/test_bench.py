@@ -43,6 +43,7 @@ def test_records_have_exactly_the_documented_fields(tmp_path: Path) -> None:
         (["--steps", "3"], "--steps is 3"),
         (["--repeats", "2"], "--repeats is 2"),
         (["--growth", "--shapes", "64", "3"], "a world of 3 shapes"),
+        (["--growth", "--peers"], "--growth measures our engine alone"),
         (["--growth", "--shapes", "513"], "at most 512 shapes"),
         (["--worlds", "0"], "--worlds has 0"),
         (["--levels", "no/such/folder"], "no/such/folder"),
