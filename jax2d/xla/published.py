@@ -49,12 +49,13 @@ def move_and_clip(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scal
     velocity, omega = bodies.motion
     dynamic = bodies.is_dynamic
     delta = bodies.delta + jnp.where(dynamic[:, None], velocity * dt, 0)
-    outside = jnp.clip(bodies.position + delta, -CLIP_POSITION_M, CLIP_POSITION_M) - (bodies.position + delta)
+    outside = jnp.abs(bodies.position + delta) > CLIP_POSITION_M
+    to_border = jnp.sign(bodies.position + delta) * CLIP_POSITION_M - bodies.position
     motion = Motion(jnp.clip(velocity, -max_speed, max_speed), jnp.clip(omega, -max_omega, max_omega))
-    acted = jnp.any((outside != 0) | (motion.velocity != velocity), axis=-1) | (motion.omega != omega)
+    acted = jnp.any(outside | (motion.velocity != velocity), axis=-1) | (motion.omega != omega)
     return bodies._replace(
         motion=motion,
-        delta=delta + outside,
+        delta=jnp.where(outside, to_border, delta),
         turn=bodies.turn + jnp.where(dynamic, omega * dt, 0),
         limited=bodies.limited + jnp.sum(acted & dynamic, dtype=jnp.int32),
     )
