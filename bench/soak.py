@@ -49,6 +49,7 @@ EPISODE_STEPS = 512  # physics steps, as in training
 DRAW_CHUNK = 8192  # levels drawn at once: proposals of a level take some 100 kB
 GAIN_EDGES = (0.01, 0.1, 1.0, 10.0, 100.0)  # J/kg
 GAIN_WINDOW = 4  # actions that an energy is compared with
+SETTLED_SECONDS = 1.0  # levels may start with shapes deep inside each other; by then they are apart
 QUANTILES = (0.5, 0.99, 0.999, 1.0)
 WORLDS_CPU, WORLDS_GPU = 256, 131072
 WORLDS_MEASURED = 4096  # of an episode, for overlaps: all pairs of shapes of a world are measured
@@ -62,6 +63,7 @@ class Episode(NamedTuple):
     fastest_spin: Array  # [T] rad/s
     gains: Array  # [T, len(GAIN_EDGES)] int32, worlds that gained more than each edge from nothing
     largest_gain: Array  # [W] J/kg
+    largest_gain_then: Array  # [T] J/kg
     limited: Array  # [T] int32
     overflow: Array  # [T] int32
     overlap: Array  # [<= WORLDS_MEASURED] m, deepest of each world at the end
@@ -118,6 +120,7 @@ class Soak:
                 jnp.max(jnp.where(movable, speed, 0.0)),
                 jnp.max(jnp.where(movable, jnp.abs(after.angular_velocity), 0.0)),
                 jnp.sum(gain[:, None] > jnp.array(GAIN_EDGES), axis=0, dtype=jnp.int32),
+                jnp.max(gain),
                 jnp.sum(touching.limited, dtype=jnp.int32),
                 jnp.sum(touching.overflow, dtype=jnp.int32),
             )
@@ -129,8 +132,10 @@ class Soak:
         (packed, final, _, failed_at, largest), noted = jax.lax.scan(act, first, jnp.arange(num_actions))
         some = index_worlds((scene, final.position, final.angle), slice(0, WORLDS_MEASURED))
         deepest = jax.lax.map(lambda one: jnp.max(overlaps(*one)), some, batch_size=256)
-        fastest, fastest_spin, gains, limited, overflow = noted
-        return Episode(failed_at, fastest, fastest_spin, gains, largest, limited, overflow, deepest, packed)
+        fastest, fastest_spin, gains, largest_then, limited, overflow = noted
+        return Episode(
+            failed_at, fastest, fastest_spin, gains, largest, largest_then, limited, overflow, deepest, packed
+        )
 
     def _controls(self, keys: Array, index: Array, levels: Level) -> Controls:
         """Of a uniform multi-discrete action a world."""
@@ -201,9 +206,10 @@ class Tally:
     gains: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(len(GAIN_EDGES), np.int64))
     largest_gain: float = 0.0
     largest_gain_in: dict[str, int] = dataclasses.field(default_factory=dict)
+    largest_gain_settled: float = 0.0
     overlaps: list[np.ndarray] = dataclasses.field(default_factory=list)
 
-    def add(self, number: int, episode: Episode, frame_skip: int) -> None:
+    def add(self, number: int, episode: Episode, frame_skip: int, settled_after: int) -> None:
         got: Episode = jax.device_get(episode._replace(final=None))
         actions = got.fastest.shape[0]
         for world in np.flatnonzero(got.failed_at < actions):
@@ -216,6 +222,8 @@ class Tally:
         self.limited += int(got.limited.sum(dtype=np.int64))
         self.overflow += int(got.overflow.sum(dtype=np.int64))
         self.gains += got.gains.sum(0, dtype=np.int64)
+        settled = got.largest_gain_then[settled_after:]
+        self.largest_gain_settled = max(self.largest_gain_settled, float(settled.max(initial=0.0)))
         if got.largest_gain.max() > self.largest_gain:
             self.largest_gain = float(got.largest_gain.max())
             self.largest_gain_in = {"episode": number, "world": int(got.largest_gain.argmax())}
@@ -243,6 +251,7 @@ class Tally:
             },
             "largest_gain_J_kg": round(self.largest_gain, 3),
             "largest_gain_in": self.largest_gain_in,
+            "largest_gain_settled_J_kg": round(self.largest_gain_settled, 3),
             "overlap_m": {str(q): round(float(np.quantile(deepest, q)), 5) for q in QUANTILES},
         }
 
@@ -253,6 +262,7 @@ def soak(args: argparse.Namespace) -> dict[str, Any]:
     tallies = {size: Tally(size, args.worlds) for size in args.sizes}
     soaks = {size: Soak(size, settings, args.frame_skip, args.seed) for size in args.sizes}
     levels: dict[str, Level] = {}
+    settled_after = round(SETTLED_SECONDS / (args.frame_skip * settings.dt))
     started = time.perf_counter()
     number = 0
     while sum(t.physics_steps for t in tallies.values()) < args.steps:
@@ -263,7 +273,7 @@ def soak(args: argparse.Namespace) -> dict[str, Any]:
                 tally.levels += args.worlds
                 tally.draw_seconds += time.perf_counter() - clock
             clock = time.perf_counter()
-            tally.add(number, one.play(number, worlds, levels[size]), args.frame_skip)
+            tally.add(number, one.play(number, worlds, levels[size]), args.frame_skip, settled_after)
             if number > 0:  # the first compiles
                 tally.seconds += time.perf_counter() - clock
         number += 1
@@ -291,7 +301,7 @@ def replay(args: argparse.Namespace) -> dict[str, Any]:
     named = jnp.array([world])
     result = one.play(episode, named, one.draw(episode // args.episodes_a_draw, named))
     tally = Tally(size, 1)
-    tally.add(episode, result, args.frame_skip)
+    tally.add(episode, result, args.frame_skip, settled_after=0)
     final = jax.tree.map(lambda x: np.asarray(x)[0].tolist(), one.engine.unpack_state(result.final))
     return tally.record(args.frame_skip) | {"failures": tally.failures, "final": dataclasses.asdict(final)}
 
@@ -309,6 +319,7 @@ def show(result: dict[str, Any]) -> None:
         "speed limits acted, a step": [f"{row['limits_acted_a_step']:.2g}" for row in rows],
         "contacts without a slot": [row["contact_overflow"] for row in rows],
         "largest gain, J/kg": [row["largest_gain_J_kg"] for row in rows],
+        f"after the first {SETTLED_SECONDS:g} s": [row["largest_gain_settled_J_kg"] for row in rows],
     }
     for edge in GAIN_EDGES:
         lines[f"actions that gain > {edge:g} J/kg"] = [

@@ -28,7 +28,7 @@ def test_a_world_that_is_not_finite_is_counted_with_when_and_which(soak):
     velocity[4, 4] = np.nan  # slots 0 to 3 are the walls
     episode = soak.play(0, jnp.arange(WORLDS), dataclasses.replace(levels, velocity=velocity))
     tally = Tally("s", WORLDS)
-    tally.add(0, episode, FRAME_SKIP)
+    tally.add(0, episode, FRAME_SKIP, settled_after=30)
     assert tally.failures == [{"size": "s", "episode": 0, "world": 4, "action": 0}]
     assert tally.physics_steps == WORLDS * EPISODE_STEPS
     record = tally.record(FRAME_SKIP)
