@@ -68,8 +68,8 @@ def apply_gravity(bodies: Bodies, gravity: jax.Array, dt: Scalar) -> Bodies:
     return bodies._replace(motion=Motion(jnp.where(falls, velocity + gravity * dt, velocity), omega))
 
 
-def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bodies:
-    """Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted."""
+def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies:
+    """Speed limits; each time one acts is counted."""
     velocity, omega = bodies.motion
     dynamic = bodies.is_dynamic
     speed_squared = vec2.dot(velocity, velocity)
@@ -80,9 +80,17 @@ def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bo
     omega = jnp.where(spins_too_fast, jnp.sign(omega) * max_omega, omega)
     return bodies._replace(
         motion=Motion(velocity, omega),
-        delta=bodies.delta + jnp.where(dynamic[:, None], velocity * dt, 0),
-        turn=bodies.turn + jnp.where(dynamic, omega * dt, 0),
         limited=bodies.limited + jnp.sum(too_fast, dtype=jnp.int32) + jnp.sum(spins_too_fast, dtype=jnp.int32),
+    )
+
+
+def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bodies:
+    """Semi-implicit Euler: position from the velocity just solved, within the speed limits."""
+    bodies = limit_speeds(bodies, max_speed, max_omega)
+    dynamic = bodies.is_dynamic
+    return bodies._replace(
+        delta=bodies.delta + jnp.where(dynamic[:, None], bodies.motion.velocity * dt, 0),
+        turn=bodies.turn + jnp.where(dynamic, bodies.motion.omega * dt, 0),
     )
 
 

@@ -102,6 +102,7 @@ def soft_step(
         bodies, contacts = contacts_of.solve_soft(bodies, contacts, params, use_bias=False)
 
         bounced, bounced_contacts = contacts_of.apply_restitution(bodies, contacts, scene.gravity, params)
+        bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
         now = Progress(bodies, joints, contacts, memory, touch, overflow)
         finished = _finish_contacts(now._replace(bodies=bounced, contacts=bounced_contacts))
         return (_choose(is_last | anew, finished, now), anew), None

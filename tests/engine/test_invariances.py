@@ -161,3 +161,19 @@ def test_engine_refuses_arrays_of_another_capacity():
 def test_worlds_with_more_shapes_than_contact_keys_can_name_are_refused():
     with pytest.raises(ValueError, match="at most 512 shapes"):
         Capacity(polygons=500, circles=13, joints=0, thrusters=0)
+
+
+def test_no_state_moves_faster_than_the_limits_and_each_time_they_act_is_counted():
+    """A hammer of 20 kg at 40 m/s on the tip of a light rod: the impact alone would spin it far beyond 50 rad/s."""
+    b = builder(gravity=(0, 0))
+    rod = b.add_box(width=1.0, height=0.05, position=(0, 0))
+    b.add_circle(radius=0.25, position=(0.45, 0.6), velocity=(0, -40), density=100, restitution=0.9)
+    world = b.build()
+    state, counted, fastest = engine().initial_state(*world), 0, 0.0
+    for _ in range(4):
+        state, touching = engine().step(world.scene, state)
+        counted += int(touching.limited)
+        fastest = max(fastest, abs(float(state.angular_velocity[rod])))
+    assert counted > 0
+    assert fastest == pytest.approx(50.0)
+    assert np.linalg.norm(state.velocity, axis=-1).max() <= 100.0 * (1 + 1e-6)

@@ -81,19 +81,28 @@ struct Bodies {
     }
   }
 
+  // No state that a call returns moves faster than the limits: what the last relax pass and bounces gave counts too.
+  KFN void limit_speeds(real max_speed, real max_omega) {
+    for (int k = 0; k < num_moving; ++k) limit_speed(moving[k], max_speed, max_omega);
+  }
+
+  KFN void limit_speed(int i, real max_speed, real max_omega) {
+    real speed_squared = velocity[i].dot(velocity[i]);
+    if (speed_squared > max_speed * max_speed) {
+      velocity[i] = velocity[i] * (max_speed / sqrtf(speed_squared));
+      ++limited;
+    }
+    if (omega[i] > max_omega || omega[i] < -max_omega) {
+      omega[i] = Math::clamp(omega[i], -max_omega, max_omega);
+      ++limited;
+    }
+  }
+
   // Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted.
   KFN void move(real dt, real max_speed, real max_omega) {
     for (int k = 0; k < num_moving; ++k) {
       int i = moving[k];
-      real speed_squared = velocity[i].dot(velocity[i]);
-      if (speed_squared > max_speed * max_speed) {
-        velocity[i] = velocity[i] * (max_speed / sqrtf(speed_squared));
-        ++limited;
-      }
-      if (omega[i] > max_omega || omega[i] < -max_omega) {
-        omega[i] = Math::clamp(omega[i], -max_omega, max_omega);
-        ++limited;
-      }
+      limit_speed(i, max_speed, max_omega);
       delta[i] = delta[i] + velocity[i] * dt;
       real angle_step = omega[i] * dt;
       turn[i] += angle_step;

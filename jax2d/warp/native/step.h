@@ -86,6 +86,7 @@ struct World {
       contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, false);
       if (anew || substep + 1 == substeps) {
         finish_contacts(gravity, h);
+        bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
         bodies.end_step();
       }
     }
