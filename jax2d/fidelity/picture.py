@@ -78,7 +78,7 @@ def _mean_panel(panel: Any, records: Sequence[Record], title: str) -> None:
     panel.set_xlabel("microseconds per simulated world-second (geometric mean over scenes)")
     panel.set_ylabel("error (geometric mean over scenes)")
     panel.grid(True, which="both", alpha=0.2)
-    panel.legend(loc="center right", fontsize=9)
+    panel.legend(loc="lower left", fontsize=9)
 
 
 def _name(panel: Any, point: Point, *, in_full: bool, to_the_left: bool) -> None:
