@@ -100,8 +100,8 @@ def test_a_running_viewer_is_shown_the_rollout(tmp_path: Path) -> None:
             time.sleep(0.05)
         time.sleep(0.5)  # for the last of it
     finally:
-        os.killpg(listener.pid, signal.SIGINT)
-        listener.wait(timeout=60)  # seconds; a machine with five jobs a core once took more than ten
+        os.killpg(listener.pid, signal.SIGTERM)  # not SIGINT: what a shell starts in the background may ignore it
+        listener.wait(timeout=10)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an interrupted file has no footer
         translation = column(received, f"/world/shape_{GREY_TRIANGLE:02d}", "translation")
