@@ -110,21 +110,9 @@ struct Bodies {
     }
   }
 
-  KFN Vec2 velocity_at(int i, Vec2 arm) const { return velocity[i] + arm.left() * omega[i]; }
-
   KFN void push(int i, Vec2 arm, Vec2 impulse) {
     velocity[i] = velocity[i] + impulse * inverse_mass[i];
     omega[i] += inverse_inertia[i] * arm.cross(impulse);
-  }
-
-  KFN void push_pair(int a, Vec2 arm_a, int b, Vec2 arm_b, Vec2 impulse_on_b) {
-    push(a, arm_a, -impulse_on_b);
-    push(b, arm_b, impulse_on_b);
-  }
-
-  KFN void twist_pair(int a, int b, real impulse_on_b) {
-    omega[a] -= inverse_inertia[a] * impulse_on_b;
-    omega[b] += inverse_inertia[b] * impulse_on_b;
   }
 };
 

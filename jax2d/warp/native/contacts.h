@@ -92,7 +92,7 @@ struct Contacts {
             break;
           }
         }
-        c.approach = c.normal.dot(relative_velocity(bodies, c));
+        c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
       }
     }
   }
@@ -108,10 +108,6 @@ struct Contacts {
     return base * (FRICTION_ROOT_SUM_SQUARE ? sqrtf(a * a + b * b) : sqrtf(a * b));
   }
 
-  KFN static Vec2 relative_velocity(const Bodies& bodies, const Contact& c) {
-    return bodies.velocity_at(c.b, c.arm_b) - bodies.velocity_at(c.a, c.arm_a);
-  }
-
   KFN static real pair_mass(const Bodies& bodies, const Contact& c, Vec2 direction) {
     real ra = c.arm_a.cross(direction), rb = c.arm_b.cross(direction);
     return Math::inverse_or_zero(bodies.inverse_mass[c.a] + bodies.inverse_mass[c.b] +
@@ -121,7 +117,9 @@ struct Contacts {
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
       const Contact& c = list[i];
-      bodies.push_pair(c.a, c.arm_a, c.b, c.arm_b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+      Pair pair = Pair::of(bodies, c.a, c.b);
+      pair.push(c.arm_a, c.arm_b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+      pair.give_back(bodies);
     }
   }
 

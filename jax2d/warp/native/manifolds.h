@@ -76,6 +76,9 @@ struct Geometry {
     }
   }
 
+  // How fast a surface moves by the spin of its shape, at most: a disc's does not leave its place.
+  KFN real swing_speed(const Bodies& bodies, int i) const { return Math::abs(bodies.omega[i]) * (extent[i] - core[i]); }
+
   KFN bool bounds_overlap(int a, int b, Vec2 d, real margin) const {
     return lower[b].x + d.x <= upper[a].x + margin && upper[b].x + d.x >= lower[a].x - margin &&
            lower[b].y + d.y <= upper[a].y + margin && upper[b].y + d.y >= lower[a].y - margin;
@@ -111,7 +114,7 @@ struct Geometry {
   // A disc that moves on as it does leaves the corner beside it, or grazes it: the corner of the next tile of a floor.
   KFN static bool rolls_past(Vec2 away, Vec2 motion, real r) {
     real speed = motion.length(), beside = away.cross(motion);
-    return speed > STANDING && (beside < real(0) ? -beside : beside) >= (r - Math::min(GRAZING, real(0.05) * r)) * speed;
+    return speed > STANDING && Math::abs(beside) >= (r - Math::min(GRAZING, real(0.05) * r)) * speed;
   }
 
   KFN Manifold polygon_circle(int polygon, int circle, Vec2 centre, Vec2 motion, real spin, real margin) const {

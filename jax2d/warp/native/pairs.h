@@ -40,10 +40,7 @@ struct Pairs {
                          bool ahead) {
     if (!ahead) return reach;
     Vec2 relative = bodies.velocity[b] - bodies.velocity[a];
-    real spin_a = bodies.omega[a] < real(0) ? -bodies.omega[a] : bodies.omega[a];
-    real spin_b = bodies.omega[b] < real(0) ? -bodies.omega[b] : bodies.omega[b];
-    real motion = (relative.length() + spin_a * (geometry.extent[a] - geometry.core[a]) +
-                   spin_b * (geometry.extent[b] - geometry.core[b])) * dt;
+    real motion = (relative.length() + geometry.swing_speed(bodies, a) + geometry.swing_speed(bodies, b)) * dt;
     real safe = real(0.5) * Math::min(geometry.core[a], geometry.core[b]);
     return motion > safe ? reach + motion : Math::max(reach, motion);
   }

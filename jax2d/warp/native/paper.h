@@ -23,15 +23,20 @@ struct PaperJoints {
     }
     for (int k = 0; k < joints.count; ++k) {
       const Joint& joint = joints.list[k];
-      if (joint.flags & JOINT_MOTOR) bodies.twist_pair(joint.a, joint.b, twist[k]);
+      if ((joint.flags & JOINT_MOTOR) == 0) continue;
+      Pair pair = Pair::of(bodies, joint.a, joint.b);
+      pair.twist(twist[k]);
+      pair.give_back(bodies);
     }
   }
 
   KFN void warm_start(Bodies& bodies) {
     for (int k = 0; k < joints.count; ++k) {
       Joint& joint = joints.list[k];
-      bodies.push_pair(joint.a, joint.arm_a, joint.b, joint.arm_b, joint.impulse);
-      if (Joints::is_fixed(joint.flags)) bodies.twist_pair(joint.a, joint.b, joint.twist);
+      Pair pair = Pair::of(bodies, joint.a, joint.b);
+      pair.push(joint.arm_a, joint.arm_b, joint.impulse);
+      if (Joints::is_fixed(joint.flags)) pair.twist(joint.twist);
+      pair.give_back(bodies);
       joint.impulse_lower = joint.impulse_upper = real(0);
     }
   }
@@ -47,17 +52,19 @@ struct PaperJoints {
       // The joint sits between the anchors, nearer to the heavier body's.
       Vec2 at_a = ma == real(0) ? joint.arm_a : joint.arm_a + gap * (ma / (ma + mb));
       Vec2 at_b = ma == real(0) ? joint.arm_b - gap : joint.arm_b - gap * (mb / (ma + mb));
-      Vec2 relative = bodies.velocity_at(b, at_b) - bodies.velocity_at(a, at_a);
+      Pair pair = Pair::of(bodies, a, b);
+      Vec2 relative = pair.relative(at_a, at_b);
       real speed = relative.length();
       Vec2 direction = speed > real(0) ? relative * (real(1) / speed) : Vec2{real(0), real(0)};
       real ca = joint.arm_a.cross(direction), cb = joint.arm_b.cross(direction);
       real effective = ma + mb + ca * ca * bodies.inverse_inertia[a] + cb * cb * bodies.inverse_inertia[b];
       Vec2 impulse = (relative + gap * params.get(PARAM_JOINT_VELOCITY_CORRECTION)) *
                      (-params.get(PARAM_JOINT_STIFFNESS) * Math::inverse_or_zero(effective));
-      bodies.push_pair(a, joint.arm_a, b, joint.arm_b, impulse);
+      pair.push(joint.arm_a, joint.arm_b, impulse);
       joint.impulse = joint.impulse + impulse;
 
-      solve_twist(bodies, joint, params);
+      solve_twist(pair, joint, params);
+      pair.give_back(bodies);
 
       Vec2 correction = gap * (params.get(PARAM_JOINT_POSITION_CORRECTION) / (ma + mb));
       bodies.delta[a] = bodies.delta[a] + correction * ma;
@@ -65,16 +72,16 @@ struct PaperJoints {
     }
   }
 
-  KFN static void solve_twist(Bodies& bodies, Joint& joint, const Column& params) {
-    real speed = bodies.omega[joint.b] - bodies.omega[joint.a];
+  KFN static void solve_twist(Pair& pair, Joint& joint, const Column& params) {
+    real speed = pair.omega_b - pair.omega_a;
     if (Joints::is_fixed(joint.flags)) {
       real twist = -joint.axial_mass * (speed + joint.start_angle * params.get(PARAM_FIXED_ANGLE_RATE));
       joint.twist += twist;
-      bodies.twist_pair(joint.a, joint.b, twist);
+      pair.twist(twist);
     } else if (Joints::is_limited(joint.flags)) {
       real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower, joint.upper);
       if (beyond * speed > real(0))  // not while it already returns
-        bodies.twist_pair(joint.a, joint.b, -joint.axial_mass * (speed + beyond * params.get(PARAM_LIMIT_ANGLE_RATE)));
+        pair.twist(-joint.axial_mass * (speed + beyond * params.get(PARAM_LIMIT_ANGLE_RATE)));
     }
   }
 };

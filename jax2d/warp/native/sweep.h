@@ -45,14 +45,12 @@ struct Sweep {
   KFN void widen(const Bodies& bodies, const Geometry& geometry, int i, real reach, real dt, bool ahead) {
     real share = real(0.5) * reach;
     if (ahead) {
-      real spin = bodies.omega[i] < real(0) ? -bodies.omega[i] : bodies.omega[i];
-      real motion = (bodies.velocity[i].length() + spin * (geometry.extent[i] - geometry.core[i])) * dt;
+      real motion = (bodies.velocity[i].length() + geometry.swing_speed(bodies, i)) * dt;
       if (motion > real(0)) share += motion;  // not a number: no pair has such a margin
     }
     Vec2 at = bodies.position[i];
     // 2^-20 is sixteen times the rounding of one operation, of which neither search does as many.
-    real rounding = ((at.x < real(0) ? -at.x : at.x) + (at.y < real(0) ? -at.y : at.y) + geometry.extent[i] + share) *
-                    real(9.5367432e-7);
+    real rounding = (Math::abs(at.x) + Math::abs(at.y) + geometry.extent[i] + share) * real(9.5367432e-7);
     share += rounding;
     lower[i] = at + geometry.lower[i] - Vec2{share, share};
     upper[i] = at + geometry.upper[i] + Vec2{share, share};

@@ -53,6 +53,7 @@ struct Slot {
 struct Math {
   static KFN real min(real a, real b) { return a < b ? a : b; }
   static KFN real max(real a, real b) { return a > b ? a : b; }
+  static KFN real abs(real v) { return v < real(0) ? -v : v; }
   static KFN real clamp(real v, real lo, real hi) { return v < lo ? lo : (v > hi ? hi : v); }
   static KFN real inverse_or_zero(real v) { return v > real(0) ? real(1) / v : real(0); }
   static KFN int lowest_bit(unsigned int word) {
