@@ -125,8 +125,6 @@ def _validate(args: Args) -> None:
             raise UserError(f"--worlds has {worlds}; give 1 or more")
     if args.levels is not None and not args.levels.is_dir():
         raise UserError(f"--levels {args.levels} is not a folder; give one with s/, m/ and l/ of level files")
-    if args.effects and args.growth:
-        raise UserError("--effects and --growth are two studies; give one of them")
     if args.effects and args.peers:
         raise UserError("--effects compares our engine with itself; leave --peers out")
     if args.effects and args.backend != "warp":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ def draw(records: Records, file: Path) -> None:
     _memory(memory, over_shapes)
     for panel in (worlds, shapes, memory):
         panel.set_xscale("log", base=10 if panel is worlds else 2)
+        panel.set_yscale("log")
         panel.grid(alpha=0.3)
         if panel.get_legend_handles_labels()[0]:
             panel.legend(fontsize=9)
@@ -45,35 +46,30 @@ def _measured(records: Records, **wanted: Any) -> Records:
 
 
 def _over_worlds(panel: Any, records: Records) -> None:
-    for size in dict.fromkeys(record["size"] for record in records):
-        points = _measured(records, size=size)
-        panel.plot(
-            [point["worlds"] for point in points],
-            [point["physics_steps_per_second"] for point in points],
-            "o-",
-            color=COLOURS[size],
-            label=f"levels {size.upper()}",
-        )
-    panel.set_yscale("log")
+    _lines(
+        panel, records, by="size", x="worlds", y="physics_steps_per_second", label=lambda size: f"levels {size.upper()}"
+    )
     panel.set_title("physics steps a second, all worlds")
     panel.set_xlabel("worlds")
 
 
 def _over_shapes(panel: Any, records: Records) -> None:
     powers = exponents(records)
-    for scene in dict.fromkeys(record["scene"] for record in records):
-        points = _measured(records, scene=scene)
-        power = f", power {powers[scene]:.2f}" if scene in powers else ""
-        panel.plot(
-            [point["shapes"] for point in points],
-            [point["us_per_world_step"] for point in points],
-            "o-",
-            color=COLOURS[scene],
-            label=f"{scene}{power}",
-        )
-    panel.set_yscale("log")
+
+    def label(scene: str) -> str:
+        return f"{scene}, power {powers[scene]:.2f}" if scene in powers else scene
+
+    _lines(panel, records, by="scene", x="shapes", y="us_per_world_step", label=label)
     panel.set_title("microseconds a world-step")
     panel.set_xlabel("shapes a world")
+
+
+def _lines(panel: Any, records: Records, *, by: str, x: str, y: str, label: Callable[[str], str]) -> None:
+    """One line of y over x for each value of `by`."""
+    for value in dict.fromkeys(record[by] for record in records):
+        points = _measured(records, **{by: value})
+        xs, ys = ([point[name] for point in points] for name in (x, y))
+        panel.plot(xs, ys, "o-", color=COLOURS[value], label=label(value))
 
 
 def _memory(panel: Any, records: Records) -> None:
@@ -84,6 +80,5 @@ def _memory(panel: Any, records: Records) -> None:
     local = {shapes: record["thread_bytes"] / 1024 for shapes, record in sizes.items() if record["thread_bytes"]}
     if local:
         panel.plot(list(local), list(local.values()), "s--", color="#333333", label="local memory of a thread")
-    panel.set_yscale("log")
     panel.set_title("KiB a world, by table")
     panel.set_xlabel("shapes a world")

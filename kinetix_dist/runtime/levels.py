@@ -12,9 +12,8 @@ from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 
-NUM_SAMPLED = (
-    512  # levels from which engines are chosen: a set of effects that 1 % of the levels need is not overlooked
-)
+# Levels from which engines are chosen: a set of effects that 1 % of the levels need is not overlooked.
+NUM_SAMPLED = 512
 
 
 def fixed_levels(config: TrainConfig) -> Level | None:
