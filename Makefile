@@ -51,7 +51,7 @@ test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
 
 test-gpu: $(STAMP)
-	$(BIN)/python -m pytest -m gpu $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m gpu -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 bench-engine: $(STAMP)
 	$(BIN)/kinetix-dist bench engine --json runs/bench_engine.json

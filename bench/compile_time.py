@@ -27,6 +27,8 @@ from jax2d.warp.memory import thread_bytes
 from kinetix_dist.cli.growth_scenes import capacity_of
 from kinetix_dist.level.level import SIZES
 
+CHECKOUT = str(Path(__file__).resolve().parent.parent)
+
 
 def capacity_named(size: str) -> Capacity:
     return SIZES[size] if size in SIZES else capacity_of(int(size))
@@ -74,7 +76,7 @@ def measure(size: str, compute_capability: str | None) -> list[dict]:
             "WARP_CACHE_PATH": f"{folder}/warp",
             "JAX_COMPILATION_CACHE_DIR": f"{folder}/jax",
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-            "PYTHONPATH": str(Path(__file__).resolve().parent.parent),
+            "PYTHONPATH": os.pathsep.join([CHECKOUT, *filter(None, [os.environ.get("PYTHONPATH")])]),
         }
         runs = [("cold", "--first-step"), ("cached", "--first-step")]
         if compute_capability is not None:

@@ -27,7 +27,8 @@ def kinetic_energy(scene: Scene, state: State) -> jax.Array:
 def potential_energy(scene: Scene, state: State) -> jax.Array:
     """Joules above the origin along gravity, [] of one world."""
     mass, _ = _masses(scene)
-    return -jnp.sum(mass * (state.position @ jnp.asarray(scene.gravity)))
+    # The highest precision: a GPU would otherwise round factors to 10 bits.
+    return -jnp.sum(mass * jnp.matmul(state.position, scene.gravity, precision="highest"))
 
 
 def energy(scene: Scene, state: State) -> jax.Array:
@@ -81,9 +82,9 @@ def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:
     face = jnp.sum(normal * corner, -1)  # [P, V] distance of each face from the own centre
 
     def along(offset: jax.Array) -> jax.Array:  # [P, m, 2] -> [P, m, V]
-        return jnp.einsum("pmd,pvd->pmv", offset, normal) - face[:, None]
+        return jnp.einsum("pmd,pvd->pmv", offset, normal, precision="highest") - face[:, None]
 
-    reach = jnp.einsum("pvd,qkd->pqvk", normal, corner)
+    reach = jnp.einsum("pvd,qkd->pqvk", normal, corner, precision="highest")
     nearest = along(between[:polygons, :polygons]) + jnp.min(jnp.where(used[None, :, None], reach, jnp.inf), -1)
     polygon_polygon = jnp.max(jnp.where(used[:, None], nearest, -jnp.inf), -1)
     polygon_polygon = jnp.maximum(polygon_polygon, polygon_polygon.T)

@@ -1,4 +1,8 @@
-"""Set-up shared by all tests: caches inside the checkout, the CPU unless a GPU test is asked for, level paths."""
+"""Set-up shared by all tests: caches inside the checkout, the CPU unless GPU tests are asked for, level paths.
+
+A test with the mark `also_gpu` runs on the CPU like any other and, where `-m gpu` is asked for (`make test-gpu`), on
+the GPU: the body is the same, JAX's default device is another. `-m gpu --gpu-tests-on-cpu` tries them without a GPU.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +21,37 @@ os.environ.setdefault("WARP_CACHE_PATH", str(_CACHE / "warp"))
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--gpu-tests-on-cpu", action="store_true", help="with -m gpu: run the GPU tests on the CPU, to try them out"
+    )
+
+
+def _asks_for_gpu_tests(config: pytest.Config) -> bool:
+    return "gpu" in (config.option.markexpr or "").replace("not gpu", "")
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    if "gpu" not in (config.option.markexpr or "").replace("not gpu", ""):
+    if not _asks_for_gpu_tests(config) or config.option.gpu_tests_on_cpu:
         os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    else:
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # test processes share the GPU
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if _asks_for_gpu_tests(config):
+        for item in items:
+            if item.get_closest_marker("also_gpu") and not item.get_closest_marker("slow"):
+                item.add_marker("gpu")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("gpu") and not item.config.option.gpu_tests_on_cpu:
+        import jax
+
+        if jax.default_backend() != "gpu":
+            pytest.skip(f"needs an NVIDIA GPU; JAX runs on {jax.default_backend()} here")
 
 
 @pytest.fixture(scope="session")

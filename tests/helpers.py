@@ -8,6 +8,11 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
+def python_path() -> str:
+    """PYTHONPATH of a test's own processes: this checkout before whatever is there, which may hold its packages."""
+    return os.pathsep.join([str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+
 def public_levels_directory() -> Path | None:
     """The public Kinetix levels (s/, m/, l/ of JSON files) where they are: $KINETIX_LEVELS or beside the checkout."""
     candidates = [os.environ.get("KINETIX_LEVELS"), REPOSITORY.parent / "shared" / "kinetix_levels"]

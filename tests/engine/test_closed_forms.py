@@ -10,6 +10,8 @@ import pytest
 from jax2d import measure, preset
 from tests.engine.worlds import builder, run
 
+pytestmark = pytest.mark.also_gpu
+
 G = 9.81
 STANDARD = preset("standard")
 H = STANDARD.substep_seconds

@@ -7,7 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.helpers import REPOSITORY
+import pytest
+
+from tests.helpers import python_path
 
 STEP = """
 import jax
@@ -27,12 +29,13 @@ def compiled_files(folder: Path) -> dict[str, int]:
     return {str(file.relative_to(folder)): file.stat().st_mtime_ns for file in files}
 
 
+@pytest.mark.also_gpu
 def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
     environment = os.environ | {
         "WARP_CACHE_PATH": str(tmp_path / "warp"),
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "PYTHONPATH": str(REPOSITORY),
+        "PYTHONPATH": python_path(),
     }
     printed, written = [], []
     for _ in range(2):

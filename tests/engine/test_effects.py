@@ -161,6 +161,7 @@ def assert_same_bits(a, b):
         np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize(
     ("preset_name", "lacking"),
     [("standard", "revolute_joints"), ("standard", "thrusters"), ("paper", "circle_pairs")],
@@ -182,6 +183,7 @@ def test_engine_for_the_effects_of_levels_gives_the_bits_of_the_full_engine(pres
     assert_same_bits(special_touching, jax.tree.map(lambda x: x[:, worlds], touching))
 
 
+@pytest.mark.also_gpu
 def test_scene_without_pairs_joints_or_thrusters_gives_the_same_bits():
     b = builder()
     b.add_circle(radius=0.3, position=(0, 1), velocity=(1, 2))
@@ -194,6 +196,7 @@ def test_scene_without_pairs_joints_or_thrusters_gives_the_same_bits():
     )
 
 
+@pytest.mark.also_gpu
 def test_states_pass_between_engines_of_one_capacity():
     b = floor_and(floor_friction=1.0)
     b.add_circle(radius=0.3, position=(0, 0.5), velocity=(1, 0), friction=1.0)
@@ -216,6 +219,7 @@ def test_scene_that_calls_for_more_is_refused_with_the_name_of_the_effect():
         special.pack_scene(scenes)
 
 
+@pytest.mark.also_gpu
 def test_inside_jit_what_is_missing_is_counted_world_by_world():
     special = Engine(CAPACITY, effects=effects_of(ball_on_floor()))
     worlds = stack_worlds([ball_on_floor(), joined(motor_speed=1.0)])

@@ -70,6 +70,7 @@ def assert_holds(checks: list[Check]) -> None:
         assert check.holds, f"{check.figure} {check.value:.3g}, at most {check.limit:g}"
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("name", NAMES)
 def test_standard_passes(name: str):
     assert_holds(outcomes(preset("standard"))[name])
@@ -126,6 +127,7 @@ def shots(speed: float, *, angle: float = 0.0, width: float, height: float, ball
     return worlds
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("speed", [5.0, 10.0, 15.0, 20.0, 40.0, 60.0, 80.0, 100.0])
 def test_nothing_passes_a_thin_wall(speed: float):
     across = np.linspace(0, 0.6, PHASES)
@@ -134,6 +136,7 @@ def test_nothing_passes_a_thin_wall(speed: float):
             assert m.position[:, body, 0].max() < 0
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("speed", [5.0, 20.0, 60.0, 100.0])
 def test_ball_that_hits_a_corner_goes_around_it(speed: float):
     ball = CAPACITY.polygons
@@ -154,6 +157,7 @@ def rod(phase: int, spin: float, *, density: float = 1.0) -> tuple[SceneBuilder,
     return b, bar
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("spin", [10.0, 30.0, 50.0])
 def test_spinning_rod_stops_at_a_post(spin: float):
     worlds = []
@@ -166,6 +170,7 @@ def test_spinning_rod_stops_at_a_post(spin: float):
         assert np.floor(half_turns).max() == np.floor(half_turns[0])
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("spin", [10.0, 30.0, 50.0])
 def test_spinning_rod_strikes_a_ball_and_never_sweeps_through_it(spin: float):
     worlds = []
@@ -181,6 +186,7 @@ def test_spinning_rod_strikes_a_ball_and_never_sweeps_through_it(spin: float):
         assert np.floor(ahead[:until]).min() == np.floor(ahead[0])
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("spin", [10.0, 50.0])
 def test_flying_rod_never_passes_a_wall(spin: float):
     worlds = []
@@ -204,6 +210,7 @@ def test_flying_rod_never_passes_a_wall(spin: float):
 # Long runs, changed scenes, other steps
 
 
+@pytest.mark.also_gpu
 def test_perfectly_elastic_ball_keeps_its_energy_over_a_thousand_bounces():
     b = builder()
     b.add_box(width=10, height=1, position=(0, -0.5), fixed=True, restitution=1)
@@ -233,6 +240,7 @@ def test_motor_gives_the_same_speed_at_half_the_time_step(power: float):
     assert ends[0] == pytest.approx(ends[1], rel=0.01)
 
 
+@pytest.mark.also_gpu
 def test_removing_a_heavy_top_body_adds_no_energy():
     yard = Yard()
     boxes = [yard.box(0, 0.5 + k) for k in range(3)]
@@ -248,6 +256,7 @@ def test_removing_a_heavy_top_body_adds_no_energy():
     assert freed[0].speed()[-1] < 1e-3
 
 
+@pytest.mark.also_gpu
 def test_order_of_slots_changes_no_verdict():
     """A stack built from the ground up, from the top down and shuffled, its floor in the last slot."""
     orders = [list(range(10)), list(reversed(range(10))), list(np.random.default_rng(1).permutation(10))]

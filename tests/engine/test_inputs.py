@@ -103,6 +103,7 @@ def test_controls_out_of_range_are_refused_outside_jit(bad: Controls, said: str)
         engine().step(*start(), bad)
 
 
+@pytest.mark.also_gpu
 def test_controls_out_of_range_are_clamped_and_counted_inside_jit():
     scene, state = start()
     step = jax.jit(lambda controls: engine().step(scene, state, controls, num_steps=5))

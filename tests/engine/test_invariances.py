@@ -39,6 +39,7 @@ def assert_same_bits(a, b):
         np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
 
 
+@pytest.mark.also_gpu
 def test_world_in_a_batch_is_bitwise_the_world_alone():
     worlds = []
     for turn in (0.0, 0.3, 0.6, 0.9):
@@ -52,6 +53,7 @@ def test_world_in_a_batch_is_bitwise_the_world_alone():
         assert_same_bits(index_worlds(together, slice(i, i + 1)), alone)
 
 
+@pytest.mark.also_gpu
 def test_two_calls_are_bitwise_one_call_and_a_saved_state_goes_on_the_same():
     b = builder()
     tumble(b)
@@ -63,6 +65,7 @@ def test_two_calls_are_bitwise_one_call_and_a_saved_state_goes_on_the_same():
     assert_same_bits(once, twice)
 
 
+@pytest.mark.also_gpu
 def test_same_start_gives_bitwise_the_same_end():
     b = builder()
     tumble(b)
@@ -72,6 +75,7 @@ def test_same_start_gives_bitwise_the_same_end():
     )
 
 
+@pytest.mark.also_gpu
 def test_rows_that_a_step_does_not_write_would_be_seen():
     """Every output is written: a call after one with other contents gives the same bits."""
     b = builder()
@@ -85,6 +89,7 @@ def test_rows_that_a_step_does_not_write_would_be_seen():
     np.testing.assert_array_equal(reference[1].at_end, again[1].at_end)
 
 
+@pytest.mark.also_gpu
 def test_values_in_inactive_slots_change_nothing():
     b = builder()
     tumble(b)
@@ -100,6 +105,7 @@ def test_values_in_inactive_slots_change_nothing():
         np.testing.assert_array_equal(result.position[0, i], reference.position[0, i])
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("settings", PRESETS, ids=["standard", "paper"])
 def test_mirrored_world_moves_as_the_mirror_image(settings: Settings):
     def world(side: int) -> BuiltWorld:
@@ -134,6 +140,7 @@ def test_coincident_circles_come_apart():
     assert np.linalg.norm(end.position[one] - end.position[two]) > 0.59
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize("speed", [5.0, 15.0, 40.0, 90.0])
 def test_fast_ball_never_passes_a_thin_wall(speed: float):
     one = engine()
@@ -163,6 +170,7 @@ def test_worlds_with_more_shapes_than_contact_keys_can_name_are_refused():
         Capacity(polygons=500, circles=13, joints=0, thrusters=0)
 
 
+@pytest.mark.also_gpu
 def test_no_state_moves_faster_than_the_limits_and_each_time_they_act_is_counted():
     """A hammer of 20 kg at 40 m/s on the tip of a light rod: the impact alone would spin it far beyond 50 rad/s."""
     b = builder(gravity=(0, 0))

@@ -113,6 +113,7 @@ def quantile_at_threshold(difference: np.ndarray) -> float:
     return float(np.quantile(difference, 1 - SHARE_AT_THRESHOLD, method="lower"))
 
 
+@pytest.mark.also_gpu
 @pytest.mark.parametrize(
     ("size", "name"),
     [
@@ -172,6 +173,7 @@ def rare_worlds() -> list[BuiltWorld]:
     return [b.build() for b in (tiles, swing, limit, stack)]
 
 
+@pytest.mark.also_gpu
 def test_kernel_and_reference_agree_where_special_rules_act() -> None:
     settings, worlds = preset("standard"), rare_worlds()
     kernel = engine("s", settings, "warp")
@@ -236,6 +238,7 @@ def _green_met_blue(level: Level, touching: Any) -> np.ndarray:
     return (touch & green[:, :, None] & blue[:, None, :]).any((1, 2))
 
 
+@pytest.mark.also_gpu
 def test_states_pass_between_backends() -> None:
     """A stack that comes to rest while kernel and reference take turns: warm starting finds the other's impulses."""
     capacity = SIZES["s"]

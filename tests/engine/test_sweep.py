@@ -12,6 +12,8 @@ import pytest
 from jax2d import BuiltWorld, Capacity, Effects, Engine, SceneBuilder, effects_of, preset, stack_worlds
 from jax2d.warp import ffi, kernel, source
 
+pytestmark = pytest.mark.also_gpu
+
 CAPACITY = Capacity(polygons=20, circles=20, joints=0, thrusters=0)
 STEPS = 240
 

@@ -1,4 +1,4 @@
-"""One device, four devices of one process and two processes over gloo make the same update."""
+"""One device, several devices of one process and two processes over gloo make the same update."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from kinetix_dist.learner.update import METRICS
-from tests.helpers import REPOSITORY
-from tests.learner.update_program import PPO
+from tests.helpers import REPOSITORY, python_path
+from tests.learner.update_program import PPO, WORLDS
 
 PROGRAM = REPOSITORY / "tests" / "learner" / "update_program.py"
 TIMEOUT_S = 240
 
 
 def _start(out: Path, *arguments: str, fake_devices: int = 1) -> subprocess.Popen:
-    environment = dict(
-        os.environ,
-        PYTHONPATH=str(REPOSITORY),
-        JAX_PLATFORMS="cpu",
-        XLA_FLAGS=f"--xla_force_host_platform_device_count={fake_devices}",
-    )
+    flags = f"--xla_force_host_platform_device_count={fake_devices}"
+    return _start_with(out, *arguments, JAX_PLATFORMS="cpu", XLA_FLAGS=flags)
+
+
+def _start_with(out: Path, *arguments: str, **variables: str) -> subprocess.Popen:
+    environment = os.environ | {"PYTHONPATH": python_path()} | variables
     command = [sys.executable, str(PROGRAM), str(out), *arguments]
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
 
@@ -73,6 +74,21 @@ def test_four_devices_make_the_update_of_one(one_device, tmp_path):
     (found,) = _results((_start(out, fake_devices=4), out))
     assert found["devices"] == 4
     _assert_same(found, one_device)
+
+
+@pytest.mark.gpu
+def test_all_gpus_make_the_update_of_one(tmp_path):
+    if (count := jax.local_device_count()) < 2:
+        pytest.skip(f"needs two GPUs or more; there is {count}")
+    count = max(n for n in range(2, count + 1) if WORLDS % n == 0 and PPO.virtual_shards % n == 0)
+    outs = [tmp_path / name for name in ("one.npz", "all.npz")]
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES", ",".join(str(i) for i in range(count))).split(",")
+    one, several = (
+        _results((_start_with(out, CUDA_VISIBLE_DEVICES=",".join(visible[:n])), out))[0]
+        for out, n in zip(outs, (1, count))
+    )
+    assert (one["devices"], several["devices"]) == (1, count)
+    _assert_same(several, one)
 
 
 def test_two_processes_make_the_update_of_one(one_device, tmp_path):

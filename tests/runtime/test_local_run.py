@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from kinetix_dist.checkpoint import CheckpointError, list_checkpoints
+from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint
 from kinetix_dist.runtime.colocated import ColocatedTrainer
 from kinetix_dist.runtime.controller import Controller
 from kinetix_dist.runtime.curation import CuratorClient
@@ -40,6 +40,22 @@ def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(tmp_p
     assert adopted == [(0, 0), (3, 5)]
     assert [row["curriculum/buffer_age"] for row in reporter.rows] == [0, 1, 2, 3, 4, 2, 3, 4]
     assert all(row["runtime/policy_lag"] == 0 for row in reporter.rows)
+
+
+@pytest.mark.also_gpu
+def test_two_updates_have_finite_losses_and_change_the_policy(tmp_path):
+    reporter = QuietReporter()
+    _run_local(tiny_config(num_updates=2, checkpoint_every=1), tmp_path / "run", reporter)
+    assert len(reporter.rows) == 2
+    for row in reporter.rows:
+        learned = {name: value for name, value in row.items() if name.startswith("learner/")}
+        assert {"learner/policy_loss", "learner/value_loss", "learner/entropy"} <= learned.keys()
+        assert all(np.isfinite(value) for value in learned.values()), learned
+        assert row["learner/skipped_steps"] == 0
+    before, after = (load_checkpoint(found).arrays for found in list_checkpoints(tmp_path / "run" / "checkpoints"))
+    params = [name for name in after if "params" in name]
+    assert params and all(np.isfinite(after[name]).all() for name in params)
+    assert any(not np.array_equal(before[name], after[name]) for name in params)
 
 
 def test_shares_of_time_add_up_to_one(tmp_path):
