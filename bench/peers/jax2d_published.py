@@ -5,6 +5,7 @@ Reads one JSON request a line from stdin and answers each with one line on stdou
     {"do": "describe"}      -> {"ok": true, "version", "jax", "device"}
     {"do": "prepare", "levels": [FILE...], "worlds": W, "steps": N, "seed": S}
                             -> {"ok": true, "seconds": to compile and run once}
+    {"do": "compile", the same} -> {"ok": true, "seconds"}  into JAX's cache; nothing runs
     {"do": "restart"}       -> {"ok": true}                 worlds back to their start
     {"do": "run"}           -> {"ok": true, "seconds": for N physics steps of W worlds}
 
@@ -48,6 +49,10 @@ def main() -> int:
                     bench = Bench(**request)
                     bench.run()
                     bench.restart()
+                    answer = {"seconds": time.perf_counter() - started}
+                case "compile":
+                    started = time.perf_counter()
+                    Bench(**request).compile()
                     answer = {"seconds": time.perf_counter() - started}
                 case "restart":
                     assert bench is not None, "prepare first"
@@ -112,6 +117,9 @@ class Bench:
 
     def restart(self) -> None:
         self._states = jax.block_until_ready(jax.tree.map(jnp.copy, self._start))
+
+    def compile(self) -> None:
+        self._run_steps.lower(self._states, self._key).compile()
 
     def run(self) -> float:
         """Steps all worlds and returns the seconds it took."""

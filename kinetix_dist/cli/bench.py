@@ -16,8 +16,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -89,24 +90,30 @@ def run(args: Args) -> int:
             args.json.touch()
     if args.growth:
         return _growth(args)
-    records, failures = (bench_effects if args.effects else bench_engine).measure(args, report=print)
+    measure = (bench_effects if args.effects else bench_engine).measure
+    records, failures = measure(args, report=print, save=partial(_save, args))
+    _save(args, records)
     if args.json is not None:
-        args.json.write_text(json.dumps(records, indent=1) + "\n")
         print(f"{len(records)} records in {args.json}")
     for failure in failures:
         print(f"failed: {failure}")
     return 1 if failures else 0
 
 
+def _save(args: Args, records: list[dict[str, Any]]) -> None:
+    """What there is so far: long measurements may be cut short."""
+    if args.json is not None:
+        args.json.write_text(json.dumps(records, indent=1) + "\n")
+
+
 def _growth(args: Args) -> int:
     from kinetix_dist.cli import bench_growth, growth_picture, growth_table
 
-    records = bench_growth.measure(args, report=print)
+    records = bench_growth.measure(args, report=print, save=partial(_save, args))
     least = bench_growth.FITTED_FROM_SHAPES
     for name, power in bench_growth.exponents(records).items():
         print(f"{name}: time a world-step grows as shapes to the power {power:.2f} from {least} shapes on")
     if args.json is not None:
-        args.json.write_text(json.dumps(records, indent=1) + "\n")
         args.json.with_suffix(".md").write_text(growth_table.tables(records))
         growth_picture.draw(records, args.json.with_suffix(".png"))
         print(f"{len(records)} records in {args.json}; tables and picture beside it, .md and .png")

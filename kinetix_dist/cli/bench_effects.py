@@ -56,7 +56,9 @@ class Case:
     start: Any  # packed state
 
 
-def measure(args: Args, report: Callable[[str], None]) -> tuple[list[Record], list[str]]:
+def measure(
+    args: Args, report: Callable[[str], None], save: Callable[[list[Record]], None]
+) -> tuple[list[Record], list[str]]:
     """All records that `args` ask for, and one line for each measurement that failed."""
     device = jax.devices()[0]
     records: list[Record] = []
@@ -76,6 +78,7 @@ def measure(args: Args, report: Callable[[str], None]) -> tuple[list[Record], li
                     failures.append(f"{size.upper()}, {worlds} worlds: {one_line(error)[:300]}")
                     continue
                 records += new
+                save(records)
                 for line in table(new, called_for(levels.scene).flags):
                     report(line)
     return records, failures
@@ -194,8 +197,8 @@ def _cases(full: Engine, levels: Level, worlds: int, controls: Controls, seed: i
         for _ in range(num_boxes):
             builder.add_box(width=0.5, height=0.5, position=(2.5, 2.5))
         world = builder.build()
-        scene_and_state = stack_worlds([(world.scene, full.initial_state(*world))] * worlds)
-        packed = full.pack_scene(scene_and_state[0]), full.pack_state(scene_and_state[1])
+        scene, state = stack_worlds([(world.scene, full.initial_state(*world))])
+        packed = jax.tree.map(lambda x: jnp.repeat(x, worlds, -1), (full.pack_scene(scene), full.pack_state(state)))
         cases.append(case(name, "full", everything, *packed))
     return cases
 

@@ -56,7 +56,9 @@ class Runner(Protocol):
         ...
 
 
-def measure(args: Args, report: Callable[[str], None]) -> tuple[list[Record], list[str]]:
+def measure(
+    args: Args, report: Callable[[str], None], save: Callable[[list[Record]], None]
+) -> tuple[list[Record], list[str]]:
     """All records that `args` ask for, and one line for each measurement that failed."""
     device = jax.devices()[0]
     on_gpu = device.platform == "gpu"
@@ -84,6 +86,7 @@ def measure(args: Args, report: Callable[[str], None]) -> tuple[list[Record], li
                         failures.append(f"{name}, {size.upper()}, {worlds} worlds: {one_line(error)[:300]}")
                 new, broken = _take_turns(runners, args)
                 records += new
+                save(records)
                 failures += [f"{line}, {size.upper()}, {worlds} worlds" for line in broken]
                 for record in new:
                     report(_row(record))

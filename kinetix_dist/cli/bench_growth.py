@@ -89,8 +89,10 @@ class Start:
         return jax.block_until_ready(repeat((self.scene, self.state)))
 
 
-def measure(args: Args, report: Callable[[str], None]) -> list[dict[str, Any]]:
-    """All records; `report` gets a line for each."""
+def measure(
+    args: Args, report: Callable[[str], None], save: Callable[[list[dict[str, Any]]], None]
+) -> list[dict[str, Any]]:
+    """All records; `report` gets a line for each, `save` what there is after each."""
     device = jax.devices()[0]
     with user_errors(ValueError):
         for shapes in args.shapes:
@@ -100,6 +102,7 @@ def measure(args: Args, report: Callable[[str], None]) -> list[dict[str, Any]]:
     for record in _all_points(args, device):
         report(_row(record))
         records.append(dataclasses.asdict(record))
+        save(records)
     return records
 
 

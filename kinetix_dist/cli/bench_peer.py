@@ -13,7 +13,7 @@ import os
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from kinetix_dist.cli.errors import UserError
 
@@ -22,42 +22,25 @@ PUBLISHED_BACKEND = "xla"
 
 
 class PeerError(Exception):
-    """The published engine could not do what was asked, in its own words."""
+    """An engine in another process could not do what was asked, in its own words."""
 
 
-class Peer:
-    """The process. Requests and answers are one JSON line each; used as a context, which ends the process."""
+class LineProcess:
+    """A process that answers each JSON line with one. Used as a context, which ends it."""
 
-    def __init__(self, checkout: Path) -> None:
-        script = checkout / "bench" / "peers" / "jax2d_published.py"
-        if not script.is_file():
-            raise UserError(f"--peers needs {script}, which is in the repository; run from a checkout")
-        python = os.environ.get("KINETIX_PEER_PYTHON") or str(
-            checkout / "bench" / ".peers" / "jax2d" / "bin" / "python"
-        )
-        if not Path(python).is_file():
-            raise UserError(f"--peers: {python} does not exist; run `bash bench/peers/setup.sh` first")
-        environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-        if path := os.environ.get("KINETIX_PEER_PYTHONPATH"):
-            environment["PYTHONPATH"] = path
-        # Two processes share the device in turns: neither may take all its memory.
-        environment.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    def __init__(self, name: str, command: list[str], environment: dict[str, str]) -> None:
+        self.name = name
         self._messages = tempfile.TemporaryFile("w+")  # noqa: SIM115  closed by close()
         self._process = subprocess.Popen(
-            [python, str(script)],
+            command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._messages,
             text=True,
             env=environment,
         )
-        try:
-            self.description = self.ask("describe")
-        except PeerError as error:
-            self.close()
-            raise UserError(f"--peers: {error}") from error
 
-    def __enter__(self) -> Peer:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -76,21 +59,54 @@ class Peer:
 
     def ask(self, request: str, **arguments: Any) -> dict[str, Any]:
         """Sends a request and waits for its answer; raises `PeerError` when it failed or the process ended."""
-        assert self._process.stdin is not None and self._process.stdout is not None
+        self.send(request, **arguments)
+        return self.receive()
+
+    def send(self, request: str, **arguments: Any) -> None:
+        """Without waiting; `receive` takes the answer."""
+        assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps({"do": request} | arguments) + "\n")
             self._process.stdin.flush()
-            line = self._process.stdout.readline()
         except BrokenPipeError:
-            line = ""
+            return  # it ended: `receive` says so, with its last words
+
+    def receive(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
         if not line:
             self._messages.seek(0)
             said = self._messages.read().strip().splitlines() or ["no message"]
-            raise PeerError(f"the published engine's process ended: {said[-1]}")
+            raise PeerError(f"{self.name}'s process ended: {said[-1]}")
         answer = json.loads(line)
         if not answer.pop("ok"):
             raise PeerError(answer["error"])
         return answer
+
+
+class Peer(LineProcess):
+    """The published engine's process."""
+
+    def __init__(self, checkout: Path) -> None:
+        script = checkout / "bench" / "peers" / "jax2d_published.py"
+        if not script.is_file():
+            raise UserError(f"--peers needs {script}, which is in the repository; run from a checkout")
+        python = os.environ.get("KINETIX_PEER_PYTHON") or str(
+            checkout / "bench" / ".peers" / "jax2d" / "bin" / "python"
+        )
+        if not Path(python).is_file():
+            raise UserError(f"--peers: {python} does not exist; run `bash bench/peers/setup.sh` first")
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        if path := os.environ.get("KINETIX_PEER_PYTHONPATH"):
+            environment["PYTHONPATH"] = path
+        # Two processes share the device in turns: neither may take all its memory.
+        environment.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+        super().__init__("the published engine", [python, str(script)], environment)
+        try:
+            self.description = self.ask("describe")
+        except PeerError as error:
+            self.close()
+            raise UserError(f"--peers: {error}") from error
 
     def prepare(self, size: str, files: list[Path], worlds: int, steps: int, seed: int) -> PublishedEngine:
         """Compiles for these worlds and runs once."""

@@ -1,0 +1,304 @@
+"""The engine of several git revisions, and of variants of the kernel as it is, timed side by side in one run.
+
+    python bench/compare_revisions.py export                 # where git is: jax2d/ of each into runs/revisions
+    python bench/compare_revisions.py run --json runs/revisions.json      # anywhere: each beside the working tree
+    python bench/compare_revisions.py run --variants --json runs/variants.json
+
+Every engine has a process of its own; all get the same worlds, actions and settings, and they take turns run by run.
+Printed and written: physics steps/s (median of `--repeats` runs), the ratio to the working tree and to the one before
+in the list, with the spread of the runs, and whether the first run led to the same bits as the working tree's.
+Worlds: the public levels, for numbers of shapes (64) heaps of boxes and balls. On a CPU it is processor time.
+
+A revision or variant that fails costs its own row; a line says why, and the exit code is 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import platform
+import shutil
+import statistics
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+from contextlib import ExitStack
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from bench.revision_runner import STARTS
+from jax2d.scene import Capacity, stack_worlds
+from kinetix_dist.cli.bench import Args
+from kinetix_dist.cli.bench_engine import level_files, load_levels
+from kinetix_dist.cli.bench_peer import LineProcess, PeerError
+from kinetix_dist.cli.errors import UserError, one_line
+from kinetix_dist.cli.growth_scenes import SCENES, capacity_of
+from kinetix_dist.level.level import SIZES
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+FOLDER = Path("runs/revisions")
+NOW = "working tree"
+# Each is what the kernel was after a change; the one above it is what it was before.
+REVISIONS = {
+    "1df39d4": "as timed on an H200 at first",
+    "c5d8b0f": "hard scenes: seams, fast turns, friction in bounces",
+    "7f82489": "effects; a sweep above 32 shapes",
+    "47a1f4f": "contacts found by one copy of the code",
+    "21ba8b1": "two bodies in registers while they are solved",
+    "b73486f": "loops stay loops",
+    "8fe2fc8": "contacts prepared further ahead; inactive slots cost nothing",
+    "b759c9c": "paper follows its appendix",
+    "05fddb8": "near pairs listed first",
+    "bf89792": "fixed bodies once a call",
+    "9678843": "speed limits hold for every state",
+}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "blocks of 32": {"block_dim": 32},
+    "blocks of 128": {"block_dim": 128},
+    "blocks of 256": {"block_dim": 256},
+    "at most 80 registers": {"kernel": {"cuda_max_registers": 80}},
+    "at most 64 registers": {"kernel": {"cuda_max_registers": 64}},
+    "12 blocks a multiprocessor": {"kernel": {"launch_bounds": [64, 12]}},
+    "16 blocks a multiprocessor": {"kernel": {"launch_bounds": [64, 16]}},
+    "16 blocks, spills in shared memory": {"kernel": {"launch_bounds": [64, 16], "enable_cuda_smem_spilling": True}},
+    "fast_math": {"module": {"fast_math": True}},
+    "no fused multiply-add": {"module": {"fuse_fp": False}},
+    "sweep at any size": {"sweep_above_shapes": 0},
+    "every pair tested": {"sweep_above_shapes": 512},
+}
+WORLDS_CPU, WORLDS_GPU = (256,), (8192, 65536)
+Record = dict[str, Any]
+
+
+def export(folder: Path, revisions: dict[str, str]) -> None:
+    """Writes FOLDER/<number>_<revision>/jax2d and FOLDER/revisions.json."""
+    shutil.rmtree(folder, ignore_errors=True)
+    listed = []
+    for number, (revision, label) in enumerate(revisions.items()):
+        done = subprocess.run(["git", "archive", revision, "jax2d"], cwd=CHECKOUT, capture_output=True)
+        if done.returncode != 0:
+            raise UserError(f"git archive {revision}: {one_line(done.stderr.decode())}")
+        name = f"{number:02}_{revision}"
+        with tarfile.open(fileobj=BytesIO(done.stdout)) as archive:
+            archive.extractall(folder / name, filter="data")
+        listed.append({"folder": name, "revision": revision, "label": label})
+    (folder / "revisions.json").write_text(json.dumps(listed, indent=1) + "\n")
+    print(f"{len(listed)} revisions in {folder}")
+
+
+@dataclasses.dataclass
+class Engine:
+    """One that takes part."""
+
+    name: str
+    label: str
+    process: LineProcess
+    seconds: list[float] = dataclasses.field(default_factory=list)
+    prepared: Record = dataclasses.field(default_factory=dict)
+    failed: str | None = None
+
+
+def start(stack: ExitStack, name: str, label: str, folder: Path, variant: dict[str, Any]) -> Engine:
+    """A process whose `jax2d` is that in `folder`."""
+    path = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path), "XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+    # Not by its path in the checkout: the folder of a script comes first on sys.path, and there jax2d is this tree's.
+    code = f"import runpy; runpy.run_path({str(CHECKOUT / 'bench/revision_runner.py')!r}, run_name='__main__')"
+    command = [sys.executable, "-P", "-c", code, json.dumps(variant)]
+    return Engine(name, label, stack.enter_context(LineProcess(name, command, environment)))
+
+
+def entrants(stack: ExitStack, folder: Path, variants: bool, only: list[str] | None) -> list[Engine]:
+    """The revisions of the folder or all variants, then the working tree."""
+    if variants:
+        chosen = [(name, json.dumps(variant), CHECKOUT, variant) for name, variant in VARIANTS.items()]
+    else:
+        index = folder / "revisions.json"
+        if not index.is_file():
+            raise UserError(f"{index} does not exist; run `python bench/compare_revisions.py export` where git is")
+        listed = json.loads(index.read_text())
+        chosen = [(one["revision"], one["label"], folder / one["folder"], {}) for one in listed]
+    names = [name for name, *_ in chosen]
+    if unknown := sorted(set(only or []) - set(names)):
+        raise UserError(f"--only has {unknown[0]!r}; there are {', '.join(names)}")
+    chosen = [one for one in chosen if only is None or one[0] in only]
+    return [start(stack, *one) for one in [*chosen, (NOW, "this checkout", CHECKOUT, {})]]
+
+
+def write_worlds(size: str, levels: Path | None, file: Path) -> tuple[Capacity, str]:
+    """Worlds of a size as one .npz of the fields of Scene and of where bodies start."""
+    if size in SIZES:
+        capacity, args = SIZES[size], Args(what="engine", levels=levels)
+        with level_files(args, size) as (files, source):
+            batch = load_levels(files, size)
+        scene, starts = batch.scene, [getattr(batch, name) for name in STARTS]
+    else:
+        capacity, source = capacity_of(int(size)), "heaps"
+        heaps = [SCENES["heap"](int(size), seed=seed) for seed in range(4)]
+        scene = stack_worlds([world.scene for world in heaps])
+        starts = [np.stack([getattr(world, name) for world in heaps]) for name in STARTS]
+    fields = {field.name: np.asarray(getattr(scene, field.name)) for field in dataclasses.fields(scene)}
+    np.savez(file, **fields, **{name: np.asarray(x) for name, x in zip(STARTS, starts)})
+    return capacity, source
+
+
+def race(engines: list[Engine], request: Record, repeats: int, at_once: int) -> None:
+    """Prepares all, some at the same time since most of it is compiling; then times them turn by turn."""
+    for engine in engines:
+        engine.seconds, engine.prepared, engine.failed = [], {}, None
+    for first in range(0, len(engines), at_once):
+        group = engines[first : first + at_once]
+        for engine in group:
+            engine.process.send("prepare", **request)
+        for engine in group:
+            try:
+                engine.prepared = engine.process.receive()
+            except PeerError as error:
+                engine.failed = str(error)
+    for _ in range(repeats):
+        for engine in engines:
+            if engine.failed is None:
+                try:
+                    engine.seconds.append(engine.process.ask("run")["seconds"])
+                except PeerError as error:
+                    engine.failed = str(error)
+
+
+def records_of(engines: list[Engine], request: Record, size: str) -> list[Record]:
+    """One for each engine that ran; the working tree is the last one."""
+    steps = request["count"] * request["steps"]
+    now = engines[-1]
+    records, before = [], None
+    for engine in engines:
+        if engine.failed is not None:
+            continue
+        speeds = [steps / seconds for seconds in engine.seconds]
+        speed = statistics.median(speeds)
+        record = {
+            "name": engine.name,
+            "label": engine.label,
+            "size": size,
+            "worlds": request["count"],
+            "preset": request["preset"],
+            "physics_steps_per_second": round(speed),
+            "slowest": round(min(speeds)),
+            "fastest": round(max(speeds)),
+            "of_working_tree": None,
+            "of_the_one_before": round(speed / before, 4) if before else None,
+            "bits_of_working_tree": engine.prepared["bits"] == now.prepared.get("bits"),
+            "first_run_seconds": round(engine.prepared["seconds"], 2),
+        }
+        if now.failed is None:
+            record["of_working_tree"] = round(speed / (steps / statistics.median(now.seconds)), 4)
+        records.append(record)
+        before = speed
+    return records
+
+
+def row(record: Record) -> str:
+    def ratio(value: float | None) -> str:
+        return f"{value:8.3f}" if value is not None else f"{'-':>8}"
+
+    low, high = (record[name] / record["physics_steps_per_second"] for name in ("slowest", "fastest"))
+    return (
+        f"  {record['name'][:34]:<34} {record['size'].upper():>3} {record['worlds']:>7} "
+        f"{record['physics_steps_per_second']:>13,} ({low:.2f}-{high:.2f}) {ratio(record['of_working_tree'])} "
+        f"{ratio(record['of_the_one_before'])} {'same' if record['bits_of_working_tree'] else 'other':>6}  "
+        f"{record['label'][:60]}"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    started = time.perf_counter()
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # many processes share the GPU
+    on_gpu = jax.default_backend() == "gpu"
+    points = [(size, count) for size in args.sizes for count in args.worlds or (WORLDS_GPU if on_gpu else WORLDS_CPU)]
+    result: Record = {"python": platform.python_version(), "records": [], "failures": [], "left_out": []}
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        engines = entrants(stack, args.folder, args.variants, args.only)
+        for engine in engines:
+            engine.process.send("describe")
+        for engine in list(engines):
+            try:
+                told = engine.process.receive()
+            except PeerError as error:
+                result["failures"].append(f"{engine.name}: {error}")
+                engines.remove(engine)
+                continue
+            result |= {name: told[name] for name in ("device", "jax", "warp")}
+            where = CHECKOUT if args.variants or engine.name == NOW else args.folder
+            if not Path(told["jax2d"]).is_relative_to(where.resolve()):
+                raise UserError(f"{engine.name} took its jax2d from {told['jax2d']}, not from {where}")
+        if not engines or engines[-1].name != NOW:
+            raise UserError(result["failures"][-1])
+        print(f"{len(engines)} engines on {result['device']}, jax {result['jax']}, warp {result['warp']}")
+        print("  name, size, worlds, physics steps/s (spread), of working tree, of the one before, bits")
+        for size, count in points:
+            if args.seconds and time.perf_counter() - started > args.seconds:
+                result["left_out"].append({"size": size, "worlds": count})
+                print(f"  {size.upper()}, {count} worlds: left out, {args.seconds:g} s are over")
+                continue
+            capacity, source = write_worlds(size, args.levels, folder / f"{size}.npz")
+            request = {
+                "worlds": str(folder / f"{size}.npz"),
+                "capacity": dataclasses.asdict(capacity),
+                "preset": args.preset,
+                "count": count,
+                "steps": args.steps,
+                "seed": 0,
+            }
+            race(engines, request, args.repeats, args.at_once)
+            new = records_of(engines, request, size)
+            result["records"] += [record | {"levels": source} for record in new]
+            failed = [f"{one.name}, {size.upper()}, {count} worlds: {one.failed}" for one in engines if one.failed]
+            result["failures"] += failed
+            print("\n".join([*map(row, new), *(f"  failed: {line}" for line in failed)]), flush=True)
+            if args.json:
+                args.json.parent.mkdir(parents=True, exist_ok=True)
+                args.json.write_text(json.dumps(result, indent=1) + "\n")
+    return 1 if result["failures"] or result["left_out"] else 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("do", choices=("export", "run"))
+    parser.add_argument("revisions", nargs="*", help="export: other revisions than those of the lab log, oldest first")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the exported revisions")
+    parser.add_argument("--variants", action="store_true", help="run: variants of the working tree, not revisions")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="run: these revisions or variants alone")
+    parser.add_argument("--sizes", nargs="+", default=["s", "m", "l"], help="s, m, l, or numbers of shapes")
+    parser.add_argument("--worlds", type=int, nargs="+", help="default: by device")
+    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--levels", type=Path, help="folder with s/, m/ and l/; default as in bench engine")
+    parser.add_argument("--steps", type=int, default=128, help="physics steps of a timed run, an even number")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--at-once", type=int, default=max(1, (os.cpu_count() or 1) // 2), help="that compile at once")
+    parser.add_argument("--seconds", type=float, help="begin no further size or number of worlds after this time")
+    parser.add_argument("--json", type=Path, help="write the records here")
+    args = parser.parse_args()
+    if args.steps < 2 or args.steps % 2 or args.repeats < 1 or any(count < 1 for count in args.worlds or []):
+        parser.error("--steps must be even and 2 or more, --repeats and --worlds 1 or more")
+    for size in args.sizes:
+        if size not in SIZES and not (size.isdigit() and 4 <= int(size) <= 512):
+            parser.error(f"--sizes has {size!r}; give s, m, l, or a number of shapes from 4 to 512")
+    try:
+        if args.do == "export":
+            named = dict.fromkeys(args.revisions, "")
+            export(args.folder, named or REVISIONS)
+            return 0
+        return run(args)
+    except UserError as error:
+        parser.exit(2, f"{parser.prog}: {error}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
