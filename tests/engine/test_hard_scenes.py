@@ -1,17 +1,19 @@
-"""Scenes on which solvers fail. Preset `standard` and `fine` must pass all; where `draft` and `paper` fail is written
-down, and a test fails when one of them starts to pass."""
+"""Scenes on which solvers fail. Where a preset fails is written down, and a test fails when it starts to pass there."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d import BuiltWorld, Engine, SceneBuilder, SceneError, preset
+from jax2d import BuiltWorld, Engine, SceneBuilder, SceneError, State, preset, stack_worlds
 from jax2d.fidelity.hard_scenes import CAPACITY as LARGE
-from jax2d.fidelity.hard_scenes import Check, Yard
+from jax2d.fidelity.hard_scenes import Check, Yard, stack
 from jax2d.fidelity.hard_table import outcomes, scenes
 from jax2d.fidelity.motion import Motion, record
 from tests.engine.worlds import CAPACITY, builder, engine
@@ -19,7 +21,14 @@ from tests.engine.worlds import CAPACITY, builder, engine
 NAMES = [scene.name for scene in scenes()]
 PHASES = 64  # positions within a step's motion from which a fast body meets an obstacle
 
+# For `standard` with the figures that fail; all others must hold.
+STANDARD_BEYOND = {
+    # Positions of float32 lie 1 mm apart there. Nothing else of the solver is at fault: see the test of that below.
+    "stack of 15 10000 m away": {"drifts, m"},
+}
 BEYOND = {
+    "standard": set(STANDARD_BEYOND),
+    "fine": set(),
     "draft": {
         "stack of 10",
         "stack of 15",
@@ -27,8 +36,7 @@ BEYOND = {
         "mass ratio 400",
         "pyramid under mass ratio 300",
         "card house",
-        "stack of 10 1000 m away",
-        "stack of 10 10000 m away",
+        *(f"stack of {count} {far} m away" for count in (10, 15) for far in (1000, 10000)),
         "pyramid of 10 rows 10000 m away",
         "bridge",
         "ball and chain, mass ratio 50",
@@ -47,6 +55,7 @@ BEYOND = {
         "disc over a tiled floor",
         "thin and tiny shapes",
         "stack of 10 10000 m away",
+        *(f"stack of 15 {far} m away" for far in (1000, 10000)),
         "pyramid of 5 rows of 0.05 m",
         "bridge",
         "ball and chain, mass ratio 50",
@@ -70,27 +79,57 @@ def assert_holds(checks: list[Check]) -> None:
         assert check.holds, f"{check.figure} {check.value:.3g}, at most {check.limit:g}"
 
 
+def cases(*solvers: str) -> list:
+    """Every scene under every one of the presets; where one fails, its failure is expected, but no other error is."""
+    expected = pytest.mark.xfail(strict=True, raises=AssertionError)
+    return [
+        pytest.param(solver, name, marks=[expected] if name in BEYOND[solver] else [])
+        for solver in solvers
+        for name in NAMES
+    ]
+
+
 @pytest.mark.also_gpu
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in STANDARD_BEYOND])
 def test_standard_passes(name: str):
     assert_holds(outcomes(preset("standard"))[name])
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_fine_passes(name: str):
-    assert_holds(outcomes(preset("fine"))[name])
-
-
-@pytest.mark.parametrize(
-    ("solver", "name"),
-    [
-        pytest.param(solver, name, marks=[pytest.mark.xfail(strict=True)] if name in BEYOND[solver] else [])
-        for solver in BEYOND
-        for name in NAMES
-    ],
-)
-def test_draft_and_paper_fail_only_where_it_is_written(solver: str, name: str):
+@pytest.mark.parametrize(("solver", "name"), cases("fine", "draft", "paper"))
+def test_others_fail_only_where_it_is_written(solver: str, name: str):
     assert_holds(outcomes(preset(solver))[name])
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError)
+@pytest.mark.parametrize("name", STANDARD_BEYOND)
+def test_standard_passes_what_is_beyond_it(name: str):
+    assert_holds(outcomes(preset("standard"))[name])
+
+
+@pytest.mark.parametrize("name", STANDARD_BEYOND)
+def test_standard_fails_in_no_other_figure(name: str):
+    assert {check.figure for check in outcomes(preset("standard"))[name] if not check.holds} == STANDARD_BEYOND[name]
+
+
+def test_far_stack_is_lost_to_the_rounding_of_positions_alone():
+    """At the origin, with positions rounded between steps as float32 rounds them at 10 km, it drifts just as far."""
+    world, one = stack(15).world, Engine(LARGE)
+    scene, state = stack_worlds([world.scene]), stack_worlds([one.initial_state(*world)])
+    packed_scene, controls = one.pack_scene(scene), one.no_controls(1)
+
+    @jax.jit
+    def simulate(state: State, far: jax.Array) -> State:  # a constant would be folded: x + far - far = x
+        def body(state: State, _):
+            state = one.unpack_state(one.step_packed(packed_scene, one.pack_state(state), controls)[0])
+            return dataclasses.replace(state, position=(state.position + far) - far), None
+
+        return jax.lax.scan(body, state, length=600)[0]
+
+    moved = np.linalg.norm(
+        np.asarray(simulate(state, jnp.float32(1e4)).position - state.position)[0, : 15 + 1], axis=-1
+    )
+    drift = outcomes(preset("standard"))["stack of 15 10000 m away"][0]
+    assert moved.max() == pytest.approx(drift.value, abs=1e-3)
 
 
 def test_published_table_says_the_same():
@@ -102,7 +141,7 @@ def test_published_table_says_the_same():
     assert list(published) == NAMES
     for solver in header[2:]:
         failing = {name for name in NAMES if published[name][solver].startswith("**fails**")}
-        assert failing == BEYOND.get(solver, set())
+        assert failing == BEYOND[solver]
 
 
 # Fast bodies: 64 phases of each, one batch
