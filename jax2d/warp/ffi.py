@@ -1,13 +1,15 @@
 """The kernel as a JAX function: packs Scene and State into worlds-last tables and calls it through XLA's FFI.
 
-Works inside jit, scan and shard_map on CPU and CUDA. Batches are explicit (leading world axis on every
-field of Scene and State); under `vmap` fold the mapped axis into the worlds instead.
+Works inside jit, scan, shard_map and vmap on CPU and CUDA. Batches are explicit (leading world axis on every
+field of Scene and State); axes that `vmap` maps are folded into the worlds. There are no gradients.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -64,7 +66,7 @@ def solver_parameters(settings: Settings) -> np.ndarray:
 def _worlds_last(x: Array, dtype: Any) -> jax.Array:
     """[num_worlds, ...] -> [rows, num_worlds]."""
     x = jnp.asarray(x)
-    return x.reshape(x.shape[0], -1).astype(dtype).T
+    return x.reshape(x.shape[0], math.prod(x.shape[1:])).astype(dtype).T
 
 
 def _bit_rows(matrix: Array) -> jax.Array:
@@ -96,7 +98,8 @@ class WarpBackend:
         self.rows = Layout(capacity).rows()
         self.parameters = solver_parameters(settings)
         wp.init()
-        self._call = _jax_call(capacity, settings.solver, settings.friction_mixing, effects)
+        call = _jax_call(capacity, settings.solver, settings.friction_mixing, effects)
+        self._launch = functools.cache(lambda num_steps: _launch(call, self.rows["OUT"]["ROWS"], num_steps))
 
     def pack_scene(self, scene: Scene) -> SceneTables:
         """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
@@ -186,10 +189,7 @@ class WarpBackend:
         worlds = state.bodies.shape[1]
         control_rows = [_worlds_last(x, jnp.float32) for x in (controls.motor, controls.thruster) if x.shape[-1]]
         control_table = jnp.concatenate(control_rows) if control_rows else jnp.zeros((1, worlds), jnp.float32)
-        # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by what
-        # it says instead, equal programs are equal in every process and found in the compile cache.
-        self._call.launch_id = (num_steps << 32) | worlds
-        bodies, impulses, keys, out = self._call(
+        bodies, impulses, keys, out = self._launch(num_steps)(
             scene.floats,
             scene.ints,
             control_table,
@@ -197,9 +197,6 @@ class WarpBackend:
             state.bodies,
             state.impulses,
             state.keys,
-            num_steps,
-            launch_dims=worlds,
-            output_dims={"out_table": (rows["ROWS"], worlds)},
         )
         bits = jax.lax.bitcast_convert_type(out, jnp.uint32)
         height = c.shapes * c.touch_words
@@ -210,6 +207,49 @@ class WarpBackend:
             limited=out[rows["LIMITED"]],
         )
         return StateTables(bodies=bodies, impulses=impulses, keys=keys), noted
+
+
+def _launch(call: Any, out_rows: int, num_steps: int) -> Callable[..., tuple[Array, ...]]:
+    """(floats, ints, controls, parameters, bodies, impulses, keys) -> (bodies, impulses, keys, out), tables of
+    [rows, num_worlds] but for the parameters."""
+
+    @jax.custom_batching.custom_vmap
+    def launch(*tables: Array) -> tuple[Array, ...]:
+        bodies, impulses, keys = tables[4:]
+        worlds = bodies.shape[1]
+        if worlds == 0:  # the kernel cannot be launched for nobody
+            return bodies, impulses, keys, jnp.zeros((out_rows, 0), jnp.int32)
+        # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by what
+        # it says instead, equal programs are equal in every process and found in the compile cache.
+        call.launch_id = (num_steps << 32) | worlds
+        return tuple(call(*tables, num_steps, launch_dims=worlds, output_dims={"out_table": (out_rows, worlds)}))
+
+    @launch.def_vmap
+    def launch_folded(axis_size: int, is_mapped: Sequence[bool], *tables: Array) -> tuple[tuple, tuple]:
+        def fold(table: Array, mapped: bool) -> Array:
+            """[mapped, rows, worlds], or [rows, worlds] for all alike -> [rows, mapped * worlds]."""
+            if table.ndim == 1:  # the parameters, which are the engine's
+                return table
+            table = table if mapped else jnp.broadcast_to(table, (axis_size, *table.shape))
+            return jnp.moveaxis(table, 0, 1).reshape(table.shape[1], axis_size * table.shape[2])
+
+        def unfold(table: Array) -> Array:
+            return jnp.moveaxis(table.reshape(table.shape[0], axis_size, worlds), 1, 0)
+
+        worlds = tables[-1].shape[-1]
+        out = tuple(map(unfold, launch(*map(fold, tables, is_mapped))))
+        return out, (True,) * len(out)
+
+    @jax.custom_jvp
+    def without_gradient(*tables: Array) -> tuple[Array, ...]:
+        return launch(*tables)
+
+    @without_gradient.defjvp
+    def no_gradient(primals: tuple, tangents: tuple) -> Any:
+        del primals, tangents
+        raise NotImplementedError("backend 'warp' has no gradients; build the engine with backend='xla'")
+
+    return without_gradient
 
 
 @functools.cache
