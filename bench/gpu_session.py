@@ -35,7 +35,7 @@ PEER_STEPS = 128  # of a timed run beside the published engine
 # Where each engine is at its best lies within these.
 PEER_WORLDS = {"s": (65536, 131072), "m": (65536, 131072), "l": (8192, 32768, 65536)}
 OUR_WORLDS = (2048, 16384, 131072, 262144)
-SOAK_STEPS, SOAK_WORLDS = 1e10, 131072
+SOAK_STEPS, SOAK_WORLDS = {"s": 4.5e9, "m": 3.5e9, "l": 2.1e9}, 131072  # 1e10 in all
 VERSIONS = ("jax", "jaxlib", "warp-lang", "flax", "optax", "numpy", "orbax-checkpoint", "pytest", "jax-cuda13-plugin")
 Record = dict[str, Any]
 
@@ -82,11 +82,9 @@ def first_part(mini: bool) -> list[Step]:
             limit,
         )
 
-    alone = ("--worlds", 4, "--steps", 2) if mini else ("--worlds", *OUR_WORLDS)
     return [
         Step("tests", {"tests": tests, **warm}, 245),
         *(beside(size) for size in ("l", "m", "s")),
-        Step("our engine by worlds", {"": bench("--presets", "standard", *alone)}, 100),
     ]
 
 
@@ -94,7 +92,7 @@ def second_part(mini: bool) -> list[Step]:
     sizes = ("m", "l", "s")
 
     def soak(size: str) -> list[str]:
-        worlds, steps, seconds = (4, 1, 60) if mini else (SOAK_WORLDS, SOAK_STEPS / 3, 240)
+        worlds, steps, seconds = (4, 1, 60) if mini else (SOAK_WORLDS, SOAK_STEPS[size], 280)
         amount = ("--worlds", worlds, "--steps", steps, "--seconds", seconds)
         return python(
             "bench/soak.py", "--sizes", size, *amount, "--episodes-a-draw", 8, "--seed", 11, "--json", "{json}"
@@ -113,7 +111,7 @@ def second_part(mini: bool) -> list[Step]:
     if mini:
         accuracy += ["--worlds", "4", "--scenes", "free_fall", "--presets", "standard"]
     return [
-        Step("soak", {size: soak(size) for size in sizes} | warm, 290),
+        Step("soak", {size: soak(size) for size in sizes} | warm, 310),
         Step("accuracy", {"": accuracy}, 240, draws=(".csv", ".png")),
         *(Step(f"effects, {size.upper()}", {"": effects(size, "--repeats", 15)}, 90) for size in sizes),
     ]
@@ -137,10 +135,12 @@ def third_part(mini: bool) -> list[Step]:
         profile += ("--levels", levels)
     largest = ("--sizes", "s", "--worlds", 1, "--shapes", 4 if mini else 512)
     compiling = {size: python("bench/compile_time.py", "--sizes", size, "--json", "{json}") for size in sizes}
+    alone = ("--worlds", 4, "--steps", 2) if mini else ("--worlds", *OUR_WORLDS)
     growing = ("--growth", "--presets", "standard")
     return [
         Step("revisions", {"": python(*compare, *revisions)}, 200),
         Step("variants", {"": python(*compare, "--variants", *variants)}, 140),
+        Step("our engine by worlds", {"": bench("--presets", "standard", *alone)}, 100),
         Step("growth", {"": bench(*growing, *growth)}, 240, draws=(".md", ".png")),
         Step("compiling", compiling, 60),
         Step("profile", {"": python("bench/kernel_profile.py", *profile, "--json", "{json}")}, 80),
