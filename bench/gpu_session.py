@@ -122,7 +122,7 @@ def third_part(mini: bool) -> list[Step]:
     revisions = ("--worlds", 65536, 8192, "--sizes", "m", "l", "s", "--seconds", 150)
     variants = ("--worlds", 65536, "--sizes", "m", "l", "--seconds", 100)
     growth = ("--shapes", 4, 8, 16, 32, 64, 128, 256)
-    profile: tuple[Any, ...] = ("--parts", "divergence", "speed", "--worlds", 65536, "--blocks", 64)
+    profile: tuple[Any, ...] = ("--parts", "divergence", "speed", "--worlds", 65536)
     sizes = ["s", "m", "l"]
     if mini:
         tiny = ("--worlds", 4, "--sizes", "s", "--steps", 2, "--repeats", 1)

@@ -9,8 +9,9 @@ Four parts, each a list of records in `--json`:
     phases      instructions by what `World::soft_step` calls, by kind: what is executed once, or once a contact
     divergence  lanes of a warp run in lockstep, so a loop over contacts takes as long as the fullest world of the warp:
                 from states that the levels reach under random actions, contacts of a world and of the fullest of 32
-    speed       (GPU) physics steps/s and bytes/s of the tables that a launch reads and writes, by block size, and with
-                worlds of like work side by side (grouped) instead of mixed
+    speed       (GPU) physics steps/s and bytes/s of the tables that a launch reads and writes, with worlds in the order
+                of their levels (mixed) and with worlds of like work side by side (grouped); block sizes and other
+                variants: bench/compare_revisions.py --variants
 
 The first two take `ptxas` and `nvdisasm` from $PATH or from the wheels nvidia-cuda-nvcc and nvidia-cuda-nvdisasm, which
 must be at least as new as the compiler inside Warp. `--parts` leaves parts out.
@@ -29,7 +30,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -244,14 +244,8 @@ def grouped(levels: Level) -> Level:
     return jax.tree.map(lambda x: jnp.take(jnp.asarray(x), order, axis=0), levels)
 
 
-def speed_record(size: str, engine: Engine, levels: Level, block: int, repeats: int, order: str = "mixed") -> Record:
+def speed_record(size: str, engine: Engine, levels: Level, repeats: int, order: str) -> Record:
     levels = grouped(levels) if order == "grouped" else levels
-    engine.backend._call = wp.jax_kernel(
-        kernel_of(engine),
-        num_outputs=4,
-        in_out_argnames=["state_table", "impulse_table", "key_table"],
-        block_dim=block,
-    )
     worlds = levels.position.shape[0]
     scene, start = packed(engine, levels)
     run = stepper(engine, worlds)
@@ -266,7 +260,6 @@ def speed_record(size: str, engine: Engine, levels: Level, block: int, repeats: 
     return {
         "size": size,
         "worlds": worlds,
-        "block": block,
         "order": order,
         "device": jax.devices()[0].device_kind,
         "physics_steps_per_second": round(per_second),
@@ -294,7 +287,6 @@ def main() -> None:
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--levels", type=Path, help="folder of public levels (s/, m/, l/); default: random levels")
     parser.add_argument("--worlds", type=int, default=2048, help="a multiple of 32")
-    parser.add_argument("--blocks", type=int, nargs="+", default=[32, 64, 128, 256], help="threads a block to time")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", type=Path, help="write the records here")
     args = parser.parse_args()
@@ -316,9 +308,8 @@ def main() -> None:
         if "divergence" in chosen:
             results["divergence"].append(divergence_record(size, engine, levels, runs=4))
         if "speed" in chosen:
-            measure = partial(speed_record, size, engine, levels, repeats=args.repeats)
-            results["speed"] += [measure(block=block) for block in args.blocks]
-            results["speed"].append(measure(block=BLOCK, order="grouped"))
+            orders = ("mixed", "grouped")
+            results["speed"] += [speed_record(size, engine, levels, args.repeats, order) for order in orders]
     for title, rows in results.items():
         show(title, rows)
     if args.json:
