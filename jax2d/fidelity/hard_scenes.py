@@ -8,6 +8,7 @@ than time (tunnelling, a thousand bounces) stand in tests/engine.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -124,7 +125,7 @@ def pyramid(rows: int = 10, size: float = 1.0, at: Point = (0.0, 0.0)) -> HardSc
     def judge(m: Motion) -> list[Check]:
         return [
             Check("top drops, m", m.position[0, top, 1] - m.position[-1, top, 1], 0.1 * size),
-            Check("overlap, m", m.depth(), 2 * SLOP_M),
+            Check("overlap, m", m.depth(), 2 * SLOP_M * size),
         ]
 
     small = f" of {size:g} m" if size != 1.0 else ""
@@ -347,17 +348,32 @@ def _gap(m: Motion, limit: float, after: float = 0.0) -> Check:
     return Check("joint gap, m", m.gaps()[m.after(after) :].max(), limit)
 
 
-def bridge() -> HardScene:
-    """Twenty planks of 1 m between two fixed ends."""
-    yard = Yard(floor=False)
-    last = yard.box(-0.5, 0, height=0.25, fixed=True)
-    for k in range(20):
-        plank = yard.box(k + 0.5, 0, height=0.25)
-        yard.hinge(last, plank, k, 0)
+def _planks(yard: Yard, corners: Sequence[Point]) -> None:
+    """Planks of 1 m from corner to corner, hinged to each other and to a fixed block at either end."""
+    last = yard.box(corners[0][0] - 0.5, corners[0][1], height=0.25, fixed=True)
+    for (x0, y0), (x1, y1) in itertools.pairwise(corners):
+        plank = yard.box((x0 + x1) / 2, (y0 + y1) / 2, height=0.25, angle=math.atan2(y1 - y0, x1 - x0))
+        yard.hinge(last, plank, x0, y0)
         last = plank
-    end = yard.box(20.5, 0, height=0.25, fixed=True)
-    yard.hinge(last, end, 20, 0)
-    return yard.scene("bridge", lambda m: [_gap(m, 0.01, after=9.0)])
+    end = yard.box(corners[-1][0] + 0.5, corners[-1][1], height=0.25, fixed=True)
+    yard.hinge(last, end, *corners[-1])
+
+
+def bridge() -> HardScene:
+    """Twenty planks that hang in an arc between ends 19 m apart."""
+    yard = Yard(floor=False)
+    turn = 0.0553  # rad from plank to plank, with which twenty chords of 1 m span 19 m
+    steps = [(math.cos(turn * (k - 9.5)), math.sin(turn * (k - 9.5))) for k in range(20)]
+    _planks(yard, np.cumsum([(0.0, 0.0), *steps], axis=0))
+    return yard.scene("bridge", lambda m: [_gap(m, 0.01)])
+
+
+def taut_bridge() -> HardScene:
+    """The planks level between ends 20 m apart, as in Box2D's samples: without gaps no force, however large, holds
+    them up, so a bridge gets its sag, and its tension a bound, from the gaps alone."""
+    yard = Yard(floor=False)
+    _planks(yard, [(float(k), 0.0) for k in range(21)])
+    return yard.scene("taut bridge", lambda m: [_gap(m, 0.01)])
 
 
 def _chain(yard: Yard, links: int, *, fall: float = 0.0) -> int:
@@ -479,9 +495,8 @@ def four_bar() -> HardScene:
             yard.builder.keep_apart(bars[one], bars[other])
 
     def judge(m: Motion) -> list[Check]:
-        start = m.after(2.0)
-        mean = (m.angle[-1, crank] - m.angle[start, crank]) / (m.time[-1] - m.time[start])
-        return [_gap(m, 0.01), Check("mean motor speed is wrong by a share of", abs(mean / 3.0 - 1), 0.02)]
+        late = m.angular_velocity[m.after(1.0) :, crank]
+        return [_gap(m, 0.004), Check("motor speed is wrong by a share of", np.abs(late / 3.0 - 1).max(), 0.02)]
 
     return yard.scene("four-bar linkage", judge)
 
@@ -594,6 +609,7 @@ def hard_scenes() -> list[HardScene]:
         *(stack(count, at=(far, far)) for far in (1e3, 1e4) for count in (5, 10, 15)),
         *(pyramid(at=(far, far)) for far in (1e3, 1e4)),
         bridge(),
+        taut_bridge(),
         hanging_chain(),
         falling_chain(),
         *(ball_and_chain(ratio) for ratio in (10.0, 50.0, 150.0)),
@@ -604,7 +620,10 @@ def hard_scenes() -> list[HardScene]:
         cart(),
         strong_wheel(),
         cantilever(),
-        *(motor_against_limit(1.0, limits) for limits in ((-0.5, 1.0), (-4.0, 4.5), (-1.0, 7.5))),
-        motor_against_limit(30.0, (-0.5, 1.0)),
+        *(
+            motor_against_limit(power, limits)
+            for power in (1.0, 30.0)
+            for limits in ((-0.5, 1.0), (-4.0, 4.5), (-1.0, 7.5))
+        ),
         *(motor_settles(power) for power in (0.05, 1.0, 4.0, 30.0, 1000.0)),
     ]

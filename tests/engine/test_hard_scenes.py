@@ -25,6 +25,10 @@ PHASES = 64  # positions within a step's motion from which a fast body meets an 
 STANDARD_BEYOND = {
     # Positions of float32 lie 1 mm apart there. Nothing else of the solver is at fault: see the test of that below.
     "stack of 15 10000 m away": {"drifts, m"},
+    # 0.016 m of 0.010: what holds level planks up grows without bound as gaps shrink.
+    "taut bridge": {"joint gap, m"},
+    # 4.2 mm of 4 while the motor starts, 3.9 % of 2 afterwards: one pass over light and heavy bars leaves that.
+    "four-bar linkage": {"joint gap, m", "motor speed is wrong by a share of"},
 }
 BEYOND = {
     "standard": set(STANDARD_BEYOND),
@@ -38,7 +42,10 @@ BEYOND = {
         "card house",
         *(f"stack of {count} {far} m away" for count in (10, 15) for far in (1000, 10000)),
         "pyramid of 10 rows 10000 m away",
+        "pyramid of 5 rows of 0.05 m",
         "bridge",
+        "taut bridge",
+        "four-bar linkage",
         "ball and chain, mass ratio 50",
         "ball and chain, mass ratio 150",
         "motor of power 30 against a limit of 1 rad",
@@ -58,6 +65,8 @@ BEYOND = {
         *(f"stack of 15 {far} m away" for far in (1000, 10000)),
         "pyramid of 5 rows of 0.05 m",
         "bridge",
+        "taut bridge",
+        "four-bar linkage",
         "ball and chain, mass ratio 50",
         "ball and chain, mass ratio 150",
         "stretched chain",
@@ -68,7 +77,7 @@ BEYOND = {
         "motor of power 1 against a limit of 1 rad",
         "motor of power 1 against a limit of 4.5 rad",
         "motor of power 1 against a limit of 7.5 rad",
-        "motor of power 30 against a limit of 1 rad",
+        *(f"motor of power 30 against a limit of {limit} rad" for limit in (1, 4.5, 7.5)),
         *(f"motor of power {power}" for power in ("0.05", "1", "4", "1000")),
     },
 }
