@@ -45,8 +45,15 @@ class Settings:
     joint_hertz_share: float = 0.25
     joint_damping_ratio: float = 4.0  # at 2 stretched chains and welded beams ring for seconds
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
+    joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed
+    joint_turn_speed: float = (
+        4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld to its angle
+    )
     speculative_distance: float = 0.02  # m, contacts are prepared from here on (4 x Box2D's linear slop)
     restitution_threshold: float = 1.0  # m/s, slower impacts do not bounce, so that stacks come to rest
+    bounce_rounds: int = (
+        16  # most rounds in which joints and other contacts share in a bounce; fewer once it is settled
+    )
 
     # sequential_impulses (published constants)
     slop: float = 0.01  # m, penetration left alone
@@ -72,6 +79,8 @@ class Settings:
             raise ValueError(f"Settings.dt is {self.dt}; a step must take a positive time in seconds")
         if self.substeps < 1:
             raise ValueError(f"Settings.substeps is {self.substeps}; at least 1 is needed")
+        if self.bounce_rounds < 1:
+            raise ValueError(f"Settings.bounce_rounds is {self.bounce_rounds}; at least 1 is needed")
         if self.solver_batch_size < 1:
             raise ValueError(f"Settings.solver_batch_size is {self.solver_batch_size}; at least 1 is needed")
         if self.solver_batch_size > 1 and self.solver == "soft_step":

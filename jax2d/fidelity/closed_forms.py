@@ -235,6 +235,21 @@ def bounce_elastic(b: SceneBuilder) -> Error:
     return error
 
 
+@closed_form("flat_bounce", metric="height error / e^2 h0, plus turn / 1 rad (a box that lands flat)", seconds=0.9)
+def flat_bounce(b: SceneBuilder) -> Error:
+    e, height = 0.5, 1.0
+    b.add_box(width=10, height=1, position=(0, -0.5), fixed=True, restitution=e)
+    box = b.add_box(width=0.4, height=0.2, position=(0, height + 0.1), restitution=e)
+
+    def error(path: Path) -> float:
+        after = path.times > 0.5  # it falls until 0.45 s and is down again at 0.9 s
+        height_after = path.position[after, box, 1] - 0.1
+        top = int(np.argmax(height_after))
+        return _off(vertex(height_after, top), e**2 * height) + abs(path.angle[after, box][top])
+
+    return error
+
+
 @closed_form("welded_bounce", metric="height error / e^2 h0 (a disc with a box welded on it)", seconds=0.9)
 def welded_bounce(b: SceneBuilder) -> Error:
     e, height, radius = 0.5, 1.0, 0.1

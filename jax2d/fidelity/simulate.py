@@ -50,7 +50,7 @@ class Run(NamedTuple):
 
 def compiled_in(settings: Settings, backend: str) -> Settings:
     """What of the settings a program is compiled for: all but numbers and switches; in plain JAX loop counts too."""
-    loops = {"solver_batch_size"} | ({"substeps"} if backend == "xla" else set())
+    loops = {"solver_batch_size"} | ({"substeps", "bounce_rounds"} if backend == "xla" else set())
     defaults = Settings()
     numbers = {
         field.name: getattr(defaults, field.name)

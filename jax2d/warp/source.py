@@ -16,6 +16,7 @@ from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
 
 NATIVE_FILES = (
     "vec2.h",
+    "soft.h",
     "bodies.h",
     "manifolds.h",
     "sweep.h",
@@ -23,6 +24,7 @@ NATIVE_FILES = (
     "contacts.h",
     "joints.h",
     "forces.h",
+    "bounces.h",
     "paper.h",
     "step.h",
 )
@@ -58,6 +60,7 @@ def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[
         "ALL_SHAPES": int(polygons + circles == capacity.shapes),
         "MAX_VERTICES": capacity.vertices,
         "NUM_CORNERS": max(1, polygons * capacity.vertices),
+        "BOUNCE_SHAPES": polygons + circles if effects.restitution and settings.solver == "soft_step" else 1,
         "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
         "TOUCH_WORDS": capacity.touch_words,
         "SWEEP": int(sweep),

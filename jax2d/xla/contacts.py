@@ -14,7 +14,18 @@ import jax.numpy as jnp
 
 from jax2d.scene import Capacity, Scene
 from jax2d.xla import manifolds, published, vec2
-from jax2d.xla.bodies import Bodies, Motion, Pair, pair_motion, pair_up, pick, push_pair, put_back, relative_velocity
+from jax2d.xla.bodies import (
+    Bodies,
+    Motion,
+    Pair,
+    PairMotion,
+    pair_motion,
+    pair_up,
+    pick,
+    push_pair,
+    put_back,
+    relative_velocity,
+)
 from jax2d.xla.manifolds import Geometry, Points
 from jax2d.xla.parameters import Parameters, Rules, Scalar
 
@@ -51,8 +62,10 @@ class Memory(NamedTuple):
     impulse: jax.Array  # [K, 2] N s
 
 
-def remember(contacts: Contacts) -> Memory:
-    return Memory(contacts.key, jnp.stack([contacts.impulse_normal, contacts.impulse_tangent], -1))
+def remember(contacts: Contacts, bounces: jax.Array | bool = False) -> Memory:
+    """Impulses for warm starting, none of what bounces [K] apart."""
+    impulse = jnp.stack([contacts.impulse_normal, contacts.impulse_tangent], -1)
+    return Memory(contacts.key, jnp.where(jnp.asarray(bounces)[..., None], 0, impulse))
 
 
 def find(
@@ -215,17 +228,68 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: Parameters, *, use_bi
     def solve(motion: Motion, row: tuple) -> tuple[Motion, tuple]:
         c, bias, mass_scale, impulse_scale = row
         before = of = pair_motion(c.pair, motion)
-        vn = vec2.dot(c.normal, relative_velocity(of, c.arm_a, c.arm_b))
+        vn = normal_speed(of, c)
         impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal
-        normal_total = jnp.maximum(c.impulse_normal + impulse, 0)
-        tangent_total = c.impulse_tangent
-        of = push_pair(of, c.pair, c.arm_a, c.arm_b, c.normal * (normal_total - c.impulse_normal)[..., None])
-        if not use_bias:
-            of, tangent_total = solve_friction(of, c, normal_total)
+        of, normal_total, tangent_total = push_apart(of, c, impulse, with_friction=not use_bias)
         return put_back(motion, c.pair, before, of), (normal_total, tangent_total)
 
     motion, (normal, tangent) = jax.lax.scan(solve, bodies.motion, (_rows(contacts), bias, mass_scale, impulse_scale))
     return bodies._replace(motion=motion), _with_impulses(contacts, normal, tangent)
+
+
+class Leaving(NamedTuple):
+    """Contacts while those that hit bounce."""
+
+    speed: jax.Array  # [K] m/s to leave with, 0: does not bounce
+    mass: jax.Array  # [K] kg that a push is taken to move
+    before: jax.Array  # [K] m/s, normal speed before the last push
+
+
+def solve_bounces(
+    bodies: Bodies, contacts: Contacts, leaving: Leaving, is_first: jax.Array, params: Parameters
+) -> tuple[Bodies, Contacts, Leaving, jax.Array]:
+    """A relax pass in which what bounces leaves with its speed. Also whether all of it already did."""
+    separation = current_separation(bodies, contacts)
+    apart = jnp.maximum(separation, 0) / params.h
+
+    def solve(motion: Motion, row: tuple[Row, Leaving, jax.Array]) -> tuple[Motion, tuple]:
+        c, bounce, apart = row
+        before = of = pair_motion(c.pair, motion)
+        vn = normal_speed(of, c)
+        bounces = bounce.speed > 0
+        off = bounces & (is_first | (jnp.abs(vn - bounce.speed) > 0.01 * bounce.speed))
+        mass = jnp.where(off & ~is_first, bounce_mass(c, bounce, vn), bounce.mass)
+        impulse = -mass * (vn + jnp.where(bounces, -bounce.speed, apart))
+        of, normal_total, tangent_total = push_apart(of, c, impulse, with_friction=True)
+        pushed = Leaving(bounce.speed, mass, vn)
+        return put_back(motion, c.pair, before, of), (normal_total, tangent_total, pushed, off)
+
+    motion, (normal, tangent, leaving, off) = jax.lax.scan(solve, bodies.motion, (_rows(contacts), leaving, apart))
+    return bodies._replace(motion=motion), _with_impulses(contacts, normal, tangent), leaving, ~jnp.any(off)
+
+
+def bounce_mass(c: Row, bounce: Leaving, vn: jax.Array) -> jax.Array:
+    """What the last push gave a bounce, joints and other contacts have shared out since. The next one pushes as if the
+    contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone."""
+    asked = bounce.speed - bounce.before
+    kept = (vn - bounce.before) / jnp.where(asked == 0, 1, asked)
+    is_seen = (asked != 0) & (kept > 0) & (kept < 2)
+    return jnp.where(is_seen, bounce.mass / jnp.clip(kept, 0.125, 2), c.mass_normal)
+
+
+def normal_speed(of: PairMotion, c: Row) -> jax.Array:
+    return vec2.dot(c.normal, relative_velocity(of, c.arm_a, c.arm_b))
+
+
+def push_apart(
+    of: PairMotion, c: Row, impulse: jax.Array, *, with_friction: bool
+) -> tuple[PairMotion, jax.Array, jax.Array]:
+    """Adds a normal impulse, as far as the accumulated one stays positive; new totals of both."""
+    normal_total, tangent_total = jnp.maximum(c.impulse_normal + impulse, 0), c.impulse_tangent
+    of = push_pair(of, c.pair, c.arm_a, c.arm_b, c.normal * (normal_total - c.impulse_normal)[..., None])
+    if with_friction:
+        of, tangent_total = solve_friction(of, c, normal_total)
+    return of, normal_total, tangent_total
 
 
 class Row(NamedTuple):
@@ -260,29 +324,15 @@ def solve_friction(of: Any, c: Row, normal_total: jax.Array) -> tuple[Any, jax.A
     return push_pair(of, c.pair, c.arm_a, c.arm_b, tangent * (total - c.impulse_tangent)[..., None]), total
 
 
-def apply_restitution(
-    bodies: Bodies, contacts: Contacts, gravity: jax.Array, params: Parameters
-) -> tuple[Bodies, Contacts]:
-    """Restitution once, after all sub-steps."""
-    bounces = (contacts.restitution != 0) & (contacts.approach <= -params.restitution_threshold)
-    bounces &= contacts.most_impulse != 0
-    wanted = contacts.restitution * impact_speed(bodies, contacts, gravity, params.h)
+def leaving_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, params: Parameters) -> jax.Array:
+    """Speed with which what hit in this step must leave, [K] m/s; 0 where nothing bounces."""
+    bounces = may_bounce(contacts, params) & (contacts.most_impulse != 0)
+    return jnp.where(bounces, contacts.restitution * impact_speed(bodies, contacts, gravity, params.h), 0)
 
-    def solve(motion: Motion, row: tuple) -> tuple[Motion, tuple[jax.Array, jax.Array]]:
-        c, wanted, bounces = row
-        before = pair_motion(c.pair, motion)
-        vn = vec2.dot(c.normal, relative_velocity(before, c.arm_a, c.arm_b))
-        total = jnp.maximum(c.impulse_normal - c.mass_normal * (vn - wanted), 0)
-        total = jnp.where(bounces, total, c.impulse_normal)
-        after = push_pair(before, c.pair, c.arm_a, c.arm_b, c.normal * (total - c.impulse_normal)[..., None])
-        # The bounce presses the surfaces together once more.
-        rubbed, tangent = solve_friction(after, c, total)
-        after = jax.tree.map(lambda x, y: jnp.where(bounces, x, y), rubbed, after)
-        tangent = jnp.where(bounces, tangent, c.impulse_tangent)
-        return put_back(motion, c.pair, before, after), (total, tangent)
 
-    motion, (normal, tangent) = jax.lax.scan(solve, bodies.motion, (_rows(contacts), wanted, bounces))
-    return bodies._replace(motion=motion), contacts._replace(impulse_normal=normal, impulse_tangent=tangent)
+def may_bounce(contacts: Contacts, params: Parameters) -> jax.Array:
+    """[K] bool: approached fast enough."""
+    return (contacts.restitution != 0) & (contacts.approach <= -params.restitution_threshold)
 
 
 def impact_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, h: Scalar) -> jax.Array:

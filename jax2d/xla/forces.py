@@ -31,9 +31,8 @@ def load(bodies: Bodies, scene: Scene, controls: Controls, params: Parameters) -
 
 
 def apply(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> Bodies:
-    angle, turn = pick(thrusters.is_on, bodies.angle), pick(thrusters.is_on, bodies.turn)
-    arm = vec2.rotated(vec2.rotated(thrusters.position, angle), turn)
-    impulse = vec2.rotated(vec2.rotated(thrusters.force, angle), turn) * dt
+    arm, force = _in_world(bodies, thrusters)
+    impulse = force * dt
     on_body = thrusters.is_on[..., None]
     push = jnp.sum(jnp.where(on_body, impulse[:, None], 0), axis=0)
     twist = jnp.sum(jnp.where(thrusters.is_on, vec2.cross(arm, impulse)[:, None], 0), axis=0)
@@ -41,3 +40,20 @@ def apply(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> Bodies:
     return bodies._replace(
         motion=Motion(velocity + bodies.inverse_mass[:, None] * push, omega + bodies.inverse_inertia * twist)
     )
+
+
+def work(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> jax.Array:
+    """J, what they have added to the bodies' energy in `dt`."""
+    arm, force = _in_world(bodies, thrusters)
+    at = (
+        pick(thrusters.is_on, bodies.motion.velocity)
+        + vec2.left(arm) * pick(thrusters.is_on, bodies.motion.omega)[:, None]
+    )
+    return jnp.sum(jnp.maximum(vec2.dot(force, at) * dt, 0))
+
+
+def _in_world(bodies: Bodies, thrusters: Thrusters) -> tuple[jax.Array, jax.Array]:
+    """([T, 2] m from the centre of mass, [T, 2] N) as the bodies stand now."""
+    angle, turn = pick(thrusters.is_on, bodies.angle), pick(thrusters.is_on, bodies.turn)
+    arm = vec2.rotated(vec2.rotated(thrusters.position, angle), turn)
+    return arm, vec2.rotated(vec2.rotated(thrusters.force, angle), turn)

@@ -25,7 +25,7 @@ from jax2d.xla.bodies import (
     relative_velocity,
     twist_pair,
 )
-from jax2d.xla.parameters import Parameters, Scalar, Softness
+from jax2d.xla.parameters import Parameters, Softness
 
 
 class JointImpulses(NamedTuple):
@@ -172,9 +172,9 @@ def solve_soft(bodies: Bodies, joints: Joints, params: Parameters, *, use_bias: 
     def solve(motion: Motion, row_and_impulses: tuple[Row, JointImpulses]) -> tuple[Motion, JointImpulses]:
         row, impulses = row_and_impulses
         before = of = pair_motion(row.pair, motion)
-        of, impulses = solve_motor_or_angle(of, row, impulses, soft)
-        of, impulses = solve_limits(of, row, impulses, params.h, soft, use_bias=use_bias)
-        of, impulses = solve_point(of, row, impulses, soft)
+        of, impulses = solve_motor_or_angle(of, row, impulses, params, soft)
+        of, impulses = solve_limits(of, row, impulses, params, soft, use_bias=use_bias)
+        of, impulses = solve_point(of, row, impulses, params, soft)
         return put_back(motion, row.pair, before, of), impulses
 
     motion, impulses = jax.lax.scan(solve, bodies.motion, (rows, joints.impulses))
@@ -182,43 +182,64 @@ def solve_soft(bodies: Bodies, joints: Joints, params: Parameters, *, use_bias: 
 
 
 def solve_motor_or_angle(
-    of: PairMotion, row: Row, impulses: JointImpulses, soft: Softness
+    of: PairMotion, row: Row, impulses: JointImpulses, params: Parameters, soft: Softness
 ) -> tuple[PairMotion, JointImpulses]:
     """A motor is a velocity constraint with a bounded torque: dt changes neither its target nor its strength."""
     speed = of.omega_b - of.omega_a
     driven = jnp.clip(impulses.twist - row.axial_mass * (speed - row.motor_target), -row.motor_most, row.motor_most)
-    corrected = row.axial_mass * soft.mass_scale * (speed + soft.bias_rate * row.angle)
+    turn_back = jnp.clip(soft.bias_rate * row.angle, -params.joint_turn_speed, params.joint_turn_speed)
+    corrected = row.axial_mass * soft.mass_scale * (speed + turn_back)
     held = impulses.twist - corrected - soft.impulse_scale * impulses.twist
     total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, impulses.twist))
     return twist_pair(of, row.pair, total - impulses.twist), impulses._replace(twist=total)
 
 
 def solve_limits(
-    of: PairMotion, row: Row, impulses: JointImpulses, h: Scalar, soft: Softness, *, use_bias: bool
+    of: PairMotion, row: Row, impulses: JointImpulses, params: Parameters, soft: Softness, *, use_bias: bool
 ) -> tuple[PairMotion, JointImpulses]:
-    lower = limit_impulse(row, row.lower_room, of.omega_b - of.omega_a, impulses.lower, h, soft, use_bias=use_bias)
+    speed = of.omega_b - of.omega_a
+    lower = limit_impulse(row, row.lower_room, speed, impulses.lower, params, soft, use_bias=use_bias)
     of = twist_pair(of, row.pair, lower - impulses.lower)
-    upper = limit_impulse(row, row.upper_room, of.omega_a - of.omega_b, impulses.upper, h, soft, use_bias=use_bias)
+    speed = of.omega_a - of.omega_b
+    upper = limit_impulse(row, row.upper_room, speed, impulses.upper, params, soft, use_bias=use_bias)
     of = twist_pair(of, row.pair, impulses.upper - upper)
     return of, impulses._replace(lower=lower, upper=upper)
 
 
 def limit_impulse(
-    row: Row, room: jax.Array, speed: jax.Array, accumulated: jax.Array, h: Scalar, soft: Softness, *, use_bias: bool
+    row: Row,
+    room: jax.Array,
+    speed: jax.Array,
+    accumulated: jax.Array,
+    params: Parameters,
+    soft: Softness,
+    *,
+    use_bias: bool,
 ) -> jax.Array:
     """New total of a one-sided limit; `speed` is that at which room grows."""
     # Not softened when violated: a strong motor would lean into a limit that yields.
-    bias = jnp.where(room > 0, room / h, soft.bias_rate * room if use_bias else 0)
+    turn_back = jnp.maximum(soft.bias_rate * room, -params.joint_turn_speed) if use_bias else 0
+    bias = jnp.where(room > 0, room / params.h, turn_back)
     impulse = -row.axial_mass * (speed + bias)
     return jnp.where(row.is_limited, jnp.maximum(accumulated + impulse, 0), accumulated)
 
 
-def solve_point(of: PairMotion, row: Row, impulses: JointImpulses, soft: Softness) -> tuple[PairMotion, JointImpulses]:
-    wrong = relative_velocity(of, row.arm_a, row.arm_b) + row.gap * soft.bias_rate
+def solve_point(
+    of: PairMotion, row: Row, impulses: JointImpulses, params: Parameters, soft: Softness
+) -> tuple[PairMotion, JointImpulses]:
+    pull = vec2.no_longer(row.gap * soft.bias_rate, params.joint_pull_speed)
+    wrong = relative_velocity(of, row.arm_a, row.arm_b) + pull
     needed = jnp.stack([vec2.dot(row.point_mass[0], wrong), vec2.dot(row.point_mass[1], wrong)])
     impulse = -needed * soft.mass_scale - impulses.point * soft.impulse_scale
     of = push_pair(of, row.pair, row.arm_a, row.arm_b, impulse)
     return of, impulses._replace(point=impulses.point + impulse)
+
+
+def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
+    """J, what motors have added to the bodies' energy in this sub-step."""
+    of = pair_motion(joints.pair, bodies.motion)
+    work = jnp.maximum(joints.impulses.twist * (of.omega_b - of.omega_a), 0)
+    return jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
 
 
 def point_mass(pair: Pair, ra: jax.Array, rb: jax.Array) -> jax.Array:

@@ -36,6 +36,8 @@ class Parameters(NamedTuple):
     fixed_soft: Softness  # contacts with fixed bodies, which do not yield: twice as stiff
     joint_soft: Softness
     push_out_speed: Scalar
+    joint_pull_speed: Scalar
+    joint_turn_speed: Scalar
     speculative_distance: Scalar
     restitution_threshold: Scalar
     slop: Scalar
@@ -55,6 +57,7 @@ class Rules(NamedTuple):
     solver: str
     friction_mixing: str
     substeps: int
+    bounce_rounds: int
     solver_batch_size: int
     published_details: frozenset[str]  # of jax2d/published_details.py
 
@@ -82,6 +85,7 @@ def rules_of(settings: Settings) -> Rules:
         settings.solver,
         settings.friction_mixing,
         settings.substeps,
+        settings.bounce_rounds,
         settings.solver_batch_size,
         frozenset(settings.published_details),
     )

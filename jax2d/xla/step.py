@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Capacity, Controls, Noted, Scene, State, touch_bits
 from jax2d.xla import bodies as bodies_of
+from jax2d.xla import bounces, forces, manifolds, paper, published
 from jax2d.xla import contacts as contacts_of
-from jax2d.xla import forces, manifolds, paper, published
 from jax2d.xla import joints as joints_of
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.contacts import Contacts, Memory
@@ -27,6 +27,7 @@ class Progress(NamedTuple):
     memory: Memory  # of contacts solved before
     touch: jax.Array  # [n, n] bool, who touched whom in this step
     overflow: jax.Array  # [] int32
+    most_energy: jax.Array  # [] J, what bounces may leave the world with
 
 
 def run(
@@ -79,15 +80,18 @@ def soft_step(
         return contacts_of.find(bodies, geometry, scene, memory, params, rules, capacity, dt)
 
     def substep(carry: tuple[Progress, jax.Array], index: jax.Array) -> tuple[tuple[Progress, jax.Array], None]:
-        (bodies, joints, contacts, memory, touch, overflow), anew = carry
+        (bodies, joints, contacts, memory, touch, overflow, most_energy), anew = carry
         # One program for the first sub-step and for those that find contacts anew.
         is_first, is_last = index == 0, index == rules.substeps - 1
         begun = bodies_of.end_step(bodies)
         begun_contacts = find(begun, memory, jnp.where(is_first, params.dt, h))
         begun_joints = joints_of.prepare(begun, scene, joints.impulses, controls, params)
         anew = jnp.where(is_first, begun_contacts.swinging, anew)
-        bodies, contacts, joints = _choose(
-            is_first | anew, (begun, begun_contacts, begun_joints), (bodies, contacts, joints)
+        begun_energy = bounces.energy(begun, begun.motion, scene.gravity, h)
+        bodies, contacts, joints, most_energy = _choose(
+            is_first | anew,
+            (begun, begun_contacts, begun_joints, begun_energy),
+            (bodies, contacts, joints, most_energy),
         )
 
         bodies = bodies_of.apply_gravity(bodies, scene.gravity, h)
@@ -101,16 +105,20 @@ def soft_step(
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
         bodies, contacts = contacts_of.solve_soft(bodies, contacts, params, use_bias=False)
 
-        bounced, bounced_contacts = contacts_of.apply_restitution(bodies, contacts, scene.gravity, params)
+        most_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
+
+        is_end = is_last | anew
+        leaving = jnp.where(is_end, contacts_of.leaving_speed(bodies, contacts, scene.gravity, params), 0)
+        bounced = bounces.bounce(bodies, joints, contacts, leaving, most_energy, scene.gravity, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
-        now = Progress(bodies, joints, contacts, memory, touch, overflow)
-        finished = _finish_contacts(now._replace(bodies=bounced, contacts=bounced_contacts))
-        return (_choose(is_last | anew, finished, now), anew), None
+        now = Progress(bodies, joints, contacts, memory, touch, overflow, most_energy)
+        finished = _finish_contacts(now._replace(bodies=bounced), leaving > 0)
+        return (_choose(is_end, finished, now), anew), None
 
     start = _begin(scene, state, controls, params)
     no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]))
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
-    progress = Progress(start[0], start[1], empty, start[2], *_nothing_noted(capacity))
+    progress = Progress(start[0], start[1], empty, start[2], *_nothing_noted(capacity, state.position.dtype))
     (progress, _), _ = jax.lax.scan(substep, (progress, jnp.array(False)), jnp.arange(rules.substeps))
     return progress
 
@@ -137,7 +145,7 @@ def paper_step(
     (bodies, joints, contacts), _ = jax.lax.scan(iteration, (bodies, joints, contacts), length=rules.substeps)
     move = published.move_and_clip if "state_clips" in rules.published_details else bodies_of.move
     bodies = move(bodies, params.dt, params.max_speed, params.max_angular_speed)
-    return _finish_contacts(Progress(bodies, joints, contacts, memory, *_nothing_noted(capacity)))
+    return _finish_contacts(Progress(bodies, joints, contacts, memory, *_nothing_noted(capacity, state.position.dtype)))
 
 
 def _begin(scene: Scene, state: State, controls: Controls, params: Parameters) -> tuple[Bodies, Joints, Memory]:
@@ -146,20 +154,20 @@ def _begin(scene: Scene, state: State, controls: Controls, params: Parameters) -
     return bodies, joints, Memory(state.contact_key, state.contact_impulse)
 
 
-def _nothing_noted(capacity: Capacity) -> tuple[jax.Array, jax.Array]:
-    """Touch matrix and overflow of a step that begins."""
-    return jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32)
+def _nothing_noted(capacity: Capacity, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Touch matrix, overflow and energy of a step that begins."""
+    return jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32), jnp.zeros((), dtype)
 
 
 def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
 
 
-def _finish_contacts(progress: Progress) -> Progress:
-    """Notes who touched, and keeps the impulses for the contacts found next."""
+def _finish_contacts(progress: Progress, bounces: jax.Array | bool = False) -> Progress:
+    """Notes who touched, and keeps the impulses for the contacts found next, none of what bounces apart."""
     contacts = progress.contacts
     return progress._replace(
-        memory=contacts_of.remember(contacts),
+        memory=contacts_of.remember(contacts, bounces),
         touch=progress.touch | touching(contacts),
         overflow=progress.overflow + contacts.overflow,
     )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from jax2d import measure, preset
+from jax2d import SceneBuilder, measure, preset
 from tests.engine.worlds import builder, run
 
 pytestmark = pytest.mark.also_gpu
@@ -216,3 +217,63 @@ def test_heavier_block_on_a_light_one_sinks_no_deeper_than_its_solver_promises()
     assert end.position[light, 1] > 0.5 - 0.15
     assert end.position[heavy, 1] > end.position[light, 1] + 0.8
     assert max(np.linalg.norm(end.velocity[i]) for i in (light, heavy)) < 0.01
+
+
+def _bounced(build: Callable[[SceneBuilder], int], restitution: float) -> tuple[float, float]:
+    """(height that the lowest point of a body regains, of the metre that it fell; its spin then)."""
+    b = builder()
+    b.add_box(width=10, height=1, position=(0, -0.5), fixed=True, restitution=restitution)
+    body = build(b)
+    seen: list[tuple[float, float]] = []
+    run(
+        b.build(),
+        1.2,
+        each_step=lambda state: seen.append((float(state.position[body, 1]), float(state.angular_velocity[body]))),
+    )
+    height = np.array([y for y, _ in seen])
+    lowest = int(np.argmin(height[:40]))
+    top = lowest + int(np.argmax(height[lowest:]))
+    return height[top] - height[lowest], seen[top][1]
+
+
+@pytest.mark.parametrize("restitution", [0.5, 1.0])
+@pytest.mark.parametrize(("width", "height"), [(1.0, 1.0), (1.0, 0.5), (0.5, 1.0), (0.4, 0.05)])
+def test_box_that_lands_flat_bounces_as_a_ball_does(width: float, height: float, restitution: float):
+    def box(b: SceneBuilder) -> int:
+        return b.add_box(width=width, height=height, position=(0, 1 + height / 2), restitution=restitution)
+
+    regained, spin = _bounced(box, restitution)
+    assert regained == pytest.approx(restitution**2, rel=0.03)
+    assert abs(spin) < 0.1
+
+
+def _dumbbell(b: SceneBuilder, e: float) -> int:
+    bar = b.add_box(width=0.8, height=0.1, position=(0, 1.2), restitution=e)
+    for x in (-0.4, 0.4):
+        disc = b.add_circle(radius=0.2, position=(x, 1.2), restitution=e)
+        b.add_fixed_joint(bar, disc, at=(x, 1.2))
+    return bar
+
+
+def _tower(b: SceneBuilder, e: float) -> int:
+    below = first = b.add_circle(radius=0.1, position=(0, 1.1), restitution=e)
+    for i in range(3):
+        box = b.add_box(width=0.3, height=0.2, position=(0, 1.3 + 0.2 * i), restitution=e)
+        b.add_fixed_joint(below, box, at=(0, 1.2 + 0.2 * i))
+        below = box
+    return first
+
+
+def _heavy_load(b: SceneBuilder, e: float) -> int:
+    """50 times the mass of the disc that hits."""
+    disc = b.add_circle(radius=0.1, position=(0, 1.1), restitution=e)
+    box = b.add_box(width=0.4, height=0.2, position=(0, 1.3), density=20.0, restitution=e)
+    b.add_fixed_joint(disc, box, at=(0, 1.2))
+    return disc
+
+
+@pytest.mark.parametrize("build", [_dumbbell, _tower, _heavy_load])
+def test_bodies_welded_together_bounce_as_one(build: Callable[[SceneBuilder, float], int]):
+    regained, spin = _bounced(lambda b: build(b, 0.5), 0.5)
+    assert regained == pytest.approx(0.25, rel=0.06)
+    assert abs(spin) < 0.1

@@ -53,6 +53,11 @@ def levels(size: str, num_worlds: int = NUM_WORLDS) -> Level:
     return jax.tree.map(np.asarray, generate(jax.random.key(7)))
 
 
+def bouncing(level: Level, restitution: float, **changes: Any) -> Level:
+    scene = dataclasses.replace(level.scene, restitution=np.full_like(level.scene.restitution, restitution), **changes)
+    return dataclasses.replace(level, scene=scene)
+
+
 @functools.cache
 def engine(size: str, settings: Settings, backend: str) -> Engine:
     return Engine(SIZES[size], settings=settings, backend=backend)
@@ -72,9 +77,11 @@ def random_controls(size: str, num_steps: int, num_worlds: int = NUM_WORLDS, see
 
 
 @functools.cache
-def rollout(size: str, settings: Settings, backend: str, num_steps: int, nudge: float = 0.0) -> tuple[State, Any]:
+def rollout(
+    size: str, settings: Settings, backend: str, num_steps: int, nudge: float = 0.0, restitution: float = 0.0
+) -> tuple[State, Any]:
     """States [num_steps, W, ...] and touching under random controls, as numpy; `nudge` [m] moves every start."""
-    one, level = engine(size, settings, backend), levels(size)
+    one, level = engine(size, settings, backend), bouncing(levels(size), restitution)
     state = start(one, level)
     noise = nudge * np.random.default_rng(1).standard_normal(state.position.shape).astype(np.float32)
     state = dataclasses.replace(state, position=state.position + noise)
@@ -100,11 +107,12 @@ def differences(a: State, b: State, field: str) -> np.ndarray:
 
 
 @functools.cache
-def snapshots(size: str, settings: Settings) -> tuple[Any, State, Controls]:
+def snapshots(size: str, settings: Settings, restitution: float = 0.0) -> tuple[Any, State, Controls]:
     """Scenes, states that the kernel reached, and what is done next: one batch."""
-    states, _ = rollout(size, settings, "warp", max(SNAPSHOTS))
+    states, _ = rollout(size, settings, "warp", max(SNAPSHOTS), restitution=restitution)
     state = jax.tree.map(lambda x: np.concatenate([x[step - 1] for step in SNAPSHOTS]), states)
-    scene = jax.tree.map(lambda x: np.concatenate([x] * len(SNAPSHOTS)), levels(size).scene)
+    level = bouncing(levels(size), restitution)
+    scene = jax.tree.map(lambda x: np.concatenate([x] * len(SNAPSHOTS)), level.scene)
     controls = random_controls(size, 1, num_worlds=NUM_WORLDS * len(SNAPSHOTS), seed=1)
     return scene, state, jax.tree.map(lambda x: x[0], controls)
 
@@ -130,6 +138,48 @@ def test_kernel_and_reference_agree_field_by_field_over_one_step(size: str, name
     # There was something to agree on: contacts, and joints that pull.
     assert np.sum(seen.contact_key >= 0) > len(seen.contact_key)
     assert np.mean(np.abs(seen.joint_impulse).max((1, 2)) > 0) > 0.3
+
+
+@pytest.mark.parametrize("restitution", [0.5, 1.0])
+def test_kernel_and_reference_agree_where_everything_bounces(restitution: float) -> None:
+    settings = preset("standard")
+    scene, state, controls = snapshots("m", settings, restitution)
+    seen = assert_agreement("m", settings, scene, state, controls)
+    inelastic = dataclasses.replace(scene, restitution=np.zeros_like(scene.restitution))
+    without, _ = engine("m", settings, "warp").step(inelastic, state, controls)
+    bounced = np.abs(seen.velocity - np.asarray(without.velocity)).max((1, 2)) > 0.1
+    assert bounced.sum() > 20  # worlds
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_bounces_give_a_world_no_energy(friction: float) -> None:
+    """Free shapes, everything elastic: contact by contact, restitution would give up to 10 J/kg at once."""
+    level = levels("m")
+    nothing = {name: np.zeros_like(getattr(level.scene, name)) for name in ("joint_active", "thruster_active")}
+    level = bouncing(level, 1.0, friction=np.full_like(level.scene.friction, friction), **nothing)
+    one = engine("m", preset("standard"), "warp")
+    h = one.settings.substep_seconds
+
+    @jax.jit
+    def energies(state: State) -> jax.Array:
+        """[T, W] J, that of semi-implicit Euler, which keeps it in free flight."""
+        packed_scene = one.pack_scene(level.scene)
+
+        def body(packed: Any, _: None) -> tuple[Any, jax.Array]:
+            packed, _ = one.step_packed(packed_scene, packed, one.no_controls(NUM_WORLDS))
+            now = one.unpack_state(packed)
+            midway = now.velocity + 0.5 * h * level.scene.gravity[:, None]
+            falls = (level.scene.inverse_mass > 0)[..., None]
+            now = dataclasses.replace(now, velocity=jnp.where(falls, midway, now.velocity))
+            return packed, jax.vmap(measure.energy)(level.scene, now)
+
+        return jax.lax.scan(body, one.pack_state(state), length=512)[1]
+
+    movable = level.scene.shape_active & (level.scene.inverse_mass > 0)
+    mass = np.where(movable, 1 / np.maximum(level.scene.inverse_mass, 1e-9), 0).sum(1)
+    settled = np.asarray(energies(start(one, level)), np.float64)[60:] / mass  # levels may start with overlaps
+    gain = np.diff(settled, axis=0).max(0)
+    assert gain.max() < 0.05
 
 
 def assert_agreement(size: str, settings: Settings, scene: Any, state: State, controls: Controls) -> State:

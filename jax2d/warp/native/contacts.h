@@ -11,20 +11,19 @@ struct Contact {
   real mass_normal, mass_tangent;
   real impulse_normal, impulse_tangent;
   real friction, restitution;
-  real approach;             // relative normal speed before solving, negative when approaching
+  real approach;             // relative normal speed before solving, negative when approaching; later before a last push
+  real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
   real most_impulse;         // largest normal impulse in this step
   bool against_fixed;
-};
-
-struct Softness {
-  real bias_rate, mass_scale, impulse_scale;
 };
 
 struct Contacts {
   Contact list[NUM_CONTACTS + 1];
   int count, overflow;
   Pairs pairs;
-  bool swinging;  // a body with a contact turns too far in a step for contacts found once
+  bool swinging;    // a body with a contact turns too far in a step for contacts found once
+  bool may_bounce;  // something approaches fast enough
+  bool settled;     // in the last pass every bounce had its speed
 
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << 22) | (slot_b << 12) | feature; }
 
@@ -35,7 +34,8 @@ struct Contacts {
                 bool ahead) {
     count = 0;
     overflow = 0;
-    swinging = false;
+    swinging = may_bounce = false;
+    real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
     bool warm = params.get(PARAM_WARM_START) != real(0);
@@ -83,6 +83,7 @@ struct Contacts {
         c.impulse_normal = real(0);
         c.impulse_tangent = real(0);
         c.most_impulse = real(0);
+        c.bounce = real(0);
         for (int s = old_slot; warm && s < CAPACITY_CONTACTS; ++s) {
           int key = old_keys.get(s);
           if (key < 0 || (key >> 12) != (pair_key >> 12)) break;
@@ -93,6 +94,7 @@ struct Contacts {
           }
         }
         c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
+        if (SOFT_STEP) may_bounce |= c.restitution > real(0) && c.approach <= -threshold;
       }
     }
   }
@@ -142,23 +144,31 @@ struct Contacts {
   }
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
-  // back the velocity that the push added, and applies friction.
-  KFN void solve_soft(Bodies& bodies, const Softness& dynamic_soft, const Softness& fixed_soft, real inverse_h,
-                      real push_out_speed, bool use_bias) {
+  // back the velocity that the push added, and applies friction; in the rounds after the first what bounces leaves.
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round) {
+    settled = true;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       Pair pair = Pair::of(bodies, c.a, c.b);
       real separation = current_separation(bodies, c);
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
       if (separation > real(0)) {
-        bias = separation * inverse_h;  // speculative: may close the gap, not more
+        bias = separation * soft.inverse_h;  // speculative: may close the gap, not more
       } else if (use_bias) {
-        const Softness& soft = c.against_fixed ? fixed_soft : dynamic_soft;
-        mass_scale = soft.mass_scale;
-        impulse_scale = soft.impulse_scale;
-        bias = Math::max(mass_scale * soft.bias_rate * separation, -push_out_speed);
+        const Softness& of = c.against_fixed ? soft.fixed : soft.contact;
+        mass_scale = of.mass_scale;
+        impulse_scale = of.impulse_scale;
+        bias = Math::max(mass_scale * of.bias_rate * separation, -soft.push_out_speed);
       }
       real vn = c.normal.dot(pair.relative(c.arm_a, c.arm_b));
+      if (HAS_RESTITUTION && round > 0 && c.bounce > real(0)) {
+        bias = -c.bounce;
+        if (round == 1 || Math::abs(vn - c.bounce) > real(0.01) * c.bounce) {
+          settled = false;
+          if (round > 1) c.mass_normal = bounce_mass(bodies, c, vn);
+        }
+        c.approach = vn;
+      }
       real impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
       real total = Math::max(c.impulse_normal + impulse, real(0));
       impulse = total - c.impulse_normal;
@@ -181,22 +191,25 @@ struct Contacts {
     pair.push(c.arm_a, c.arm_b, tangent * impulse);
   }
 
-  // Restitution once, after all sub-steps.
-  KFN void apply_restitution(Bodies& bodies, real threshold, Vec2 gravity, real h) {
-    if (!HAS_RESTITUTION) return;
+  // What the last pass gave a bounce, joints and other contacts have shared out since. The next pass pushes as if the
+  // contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone.
+  KFN static real bounce_mass(const Bodies& bodies, const Contact& c, real vn) {
+    real kept = (vn - c.approach) / (c.bounce - c.approach);
+    if (kept > real(0) && kept < real(2)) return c.mass_normal / Math::max(kept, real(0.125));
+    return pair_mass(bodies, c, c.normal);
+  }
+
+  // Restitution, after all sub-steps: what hit gets the speed at which it must leave. True if anything bounces.
+  KFN bool begin_bounces(const Bodies& bodies, const Column& params, Vec2 gravity, real h) {
+    real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
+    bool any = false;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (c.restitution == real(0) || c.approach > -threshold || c.most_impulse == real(0)) continue;
-      Pair pair = Pair::of(bodies, c.a, c.b);
-      real vn = c.normal.dot(pair.relative(c.arm_a, c.arm_b));
-      real wanted = c.restitution * impact_speed(bodies, c, gravity, h);
-      real total = Math::max(c.impulse_normal - c.mass_normal * (vn - wanted), real(0));
-      real impulse = total - c.impulse_normal;
-      c.impulse_normal = total;
-      pair.push(c.arm_a, c.arm_b, c.normal * impulse);
-      solve_friction(pair, c);  // the bounce presses the surfaces together once more
-      pair.give_back(bodies);
+      c.bounce = c.restitution * impact_speed(bodies, c, gravity, h);
+      any = true;
     }
+    return any;
   }
 
   // Speed at the moment of impact, which falls somewhere inside the step. Under a closing acceleration a,
@@ -231,13 +244,14 @@ struct Contacts {
     }
   }
 
-  // Stores impulses for warm starting; slots in use before and free now are marked free.
+  // Stores impulses for warm starting, none of what bounces apart; slots in use before and free now are marked free.
   KFN void store(const IntColumn& keys, const Column& impulses) const {
     for (int s = 0; s < CAPACITY_CONTACTS; ++s) {
       if (s < count) {
         keys.set(s, list[s].key);
-        impulses.set(IMPULSE_CONTACT + 2 * s, list[s].impulse_normal);
-        impulses.set(IMPULSE_CONTACT + 2 * s + 1, list[s].impulse_tangent);
+        bool lasts = list[s].bounce == real(0);
+        impulses.set(IMPULSE_CONTACT + 2 * s, lasts ? list[s].impulse_normal : real(0));
+        impulses.set(IMPULSE_CONTACT + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
       } else if (keys.get(s) >= 0) {
         keys.set(s, -1);
         impulses.set(IMPULSE_CONTACT + 2 * s, real(0));

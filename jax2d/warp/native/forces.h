@@ -26,4 +26,16 @@ struct Thrusters {
       bodies.push(body[k], q.apply(local_position[k]), q.apply(local_force[k]) * dt);
     }
   }
+
+  // J, what they have added to the bodies' energy in `dt`.
+  KFN real work(const Bodies& bodies, real dt) const {
+    real sum = real(0);
+    for (int k = 0; k < count; ++k) {
+      int i = body[k];
+      Rotation q = bodies.rotation[i];
+      Vec2 at = bodies.velocity[i] + q.apply(local_position[k]).left() * bodies.omega[i];
+      sum += Math::max(q.apply(local_force[k]).dot(at) * dt, real(0));
+    }
+    return sum;
+  }
 };

@@ -45,17 +45,28 @@ struct Joints {
       joint.local_b = scene.get2(SCENE_ANCHOR_B + 2 * j);
       joint.lower = scene.get(SCENE_LOWER + j);
       joint.upper = scene.get(SCENE_UPPER + j);
-      joint.impulse = impulses.get2(IMPULSE_JOINT + 5 * j);
-      joint.twist = impulses.get(IMPULSE_JOINT + 5 * j + 2);
-      joint.impulse_lower = impulses.get(IMPULSE_JOINT + 5 * j + 3);
-      joint.impulse_upper = impulses.get(IMPULSE_JOINT + 5 * j + 4);
-      if (!warm) {
+      if (warm) {
+        recall(joint, impulses);
+      } else {
         joint.impulse = {real(0), real(0)};
         joint.twist = joint.impulse_lower = joint.impulse_upper = real(0);
       }
       joint.axial_mass =
           Math::inverse_or_zero(bodies.inverse_inertia[joint.a] + bodies.inverse_inertia[joint.b]);
     }
+  }
+
+  // The impulses as they were last stored.
+  KFN void recall(const Column& impulses) {
+    for (int k = 0; k < count; ++k) recall(list[k], impulses);
+  }
+
+  KFN static void recall(Joint& joint, const Column& impulses) {
+    int row = IMPULSE_JOINT + 5 * joint.index;
+    joint.impulse = impulses.get2(row);
+    joint.twist = impulses.get(row + 2);
+    joint.impulse_lower = impulses.get(row + 3);
+    joint.impulse_upper = impulses.get(row + 4);
   }
 
   KFN void store(const Column& impulses) const {
@@ -105,7 +116,7 @@ struct Joints {
     return joint.start_angle + bodies.turn[joint.b] - bodies.turn[joint.a];
   }
 
-  KFN void solve_soft(Bodies& bodies, const Softness& soft, real inverse_h, bool use_bias) {
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias) {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       Pair pair = Pair::of(bodies, joint.a, joint.b);
@@ -114,7 +125,7 @@ struct Joints {
       } else {
         if (HAS_MOTORS && (joint.flags & JOINT_MOTOR) != 0) solve_motor(pair, joint);
         if (is_limited(joint.flags))
-          solve_limits(pair, joint, current_angle(bodies, joint), soft, inverse_h, use_bias);
+          solve_limits(pair, joint, current_angle(bodies, joint), soft, use_bias);
       }
       solve_point(bodies, pair, joint, soft, use_bias);
       pair.give_back(bodies);
@@ -131,34 +142,46 @@ struct Joints {
     pair.twist(twist);
   }
 
-  KFN static void solve_angle(Pair& pair, Joint& joint, real angle, const Softness& soft, bool use_bias) {
-    real bias = use_bias ? soft.bias_rate * angle : real(0);
-    real mass_scale = use_bias ? soft.mass_scale : real(1);
-    real impulse_scale = use_bias ? soft.impulse_scale : real(0);
+  // J, what motors have added to the bodies' energy in this sub-step.
+  KFN real motor_work(const Bodies& bodies) const {
+    real work = real(0);
+    for (int k = 0; k < count && HAS_MOTORS; ++k) {
+      const Joint& joint = list[k];
+      if ((joint.flags & JOINT_MOTOR) == 0) continue;
+      work += Math::max(joint.twist * (bodies.omega[joint.b] - bodies.omega[joint.a]), real(0));
+    }
+    return work;
+  }
+
+  KFN static void solve_angle(Pair& pair, Joint& joint, real angle, const Soft& soft, bool use_bias) {
+    real most = soft.turn_back_speed;
+    real bias = use_bias ? Math::clamp(soft.joint.bias_rate * angle, -most, most) : real(0);
+    real mass_scale = use_bias ? soft.joint.mass_scale : real(1);
+    real impulse_scale = use_bias ? soft.joint.impulse_scale : real(0);
     real speed = pair.omega_b - pair.omega_a;
     real twist = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * joint.twist;
     joint.twist += twist;
     pair.twist(twist);
   }
 
-  KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Softness& soft, real inverse_h,
-                               bool use_bias) {
+  KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Soft& soft, bool use_bias) {
     real speed = pair.omega_b - pair.omega_a;
-    real lower = limit_impulse(joint, angle - joint.lower, speed, joint.impulse_lower, soft, inverse_h, use_bias);
+    real lower = limit_impulse(joint, angle - joint.lower, speed, joint.impulse_lower, soft, use_bias);
     pair.twist(lower);
     speed = pair.omega_b - pair.omega_a;
-    real upper = limit_impulse(joint, joint.upper - angle, -speed, joint.impulse_upper, soft, inverse_h, use_bias);
+    real upper = limit_impulse(joint, joint.upper - angle, -speed, joint.impulse_upper, soft, use_bias);
     pair.twist(-upper);
   }
 
   // One-sided: room is what is left before the limit, speed that at which room grows.
-  KFN static real limit_impulse(const Joint& joint, real room, real speed, real& accumulated, const Softness& soft,
-                                real inverse_h, bool use_bias) {
+  KFN static real limit_impulse(const Joint& joint, real room, real speed, real& accumulated, const Soft& soft,
+                                bool use_bias) {
     real bias = real(0);
     if (room > real(0)) {
-      bias = room * inverse_h;
+      bias = room * soft.inverse_h;
     } else if (use_bias) {
-      bias = soft.bias_rate * room;  // not softened: a strong motor would lean into a limit that yields
+      // Not softened: a strong motor would lean into a limit that yields.
+      bias = Math::max(soft.joint.bias_rate * room, -soft.turn_back_speed);
     }
     real impulse = -joint.axial_mass * (speed + bias);
     real total = Math::max(accumulated + impulse, real(0));
@@ -167,19 +190,24 @@ struct Joints {
     return impulse;
   }
 
-  KFN static void solve_point(const Bodies& bodies, Pair& pair, Joint& joint, const Softness& soft, bool use_bias) {
+  KFN static void solve_point(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias) {
     turn_arms(bodies, joint);
     Vec2 wrong = pair.relative(joint.arm_a, joint.arm_b);
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
       Vec2 gap = joint.centre_gap + (bodies.delta[joint.b] - bodies.delta[joint.a]) + (joint.arm_b - joint.arm_a);
-      wrong = wrong + gap * soft.bias_rate;
-      mass_scale = soft.mass_scale;
-      impulse_scale = soft.impulse_scale;
+      wrong = wrong + no_longer(gap * soft.joint.bias_rate, soft.pull_speed);
+      mass_scale = soft.joint.mass_scale;
+      impulse_scale = soft.joint.impulse_scale;
     }
     Vec2 impulse = -(point_mass_times(pair, joint, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
     pair.push(joint.arm_a, joint.arm_b, impulse);
+  }
+
+  KFN static Vec2 no_longer(Vec2 v, real most) {
+    real squared = v.dot(v);
+    return squared > most * most ? v * (most / sqrtf(squared)) : v;
   }
 
   // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.

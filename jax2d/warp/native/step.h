@@ -13,6 +13,7 @@ struct World {
   Contacts contacts;
   Joints joints;
   Thrusters thrusters;
+  Bounces bounces;
   unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
   unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
   bool first;       // nothing has been prepared in this call yet
@@ -49,19 +50,10 @@ struct World {
 
   // Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h.
   KFN void soft_step() {
-    real dt = params.get(PARAM_DT), h = params.get(PARAM_H);
+    Soft soft = Soft::load(params);
+    real dt = params.get(PARAM_DT), h = params.get(PARAM_H), reach = params.get(PARAM_SPECULATIVE_DISTANCE);
     int substeps = (int)(params.get(PARAM_SUBSTEPS));
-    real inverse_h = real(1) / h;
     Vec2 gravity = scene.get2(SCENE_GRAVITY);
-    Softness contact_soft = {params.get(PARAM_CONTACT_BIAS_RATE), params.get(PARAM_CONTACT_MASS_SCALE),
-                             params.get(PARAM_CONTACT_IMPULSE_SCALE)};
-    Softness fixed_soft = {params.get(PARAM_FIXED_BIAS_RATE), params.get(PARAM_FIXED_MASS_SCALE),
-                           params.get(PARAM_FIXED_IMPULSE_SCALE)};
-    Softness joint_soft = {params.get(PARAM_JOINT_BIAS_RATE), params.get(PARAM_JOINT_MASS_SCALE),
-                           params.get(PARAM_JOINT_IMPULSE_SCALE)};
-    real push_out_speed = params.get(PARAM_PUSH_OUT_SPEED);
-
-    real reach = params.get(PARAM_SPECULATIVE_DISTANCE);
 
     bool anew = false;  // contacts are found for every sub-step, where a body turns too far for those found once
     for (int substep = 0; substep < substeps; ++substep) {
@@ -73,28 +65,54 @@ struct World {
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, substep == 0 ? dt : h, true);
         joints.prepare(bodies, scene, controls, params, h);
         if (substep == 0) anew = contacts.swinging;
+        if (contacts.may_bounce) bounces.begin(bodies, gravity, h);
       }
       bodies.apply_gravity(gravity, h);
       thrusters.apply(bodies, h);
       joints.warm_start(bodies);
       contacts.warm_start(bodies);
       // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
-      joints.solve_soft(bodies, joint_soft, inverse_h, true);
-      contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, true);
+      joints.solve_soft(bodies, soft, true);
+      contacts.solve_soft(bodies, soft, true, 0);
       bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
-      joints.solve_soft(bodies, joint_soft, inverse_h, false);
-      contacts.solve_soft(bodies, contact_soft, fixed_soft, inverse_h, push_out_speed, false);
-      if (anew || substep + 1 == substeps) {
-        finish_contacts(gravity, h);
+      bool is_last = anew || substep + 1 == substeps;
+      relax(soft, gravity, h, is_last);
+      if (is_last) {
         bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
         bodies.end_step();
       }
     }
   }
 
-  // Bounces what hit, notes who touched, and keeps the impulses for the contacts found next.
-  KFN void finish_contacts(Vec2 gravity, real h) {
-    if (SOFT_STEP) contacts.apply_restitution(bodies, params.get(PARAM_RESTITUTION_THRESHOLD), gravity, h);
+  // Solves without bias. The last time in a step what hit bounces: rounds go on until joints and other contacts have
+  // shared in it and every bounce has its speed. What is remembered for the next step is from before, since a bounce
+  // does not last.
+  KFN void relax(const Soft& soft, Vec2 gravity, real h, bool is_last) {
+    int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
+    bool bouncing = false;
+    for (int round = 0; round <= rounds; ++round) {
+      int joint_passes = round == 0 ? 1 : 2;  // along a chain a bounce goes joint by joint
+      for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false);
+      contacts.solve_soft(bodies, soft, false, round);
+      if (round > 0) {
+        if (contacts.settled) break;
+        continue;
+      }
+      if (contacts.may_bounce) bounces.most += joints.motor_work(bodies) + thrusters.work(bodies, h);
+      if (!is_last) break;
+      if (contacts.may_bounce) bouncing = contacts.begin_bounces(bodies, params, gravity, h);
+      finish_contacts();
+      if (!bouncing) break;
+      bounces.keep_velocities(bodies);
+      joints.store(impulses);
+    }
+    if (!bouncing) return;
+    bounces.limit(bodies, gravity, h);
+    joints.recall(impulses);
+  }
+
+  // Notes who touched, and keeps the impulses for the contacts found next.
+  KFN void finish_contacts() {
     note_touching();
     contacts.store(keys, impulses);
     overflow += contacts.overflow;
@@ -121,7 +139,7 @@ struct World {
       contacts.solve_hard(bodies, correction_rate, slop);
     }
     bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
-    finish_contacts(scene.get2(SCENE_GRAVITY), dt);
+    finish_contacts();
     bodies.end_step();
   }
 

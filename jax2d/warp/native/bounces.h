@@ -1,0 +1,61 @@
+// What bounces may not give a world: more energy than the step began with, and motors and thrusters have added since.
+// Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more; then
+// everything that bounces gets the same share of its change of velocity, so that joints and contacts stay solved.
+//
+// Energy is that of semi-implicit Euler, which keeps m |v + g h / 2|^2 / 2 - m g.x in free flight to the last digit.
+
+struct Bounces {
+  Vec2 velocity[BOUNCE_SHAPES];  // before anything bounced
+  real omega[BOUNCE_SHAPES];
+  real most;                     // J, energy allowed; zero of height is where each body was when contacts were found
+
+  KFN void begin(const Bodies& bodies, Vec2 gravity, real h) {
+    most = real(0);
+    for (int k = 0; k < bodies.num_moving; ++k) {
+      int i = bodies.moving[k];
+      Vec2 v = midway(bodies, i, bodies.velocity[i], gravity, h);
+      most += real(0.5) * (Math::inverse_or_zero(bodies.inverse_mass[i]) * v.dot(v) +
+                           Math::inverse_or_zero(bodies.inverse_inertia[i]) * bodies.omega[i] * bodies.omega[i]);
+    }
+  }
+
+  KFN void keep_velocities(const Bodies& bodies) {
+    for (int k = 0; k < bodies.num_moving; ++k) {
+      int i = bodies.moving[k];
+      velocity[i] = bodies.velocity[i];
+      omega[i] = bodies.omega[i];
+    }
+  }
+
+  KFN void limit(Bodies& bodies, Vec2 gravity, real h) const {
+    // With a share s of the change: before + linear s + quadratic s^2.
+    real before = real(0), linear = real(0), quadratic = real(0);
+    for (int k = 0; k < bodies.num_moving; ++k) {
+      int i = bodies.moving[k];
+      real mass = Math::inverse_or_zero(bodies.inverse_mass[i]);
+      real inertia = Math::inverse_or_zero(bodies.inverse_inertia[i]);
+      Vec2 v = midway(bodies, i, velocity[i], gravity, h), dv = bodies.velocity[i] - velocity[i];
+      real dw = bodies.omega[i] - omega[i];
+      before += real(0.5) * (mass * v.dot(v) + inertia * omega[i] * omega[i]) - mass * gravity.dot(bodies.delta[i]);
+      linear += mass * v.dot(dv) + inertia * omega[i] * dw;
+      quadratic += real(0.5) * (mass * dv.dot(dv) + inertia * dw * dw);
+    }
+    real after = before + linear + quadratic;
+    if (after <= most * (real(1) + rounding())) return;
+    real room = Math::max(most - before, real(0));
+    real root = sqrtf(linear * linear + real(4) * quadratic * room);
+    real share = quadratic > real(0) ? Math::clamp((root - linear) / (real(2) * quadratic), real(0), real(1)) : real(1);
+    for (int k = 0; k < bodies.num_moving; ++k) {
+      int i = bodies.moving[k];
+      bodies.velocity[i] = velocity[i] + (bodies.velocity[i] - velocity[i]) * share;
+      bodies.omega[i] = omega[i] + (bodies.omega[i] - omega[i]) * share;
+    }
+  }
+
+  KFN static Vec2 midway(const Bodies& bodies, int i, Vec2 velocity, Vec2 gravity, real h) {
+    return bodies.inverse_mass[i] > real(0) ? velocity + gravity * (real(0.5) * h) : velocity;
+  }
+
+  // Share of the energy that float32 sums may be wrong by.
+  KFN static real rounding() { return real(1e-5); }
+};
