@@ -83,7 +83,7 @@ class Scene:
     radius: Array  # [C] m
     can_touch: Array  # [n, n] bool, symmetric, False on the diagonal; collision modes and joints applied
     # Joints: body b is held to body a
-    joint_active: Array  # [J] bool
+    joint_active: Array  # [J] bool; a joint of a shape that is not active does nothing
     joint_a: Array  # [J] int32 shape index
     joint_b: Array  # [J] int32 shape index
     joint_anchor_a: Array  # [J, 2] m, frame of a
@@ -97,7 +97,7 @@ class Scene:
     lower_limit: Array  # [J] rad, of angle_b - angle_a - rest_angle
     upper_limit: Array  # [J] rad
     # Thrusters
-    thruster_active: Array  # [T] bool
+    thruster_active: Array  # [T] bool; one on a shape that is not active does nothing
     thruster_body: Array  # [T] int32 shape index
     thruster_position: Array  # [T, 2] m, body frame
     thruster_angle: Array  # [T] rad, body frame, direction in which the body is pushed
@@ -168,8 +168,9 @@ def touch_bits(matrix: Array) -> jax.Array:
 
 
 def only_what_acts(scene: Scene) -> Scene:
-    """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, and `can_touch`
-    holds each pair once, at [lower, higher], and only where both are active and one of the two can move."""
+    """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, joints and
+    thrusters that are not on active shapes are off, and `can_touch` holds each pair once, at [lower, higher], and only
+    where both are active and one of the two can move."""
     active = jnp.asarray(scene.shape_active)
     inverse_mass = jnp.where(active, scene.inverse_mass, 0)
     inverse_inertia = jnp.where(active, scene.inverse_inertia, 0)
@@ -177,7 +178,22 @@ def only_what_acts(scene: Scene) -> Scene:
     meets = jnp.asarray(scene.can_touch) & active[..., :, None] & active[..., None, :]
     meets &= movable[..., :, None] | movable[..., None, :]
     meets &= np.triu(np.ones(meets.shape[-2:], bool), 1)
-    return dataclasses.replace(scene, inverse_mass=inverse_mass, inverse_inertia=inverse_inertia, can_touch=meets)
+    joint_acts = _is_on(active, scene.joint_a) & _is_on(active, scene.joint_b)
+    return dataclasses.replace(
+        scene,
+        inverse_mass=inverse_mass,
+        inverse_inertia=inverse_inertia,
+        can_touch=meets,
+        joint_active=jnp.asarray(scene.joint_active) & joint_acts,
+        thruster_active=jnp.asarray(scene.thruster_active) & _is_on(active, scene.thruster_body),
+    )
+
+
+def _is_on(active: jax.Array, shape: Array) -> jax.Array:
+    """[..., k] bool, whether `shape` [..., k] is the index of an active shape."""
+    index, num_shapes = jnp.asarray(shape), active.shape[-1]
+    is_index = (index >= 0) & (index < num_shapes)
+    return is_index & jnp.take_along_axis(active, jnp.clip(index, 0, num_shapes - 1), axis=-1)
 
 
 def index_worlds(tree: Any, index: Any) -> Any:

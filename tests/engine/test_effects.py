@@ -92,6 +92,24 @@ def test_joints_call_for_what_they_do(scene: Scene, called: set[str]):
     assert effects.contact_slots == 0  # jointed bodies do not touch
 
 
+def without_the_second_body() -> tuple[Scene, tuple]:
+    """A driven, limited joint and a thruster, both on a disc that is not active, and a box that is."""
+    b = builder()
+    box, disc = b.add_box(width=1, height=0.2), b.add_circle(radius=0.2, position=(1, 0))
+    b.add_revolute_joint(box, disc, at=(0.5, 0), motor_speed=1.0, limits=(-1, 1))
+    b.add_thruster(disc, at=(1, 0), angle=0.0)
+    scene, *start = b.build()
+    active = scene.shape_active.copy()
+    active[disc] = False
+    return dataclasses.replace(scene, shape_active=active), tuple(start)
+
+
+def test_joints_and_thrusters_of_inactive_shapes_call_for_nothing():
+    effects = effects_of(without_the_second_body()[0])
+    assert {name for name in EFFECTS if getattr(effects, name)} == {"gravity"}
+    assert [getattr(effects, name) for name in SLOTS] == [1, 0, 0, 0, 0]
+
+
 def test_restitution_is_called_for_where_both_bounce():
     for other, called in ((0.0, False), (0.5, True)):
         b = builder()
@@ -194,6 +212,19 @@ def test_scene_without_pairs_joints_or_thrusters_gives_the_same_bits():
         special.step(world.scene, special.initial_state(*world), num_steps=30),
         engine().step(world.scene, engine().initial_state(*world), num_steps=30),
     )
+
+
+@pytest.mark.also_gpu
+def test_joints_and_thrusters_of_inactive_shapes_do_nothing():
+    """The kernel once read what was left in memory of the shape that is not there."""
+    scene, start = without_the_second_body()
+    acts = Controls(motor=np.ones(CAPACITY.joints, np.float32), thruster=np.ones(CAPACITY.thrusters, np.float32))
+    none = {"joint_active": np.zeros(CAPACITY.joints, bool), "thruster_active": np.zeros(CAPACITY.thrusters, bool)}
+    state = engine().initial_state(scene, *start)
+    ended = engine().step(scene, state, acts, num_steps=30)
+    assert_same_bits(ended, engine().step(dataclasses.replace(scene, **none), state, acts, num_steps=30))
+    assert_same_bits(ended, Engine(CAPACITY, effects=effects_of(scene)).step(scene, state, acts, num_steps=30))
+    assert float(ended[0].velocity[0, 1]) == pytest.approx(-9.81 / 2, rel=1e-5)
 
 
 @pytest.mark.also_gpu
