@@ -63,7 +63,7 @@ def steps_of(part: int, mini: bool) -> list[Step]:
 
 
 def first_part(mini: bool) -> list[Step]:
-    tests = python("-m", "pytest", "-m", "gpu", "-q", "-p", "no:cacheprovider", "-rs", "--tb=short")
+    tests = python("-m", "pytest", "-m", "gpu", "-v", "-p", "no:cacheprovider", "-rs", "--tb=short")
     if mini:
         tests += ["tests/engine/test_inputs.py", "tests/learner", "--gpu-tests-on-cpu"]
     else:
