@@ -59,6 +59,7 @@ REVISIONS = {
     "05fddb8": "near pairs listed first",
     "bf89792": "fixed bodies once a call",
     "9678843": "speed limits hold for every state",
+    "afbda07": "pushes and twists written once, in Pair",
 }
 VARIANTS: dict[str, dict[str, Any]] = {
     "blocks of 32": {"block_dim": 32},
