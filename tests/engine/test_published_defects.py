@@ -5,6 +5,7 @@ The figures in the docstrings are the published engine's, measured on the same s
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 
@@ -14,7 +15,7 @@ import pytest
 
 from jax2d import Engine, SceneBuilder, State, measure, stack_worlds
 from jax2d.fidelity.hard_scenes import CAPACITY as LARGE
-from jax2d.fidelity.hard_scenes import Yard
+from jax2d.fidelity.hard_scenes import Yard, cantilever
 from jax2d.fidelity.motion import Motion, record
 from kinetix_dist.level.level import SIZES
 from tests.engine.worlds import CAPACITY, builder, engine, run
@@ -48,8 +49,9 @@ def test_triangle_inertia_does_not_depend_on_where_it_was_drawn():
     b = builder()
     for offset in ((0, 0), (-0.4, -0.2), (5, 3)):
         b.add_polygon([*(triangle + offset)])
-    inverse = b.build().scene.inverse_inertia[:3]
-    assert inverse == pytest.approx(inverse[0], rel=1e-4)
+    sides = np.roll(triangle, -1, axis=0) - triangle
+    inertia = 0.35 * np.square(sides).sum() / 36  # area (a^2 + b^2 + c^2) / 36
+    assert 1 / b.build().scene.inverse_inertia[:3] == pytest.approx(inertia, rel=1e-4)
 
 
 def test_centre_of_mass_is_the_area_centroid():
@@ -97,28 +99,36 @@ def test_a_corner_that_does_not_penetrate_yet_is_a_contact_already():
 
 
 def test_clipped_point_has_the_depth_at_which_it_was_clipped():
-    """It keeps the depth of the corner it was clipped from: a plank that touches a post is thrown off it."""
+    """It keeps the depth of the corner it was clipped from: a plank is thrown off a post that it hardly overlaps, and
+    the post's other edge is no contact, since the plank's other end is above it."""
     b = builder(gravity=(0, 0))
     b.add_box(width=0.2, height=1, position=(0, -0.5), fixed=True)
-    tilt = 0.05
-    plank = b.add_box(width=4, height=0.1, angle=tilt, position=(0, 0.05 / math.cos(tilt) + 0.1 * math.tan(tilt)))
-    m = motion(b, 0.5)  # the plank's corner lies 0.1 m below the level of the post's top, beside the post
-    assert np.linalg.norm(m.velocity[:, plank], axis=-1).max() < 0.02
+    for k in range(3):  # polygon slots 0 to 3 of the published package never collide with each other
+        b.add_box(width=1, height=1, position=(100 + 3 * k, 0), fixed=True)
+    depth, tilt = 0.008, 0.0045  # the plank's corner, beside the post, is deeper by 1.9 m x 0.0045
+    plank = b.add_box(width=4, height=0.1, angle=tilt, position=(0, 0.05 - depth + 0.1 * tilt))
+    assert (run(b.build(), 1 / 60).contact_key >= 0).sum() == 2
+    m = motion(b, 1.0)
+    assert m.speed().max() < 0.01  # thrown at 0.08 m/s
+    assert m.position[-1, plank, 1] < 0.05 + 0.1 * tilt + 0.001
 
 
 def test_remembered_impulses_stay_with_their_feature():
-    """Points are matched by order of depth, so that a resting box exchanges the impulses of its corners."""
+    """Points are matched by order of depth, so that a resting box that tips a little exchanges the impulses of its
+    corners."""
     b = builder()
     floor(b)
-    heavy_left = b.add_polygon([(-0.5, 0), (0.5, 0), (0.5, 0.3), (-0.5, 1)])
-    seen: list[State] = []
-    run(b.build(), 3.0, each_step=seen.append)
-    keys = [tuple(s.contact_key[:2]) for s in seen[120:]]
-    assert set(keys) == {keys[0]}
-    impulses = np.array([s.contact_impulse[:2, 0] for s in seen[120:]])
-    assert abs(impulses[0, 0] - impulses[0, 1]) > 0.1 * impulses[0].sum()  # the two corners carry different loads
-    assert np.ptp(impulses, axis=0).max() < 0.01 * impulses[0].sum()
-    assert np.linalg.norm(seen[-1].velocity[heavy_left]) < 1e-3
+    b.add_polygon([(-0.5, 0), (0.5, 0), (0.5, 0.3), (-0.5, 1)])
+    world = b.build()
+    at_rest = run(world, 2.0)
+    (left, right), before = at_rest.contact_key[:2], at_rest.contact_impulse[:2, 0]
+    assert before[0] > 1.3 * before[1] or before[1] > 1.3 * before[0]  # it is heavier on the left
+    for tip in (-5e-4, 5e-4):
+        angle = at_rest.angle.copy()
+        angle[1] += tip
+        after, _ = engine().step(world.scene, dataclasses.replace(at_rest, angle=angle))
+        assert np.asarray(after.contact_key[:2]) == pytest.approx([left, right])
+        assert np.asarray(after.contact_impulse[:2, 0]) == pytest.approx(before, rel=0.25)
 
 
 # Contacts
@@ -141,7 +151,9 @@ def test_frictionless_floor_takes_no_speed():
     b = builder()
     floor(b, friction=0.0)
     box = b.add_box(width=0.5, height=0.5, position=(0, 0.25), velocity=(2, 0), friction=1.0)
-    assert motion(b, 2.0).velocity[-1, box, 0] == pytest.approx(2.0, abs=1e-4)
+    m = motion(b, 2.0)
+    assert m.position[-1, box, 1] == pytest.approx(0.25, abs=0.02)
+    assert m.velocity[-1, box, 0] == pytest.approx(2.0, abs=1e-4)
 
 
 def test_deep_overlap_is_undone_without_a_throw():
@@ -258,14 +270,10 @@ def test_motor_of_any_power_runs_steadily(power: float):
 
 def test_welded_cantilever_comes_to_rest():
     """It never settles."""
-    b = builder()
-    last = b.add_box(width=1, height=1, position=(-0.5, 0), fixed=True)
-    for k in range(3):
-        bar = b.add_box(width=0.5, height=0.25, position=(0.25 + 0.5 * k, 0))
-        b.add_fixed_joint(last, bar, at=(0.5 * k, 0))
-        last = bar
-    m = motion(b, 10.0)
-    assert m.speed()[-60:].max() < 1e-3
+    m = record([cantilever().world], Engine(LARGE), seconds=20.0)[0][0]
+    fastest = [m.speed()[m.after(t) : m.after(t + 5)].max() for t in (0, 5, 10, 15)]
+    assert (np.divide(fastest[1:], fastest[:-1]) < 0.5).all()
+    assert m.gaps().max() < 0.01
 
 
 def test_limit_stops_an_arm_without_a_jump():
@@ -296,8 +304,8 @@ def test_every_slot_behaves_alike():
         floor(b)
         end = run(b.build(), 3.0)
         ends.append([*end.position[box], *end.position[ball]])
-        assert end.position[box, 1] == pytest.approx(0.25, abs=0.01)
-        assert end.position[ball, 1] == pytest.approx(0.2, abs=0.01)
+        assert end.position[box, 1] == pytest.approx(0.25, abs=0.02)
+        assert end.position[ball, 1] == pytest.approx(0.2, abs=0.02)
     np.testing.assert_allclose(ends, [ends[0]] * len(ends), atol=1e-6)  # same order of pairs, same arithmetic
 
 
@@ -308,9 +316,8 @@ def test_bodies_go_on_beyond_fifteen_metres():
     assert motion(b, 5.0).position[-1, ball, 0] == pytest.approx(50.0, abs=0.01)
 
 
-@pytest.mark.slow  # it takes times, which a busy machine makes meaningless
 def test_empty_scene_costs_a_tenth_of_a_full_one_at_most():
-    """76 % of a full one. Size L, as full as it gets."""
+    """76 % of a full one; 1 % here. Size L, as full as it gets."""
     capacity = SIZES["l"]
     full, empty = SceneBuilder(capacity), SceneBuilder(capacity)
     full.add_box(width=10, height=1, position=(0, -0.5), fixed=True)
@@ -330,7 +337,7 @@ def test_empty_scene_costs_a_tenth_of_a_full_one_at_most():
         packed = jax.block_until_ready(step(one.pack_state(state)))
         times = []
         for _ in range(5):
-            start = time.process_time()
+            start = time.process_time()  # of this process alone: other work does not count
             jax.block_until_ready(step(packed))
             times.append(time.process_time() - start)
         return min(times)
