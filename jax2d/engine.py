@@ -12,18 +12,33 @@ with `pack_scene` and `pack_state`, and read positions with `bodies`.
 from __future__ import annotations
 
 import dataclasses
+import functools
+import weakref
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.checks import check_controls, check_scene, check_state, clamped_controls, is_known
+from jax2d.checks import (
+    check_batches,
+    check_controls,
+    check_layout,
+    check_packed,
+    check_scene,
+    check_state,
+    check_type,
+    clamped_controls,
+    is_known,
+    like,
+)
 from jax2d.effects import Effects, MissingEffectError, called_for, check_effects, names_of_bits
-from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching
+from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, num_invalid
 from jax2d.settings import Settings, preset
+from jax2d.whole_numbers import whole_number
 
 JOINT_IMPULSES = 5  # point x, point y, angle or motor, lower limit, upper limit
+MOST_STEPS = 2**31 - 1  # an int32 of the kernel
 
 
 def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Any:
@@ -55,6 +70,7 @@ class PackedScene:
 
     tables: Any  # the backend's
     missing: Array  # [num_worlds] int32, see `Touching.missing`
+    invalid: Array  # [num_worlds] int32, see `Touching.invalid_scene`
 
 
 class Engine:
@@ -80,6 +96,8 @@ class Engine:
         check_effects(self.effects, capacity)
         self.dtype = np.dtype(dtype)
         self.backend = BACKENDS[backend](capacity, self.settings, self.dtype, self.effects)
+        self._packed_shapes = functools.cache(self._shapes_of_packed)
+        self._last_checked: weakref.ref[Scene] | None = None
 
     # Single worlds and batches
 
@@ -91,22 +109,24 @@ class Engine:
         velocity: Array | None = None,
         angular_velocity: Array | None = None,
     ) -> State:
-        """A state without remembered impulses. Omitted parts are zero. Batched as `position` is."""
-        position = jnp.asarray(position, self.dtype)
-        batch = position.shape[:-2]
-        shapes = (*batch, self.capacity.shapes)
-        if position.shape != (*shapes, 2):
-            raise ValueError(f"position has shape {position.shape}; this engine's scenes need [..., {shapes[-1]}, 2]")
+        """A state without remembered impulses, for one world or a batch. Omitted parts are zero. Numbers of any kind
+        come out in the engine's dtype. Raises ValueError for shapes that are not the scene's."""
+        check_type("scene", scene, Scene)
+        batch, n = np.shape(scene.gravity)[:-1], self.capacity.shapes
+        check_layout("scene", scene, self.capacity, self.dtype, batch)
 
-        def given(x: Array | None, shape: tuple[int, ...]) -> jax.Array:
-            return jnp.zeros(shape, self.dtype) if x is None else jnp.asarray(x, self.dtype).reshape(shape)
+        def given(name: str, x: Array | None, *shape: int) -> jax.Array:
+            array = jnp.zeros((*batch, *shape), self.dtype) if x is None else jnp.asarray(x, self.dtype)
+            if array.shape != (*batch, *shape):
+                raise ValueError(f"{name} has shape {array.shape}; a state of this scene needs {(*batch, *shape)}")
+            return array
 
         slots = self.backend.num_contact_slots
         return State(
-            position=position,
-            angle=given(angle, shapes),
-            velocity=given(velocity, (*shapes, 2)),
-            angular_velocity=given(angular_velocity, shapes),
+            position=given("position", position, n, 2),
+            angle=given("angle", angle, n),
+            velocity=given("velocity", velocity, n, 2),
+            angular_velocity=given("angular_velocity", angular_velocity, n),
             joint_impulse=jnp.zeros((*batch, self.capacity.joints, JOINT_IMPULSES), self.dtype),
             contact_key=jnp.full((*batch, slots), -1, jnp.int32),
             contact_impulse=jnp.zeros((*batch, slots, 2), self.dtype),
@@ -124,21 +144,23 @@ class Engine:
     ) -> tuple[State, Touching]:
         """Steps one world or a batch (leading axis on every field) by `num_steps` steps of `settings.dt`.
 
-        Raises ValueError, with the field, for shapes and types that do not fit, and outside of jit for values that are
-        not finite, controls out of range and scenes that call for effects this engine was compiled without.
+        Raises ValueError or TypeError, with the field, for shapes and types that do not fit, and outside of jit for
+        values that make no world, controls out of range and scenes that call for effects this engine was compiled
+        without.
         """
-        batch = jnp.shape(state.position)[:-2]
-        if len(batch) > 1:
-            raise ValueError(f"state has batch shape {batch}; fold batches into one leading world axis")
+        check_batches(scene, state)
+        batch = np.shape(state.position)[:-2]
         if controls is None:
             controls = self.no_controls(*batch)
+        self._check_scene(scene, batch)
+        check_state(state, self.capacity, self.dtype, batch=batch)
+        check_controls(controls, self.capacity, self.dtype, batch=batch)
         single = not batch
         if single:
-            # Not jnp.asarray: it would make float32 of float64 without a word.
-            scene, state, controls = jax.tree.map(
-                lambda x: (x if isinstance(x, jax.Array) else np.asarray(x))[None], (scene, state, controls)
-            )
-        packed, touching = self.step_packed(self.pack_scene(scene), self.pack_state(state), controls, num_steps)
+            scene, state, controls = jax.tree.map(lambda x: x[None], (scene, state, controls))
+        packed, touching = self._step_packed(
+            self._pack_scene(scene), self.backend.pack_state(state), controls, num_steps
+        )
         state = self.unpack_state(packed)
         if single:
             state, touching = jax.tree.map(lambda x: x[0], (state, touching))
@@ -148,17 +170,13 @@ class Engine:
 
     def pack_scene(self, scene: Scene) -> PackedScene:
         """A batch of scenes (leading world axis on every field) as this engine steps them. Raises as `step` does."""
-        check_scene(scene, self.capacity, self.dtype, batch=np.shape(scene.gravity)[:1])
-        if self.effects == Effects.full(self.capacity):
-            missing = jnp.zeros(np.shape(scene.gravity)[0], jnp.int32)
-        else:
-            missing = self.effects.missing_worlds(called_for(scene))
-            if is_known(missing):
-                _refuse(np.asarray(missing))
-        return PackedScene(tables=self.backend.pack_scene(scene), missing=missing)
+        check_type("scene", scene, Scene)
+        self._check_scene(scene, np.shape(scene.gravity)[:1])
+        return self._pack_scene(scene)
 
     def pack_state(self, state: State) -> Any:
         """The backend's tables of a batch of states; every leaf has the world axis last. Raises as `step` does."""
+        check_type("state", state, State)
         check_state(state, self.capacity, self.dtype, batch=np.shape(state.angle)[:1])
         return self.backend.pack_state(state)
 
@@ -174,12 +192,45 @@ class Engine:
     ) -> tuple[Any, Touching]:
         """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T]; inside jit those out of range
         are clamped and counted in `Touching.invalid_controls`, outside they raise ValueError."""
-        if num_steps < 1:
-            raise ValueError(f"num_steps is {num_steps}; a call takes at least one step")
-        check_controls(controls, self.capacity, self.dtype, batch=scene.missing.shape)
+        check_type("scene", scene, PackedScene)
+        num_worlds = scene.missing.shape[-1]
+        for name, tables, expected in zip(("scene", "state"), (scene.tables, state), self._packed_shapes(num_worlds)):
+            check_packed(name, tables, expected, num_worlds)
+        check_controls(controls, self.capacity, self.dtype, batch=(num_worlds,))
+        return self._step_packed(scene, state, controls, num_steps)
+
+    # Inside
+
+    def _check_scene(self, scene: Scene, batch: tuple[int, ...]) -> None:
+        """Once for a scene of JAX arrays, which cannot change: checking many worlds costs as much as stepping them."""
+        if self._last_checked is not None and self._last_checked() is scene:
+            return
+        check_scene(scene, self.capacity, self.dtype, batch=batch)
+        if all(isinstance(x, jax.Array) and is_known(x) for x in jax.tree.leaves(scene)):
+            self._last_checked = weakref.ref(scene)
+
+    def _pack_scene(self, scene: Scene) -> PackedScene:
+        if self.effects == Effects.full(self.capacity):
+            missing = jnp.zeros(np.shape(scene.gravity)[0], jnp.int32)
+        else:
+            missing = self.effects.missing_worlds(called_for(scene))
+            if is_known(missing):
+                _refuse(np.asarray(missing))
+        return PackedScene(tables=self.backend.pack_scene(scene), missing=missing, invalid=num_invalid(scene))
+
+    def _shapes_of_packed(self, num_worlds: int) -> tuple[Any, Any]:
+        """(scene, state) tables as shapes and kinds alone."""
+        scene, state = (like(tree, self.capacity, self.dtype, num_worlds) for tree in (Scene, State))
+        return jax.eval_shape(self.backend.pack_scene, scene), jax.eval_shape(self.backend.pack_state, state)
+
+    def _step_packed(self, scene: PackedScene, state: Any, controls: Controls, num_steps: int) -> tuple[Any, Touching]:
+        if not 1 <= whole_number("num_steps", num_steps) <= MOST_STEPS:
+            raise ValueError(f"num_steps is {num_steps}; a call takes 1 to {MOST_STEPS} steps")
         controls, invalid = clamped_controls(controls)
         state, noted = self.backend.step_packed(scene.tables, state, controls, num_steps)
-        return state, Touching(**noted._asdict(), invalid_controls=invalid, missing=scene.missing)
+        return state, Touching(
+            **noted._asdict(), invalid_controls=invalid, invalid_scene=scene.invalid, missing=scene.missing
+        )
 
 
 def _refuse(missing: np.ndarray) -> None:

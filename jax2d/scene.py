@@ -139,6 +139,7 @@ class Touching:
     overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
     limited: Array  # [] int32, times a speed limit of the settings acted in this call
     invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
+    invalid_scene: Array  # [] int32, joints and thrusters on no shape (off) and wrong num_vertices (clamped)
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without
 
 
@@ -170,7 +171,7 @@ def touch_bits(matrix: Array) -> jax.Array:
 def only_what_acts(scene: Scene) -> Scene:
     """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, joints and
     thrusters that are not on active shapes are off, and `can_touch` holds each pair once, at [lower, higher], and only
-    where both are active and one of the two can move."""
+    where both are active and one of the two can move. No index is out of range."""
     active = jnp.asarray(scene.shape_active)
     inverse_mass = jnp.where(active, scene.inverse_mass, 0)
     inverse_inertia = jnp.where(active, scene.inverse_inertia, 0)
@@ -178,22 +179,41 @@ def only_what_acts(scene: Scene) -> Scene:
     meets = jnp.asarray(scene.can_touch) & active[..., :, None] & active[..., None, :]
     meets &= movable[..., :, None] | movable[..., None, :]
     meets &= np.triu(np.ones(meets.shape[-2:], bool), 1)
-    joint_acts = _is_on(active, scene.joint_a) & _is_on(active, scene.joint_b)
+    joints, thrusters = _names_shapes(scene)
+    on_active = [_of_shape(active, index) for index in (scene.joint_a, scene.joint_b, scene.thruster_body)]
     return dataclasses.replace(
         scene,
         inverse_mass=inverse_mass,
         inverse_inertia=inverse_inertia,
+        num_vertices=jnp.clip(jnp.asarray(scene.num_vertices), 3, scene.vertices.shape[-2]),
         can_touch=meets,
-        joint_active=jnp.asarray(scene.joint_active) & joint_acts,
-        thruster_active=jnp.asarray(scene.thruster_active) & _is_on(active, scene.thruster_body),
+        joint_active=scene.joint_active & joints & on_active[0] & on_active[1],
+        thruster_active=scene.thruster_active & thrusters & on_active[2],
     )
 
 
-def _is_on(active: jax.Array, shape: Array) -> jax.Array:
-    """[..., k] bool, whether `shape` [..., k] is the index of an active shape."""
-    index, num_shapes = jnp.asarray(shape), active.shape[-1]
-    is_index = (index >= 0) & (index < num_shapes)
-    return is_index & jnp.take_along_axis(active, jnp.clip(index, 0, num_shapes - 1), axis=-1)
+def num_invalid(scene: Scene) -> jax.Array:
+    """[...] int32, what `only_what_acts` must mend: active joints and thrusters whose indices name no (two) shapes, and
+    active polygons whose number of vertices is none."""
+    joints, thrusters = _names_shapes(scene)
+    number = jnp.asarray(scene.num_vertices)
+    polygons = (number >= 3) & (number <= scene.vertices.shape[-2])
+    active_polygons = scene.shape_active[..., : number.shape[-1]]
+    wrong = (scene.joint_active & ~joints, scene.thruster_active & ~thrusters, active_polygons & ~polygons)
+    return sum((jnp.sum(x, axis=-1, dtype=jnp.int32) for x in wrong[1:]), jnp.sum(wrong[0], axis=-1, dtype=jnp.int32))
+
+
+def _names_shapes(scene: Scene) -> tuple[jax.Array, jax.Array]:
+    """(joints [..., J], thrusters [..., T]) bool, those whose indices are of shapes, two different ones for a joint."""
+    num_shapes = scene.shape_active.shape[-1]
+    a, b, body = (jnp.asarray(x) for x in (scene.joint_a, scene.joint_b, scene.thruster_body))
+    is_a, is_b, is_body = ((x >= 0) & (x < num_shapes) for x in (a, b, body))
+    return is_a & is_b & (a != b), is_body
+
+
+def _of_shape(x: jax.Array, shape: Array) -> jax.Array:
+    """[..., k] of x [..., n] at shape [..., k]; of the nearest one where that is no index."""
+    return jnp.take_along_axis(x, jnp.clip(jnp.asarray(shape), 0, x.shape[-1] - 1), axis=-1)
 
 
 def index_worlds(tree: Any, index: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import unittest.mock
 from typing import Any
 
 import jax
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d import Controls, Scene, State
+from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, State, stack_worlds
 from tests.engine.worlds import CAPACITY, builder, engine
 
 
@@ -59,6 +60,99 @@ def test_state_with_nan_is_refused(field: str):
         engine().step(scene, changed(state, **{field: bad}))
 
 
+def test_nan_in_a_contact_slot_is_refused_where_the_slot_is_in_use():
+    scene, state = start()
+    state = changed(state, contact_impulse=holding(state.contact_impulse, np.nan, 1, 0))
+    engine().step(scene, state)
+    with pytest.raises(ValueError, match=r"state\.contact_impulse\[1, 0\] is nan; it must be finite"):
+        engine().step(scene, changed(state, contact_key=holding(state.contact_key, 4096, 1)))
+
+
+UNIT_BOX = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]], np.float32)
+DART = UNIT_BOX * [[1, 1], [1, 1], [-0.4, -0.4], [1, 1]]
+
+
+@pytest.mark.parametrize(
+    ("field", "index", "value", "said"),
+    [
+        ("joint_a", 0, 10, r"joint_a\[0\] is 10; it must be the index of a shape"),
+        ("joint_b", 0, -1, r"joint_b\[0\] is -1; it must be the index"),
+        ("joint_b", 0, 0, r"joint_b\[0\] is 0; it must be another shape than joint_a"),
+        ("thruster_body", 0, 10**9, r"thruster_body\[0\] is 1000000000; it must be the index"),
+        ("num_vertices", 1, 2, r"num_vertices\[1\] is 2; it must be from 3 to Capacity\.vertices"),
+        ("num_vertices", 1, 5, r"num_vertices\[1\] is 5"),
+        ("vertices", 1, UNIT_BOX[::-1], r"vertices\[1\] is .*; it must be convex, counter-clockwise"),
+        ("vertices", 1, DART, r"vertices\[1\] is .*; it must be convex"),
+        ("vertices", 1, UNIT_BOX[[0, 1, 1, 2]], r"vertices\[1\] is .*; it must be convex"),
+        ("vertices", 1, UNIT_BOX + 0.01, r"vertices\[1\] is .*; it must have its centre of mass at \(0, 0\)"),
+        ("radius", 0, 0.0, r"radius\[0\] is 0\.0; it must be positive"),
+        ("restitution", 1, 1.5, r"restitution\[1\] is 1\.5; it must be from 0 to 1"),
+        ("friction", 1, -1.0, r"friction\[1\] is -1\.0; it must be 0 or more"),
+        ("inverse_mass", 1, -1.0, r"inverse_mass\[1\] is -1\.0; it must be 0 \(fixed\) or more"),
+        ("inverse_inertia", 1, -1.0, r"inverse_inertia\[1\] is -1\.0; it must be 0"),
+        ("motor_power", 0, -1.0, r"motor_power\[0\] is -1\.0; it must be 0 or more"),
+        ("lower_limit", 0, 2.0, r"lower_limit\[0\] is 2\.0; it must be at most upper_limit"),
+        ("can_touch", (2, 3), False, r"can_touch\[2, 3\] is False; it must be the same for \[i, j\] and \[j, i\]"),
+    ],
+)
+def test_scene_with_values_that_make_no_world_is_refused(field: str, index: Any, value: Any, said: str):
+    scene, state = start()
+    scene = changed(
+        scene,
+        has_limits=np.ones(CAPACITY.joints, bool),
+        shape_active=holding(scene.shape_active, True, CAPACITY.polygons),
+    )
+    bad = np.array(getattr(scene, field))
+    bad[index] = value
+    with pytest.raises(ValueError, match=rf"^scene\.{said}"):
+        engine().step(changed(scene, **{field: bad}), state)
+
+
+def test_slots_that_are_not_active_may_hold_anything():
+    scene, state = start()
+    unused = changed(
+        scene,
+        joint_a=holding(scene.joint_a, 99, 1),
+        thruster_body=holding(scene.thruster_body, -5, 1),
+        num_vertices=holding(scene.num_vertices, 0, 6),
+        radius=holding(scene.radius, -1.0, 0),
+    )
+    jax.tree.map(np.testing.assert_array_equal, engine().step(unused, state), engine().step(scene, state))
+
+
+@pytest.mark.also_gpu
+def test_indices_of_no_shape_are_off_and_counted_inside_jit():
+    scene, state = start()
+    step = jax.jit(lambda scene: engine().step(scene, state, controls(motor=1.0, thruster=1.0), num_steps=5))
+    bad = changed(
+        scene,
+        joint_a=holding(scene.joint_a, 2**30, 0),
+        thruster_body=holding(scene.thruster_body, -7, 0),
+        num_vertices=holding(scene.num_vertices, 5, 0),
+    )
+    off = changed(scene, joint_active=scene.joint_active & False, thruster_active=scene.thruster_active & False)
+    ended, touching = step(bad)
+    jax.tree.map(np.testing.assert_array_equal, ended, step(off)[0])
+    assert int(touching.invalid_scene) == 3
+    assert int(step(scene)[1].invalid_scene) == 0
+    assert int(step(changed(scene, joint_b=scene.joint_a))[1].invalid_scene) == 1
+
+
+def test_a_scene_of_jax_arrays_is_checked_once_and_one_that_can_change_every_time():
+    scene, state = start()
+    fixed = jax.tree.map(jnp.asarray, scene)
+    with unittest.mock.patch("jax2d.engine.check_scene") as check:
+        for _ in range(3):
+            engine().step(fixed, state)
+        assert check.call_count == 1
+        engine().step(scene, state)
+        engine().step(scene, state)
+        assert check.call_count == 3
+    scene.joint_a[0] = 99
+    with pytest.raises(ValueError, match="joint_a"):
+        engine().step(scene, state)
+
+
 def test_error_names_the_world_of_a_batch():
     scene, state = jax.tree.map(lambda x: np.stack([np.asarray(x)] * 3), start())
     bad = changed(scene, friction=holding(scene.friction, np.nan, 2, 1))
@@ -84,18 +178,18 @@ def test_wrong_shapes_are_refused_inside_jit_too():
     scene, state = start()
     wrong = changed(controls(), motor=np.zeros(CAPACITY.joints + 1, np.float32))
     for step in (engine().step, jax.jit(engine().step)):
-        with pytest.raises(ValueError, match=r"controls\.motor has shape \(1, 4\); this engine .* needs \(1, 3\)"):
+        with pytest.raises(ValueError, match=r"controls\.motor has shape \(4,\); this engine .* needs \(3,\)"):
             step(scene, state, wrong)
-    with pytest.raises(ValueError, match=r"scene\.radius has shape \(1, 1\)"):
+    with pytest.raises(ValueError, match=r"scene\.radius has shape \(1,\)"):
         engine().step(changed(scene, radius=np.ones(1, np.float32)), state)
 
 
 @pytest.mark.parametrize(
     ("bad", "said"),
     [
-        (controls(motor=1.5), r"controls\.motor\[0, 0\] is 1\.5; it must be from -1 to 1"),
-        (controls(motor=np.nan), r"controls\.motor\[0, 0\] is nan"),
-        (controls(thruster=-0.5), r"controls\.thruster\[0, 0\] is -0\.5; it must be from 0 to 1"),
+        (controls(motor=1.5), r"controls\.motor\[0\] is 1\.5; it must be from -1 to 1"),
+        (controls(motor=np.nan), r"controls\.motor\[0\] is nan"),
+        (controls(thruster=-0.5), r"controls\.thruster\[0\] is -0\.5; it must be from 0 to 1"),
     ],
 )
 def test_controls_out_of_range_are_refused_outside_jit(bad: Controls, said: str):
@@ -117,6 +211,79 @@ def test_controls_out_of_range_are_clamped_and_counted_inside_jit():
     np.testing.assert_array_equal(still.velocity, jnp.zeros((CAPACITY.shapes, 2)))
 
 
-def test_no_steps_at_all_are_refused():
-    with pytest.raises(ValueError, match="num_steps is 0; a call takes at least one step"):
-        engine().step(*start(), num_steps=0)
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (0, "0; a call takes 1 to"),
+        (2**31, "2147483648; a call takes 1 to 2147483647 steps"),
+        (1.5, "1.5; it must be a whole number"),
+        (True, "True; it must be"),
+    ],
+)
+def test_numbers_of_steps_that_are_none_are_refused(value: Any, said: str):
+    with pytest.raises(ValueError, match=f"num_steps is {said}"):
+        engine().step(*start(), num_steps=value)
+
+
+def test_number_of_steps_must_be_known_when_a_step_is_compiled():
+    with pytest.raises(ValueError, match=r"num_steps is .*; it must be a whole number, known before anything is"):
+        jax.jit(lambda number: engine().step(*start(), num_steps=number))(3)
+
+
+def test_things_of_another_type_are_refused_by_name():
+    scene, state = start()
+    world = builder().build()
+    with pytest.raises(TypeError, match=r"scene is of type BuiltWorld, not Scene; give its \.scene"):
+        engine().step(world, state)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="state is of type NoneType, not State"):
+        engine().step(scene, None)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="controls is of type ndarray, not Controls"):
+        engine().step(scene, state, np.zeros(3))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"scene\.gravity is of type list; it must be a numpy or JAX array"):
+        engine().step(changed(scene, gravity=[0.0, -9.81]), state)
+    with pytest.raises(TypeError, match=r"scene is of type Scene, not PackedScene"):
+        engine().step_packed(stack_worlds([scene]), state, engine().no_controls(1))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"state is of type State, not what pack_state of this engine gives"):
+        engine().step_packed(engine().pack_scene(stack_worlds([scene])), state, engine().no_controls(1))
+
+
+def test_batches_that_do_not_fit_each_other_are_refused():
+    scene, state = start()
+    scenes, states = stack_worlds([scene] * 3), stack_worlds([state] * 2)
+    with pytest.raises(ValueError, match=r"^scene has 3 worlds, state 2"):
+        engine().step(scenes, states)
+    with pytest.raises(ValueError, match=r"scene is a single world, state a batch of 2; .* jax\.vmap with \(None, 0\)"):
+        engine().step(scene, states)
+    with pytest.raises(ValueError, match=r"state is a single world, scene a batch of 3; .* jax\.vmap with \(0, None\)"):
+        engine().step(scenes, state)
+    packed, packed_states = engine().pack_scene(scenes), engine().pack_state(states)
+    for step in (engine().step_packed, jax.jit(engine().step_packed)):
+        with pytest.raises(ValueError, match=r"^scene has 3 worlds, state 2"):
+            step(packed, packed_states, engine().no_controls(3))
+
+
+def test_tables_of_another_engine_are_refused():
+    scene, state = jax.tree.map(lambda x: np.asarray(x)[None], start())
+    wider = Engine(dataclasses.replace(CAPACITY, joints=CAPACITY.joints + 1))
+    packed, packed_state = engine().pack_scene(scene), engine().pack_state(state)
+    with pytest.raises(
+        ValueError, match=r"^scene was packed by an engine of another capacity or precision: a table is"
+    ):
+        wider.step_packed(packed, packed_state, wider.no_controls(1))
+    reference = Engine(CAPACITY, backend="xla")
+    with pytest.raises(TypeError, match=r"^scene is of type SceneTables, not what pack_scene of this engine gives"):
+        reference.step_packed(packed, packed_state, reference.no_controls(1))
+
+
+def test_a_start_that_does_not_fit_its_scene_is_refused():
+    scene, _ = start()
+    n = CAPACITY.shapes
+    with pytest.raises(ValueError, match=rf"position has shape \(3, 2\); a state of this scene needs \({n}, 2\)"):
+        engine().initial_state(scene, np.zeros((3, 2)))
+    with pytest.raises(ValueError, match=rf"velocity has shape \(2, {n}\); a state of this scene needs \({n}, 2\)"):
+        engine().initial_state(scene, np.zeros((n, 2)), velocity=np.zeros((2, n)))
+    with pytest.raises(ValueError, match=rf"position has shape \(4, {n}, 2\)"):
+        engine().initial_state(scene, np.zeros((4, n, 2)))
+    other = SceneBuilder(Capacity(polygons=1, circles=0, joints=0, thrusters=0)).build()
+    with pytest.raises(ValueError, match=r"scene\.shape_active has shape \(1,\); this engine .* needs"):
+        engine().initial_state(other.scene, np.zeros((n, 2)))

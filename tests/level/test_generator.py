@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax2d.checks import check_scene
 from jax2d.scene import Capacity
 from kinetix_dist.level.filters import generate_filtered, keep_unsolved
 from kinetix_dist.level.generator import GeneratorConfig, generate_level, generate_levels
@@ -116,6 +117,10 @@ def test_limits_hold_the_starting_pose_and_powers_are_in_range(size: str) -> Non
         assert values[held].min() >= low and values[held].max() <= high
     has_circle = (scene.joint_a >= SIZES[size].polygons) | (scene.joint_b >= SIZES[size].polygons)
     assert scene.motor_power[held & has_circle].max() <= config.wheel_power_max + 1e-6
+
+
+def test_every_scene_is_one_that_engines_take(size: str) -> None:
+    check_scene(levels_of(size).scene, SIZES[size], np.dtype(np.float32), batch=(NUM_LEVELS,))
 
 
 def test_shapes_are_finite_and_start_inside_the_box(size: str) -> None:

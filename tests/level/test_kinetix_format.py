@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 
+from jax2d.checks import check_scene
 from jax2d.engine import Engine
 from jax2d.scene import Controls
 from kinetix_dist.level.fit import capacity_of, smallest_size, usage
@@ -34,6 +35,7 @@ def test_public_files_come_in_with_their_size_and_contacts_and_go_out_again(
         document = json.loads(file.read_text())
         level = import_kinetix(document)
         assert capacity_of(level) == SIZES[size]
+        check_scene(level.scene, capacity_of(level), np.dtype(np.float32), batch=())
         state = document["env_state"]
         shapes = state["polygon"] + state["circle"]
         for slot, shape in enumerate(shapes):
