@@ -16,6 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ import numpy as np
 
 from jax2d import Capacity, Controls, Scene, State
 from jax2d.engine import JOINT_IMPULSES
+from jax2d.fidelity.arguments import OneLineParser
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PROGRAM = CHECKOUT / "bench" / "peers" / "jax2d_published_steps.py"
@@ -199,5 +201,19 @@ def write_excerpt(file: Path, to: Path, moments: int = 8) -> None:
     np.savez_compressed(to, **kept)
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = OneLineParser(prog="python -m bench.published_steps", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("steps", type=Path, help="a file of steps that bench/paper_single_steps.py had made")
+    parser.add_argument("excerpt", type=Path, help="the file to write")
+    args = parser.parse_args(arguments)
+    if not args.steps.is_file():
+        parser.error(f"{args.steps} does not exist; python -m bench.paper_single_steps makes such files")
+    try:
+        write_excerpt(args.steps, args.excerpt)
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        parser.error(f"no excerpt of {args.steps} in {args.excerpt}: {error}")
+    return 0
+
+
 if __name__ == "__main__":
-    write_excerpt(Path(sys.argv[1]), Path(sys.argv[2]))
+    sys.exit(main())

@@ -16,8 +16,8 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path as File
-from typing import NoReturn
 
+from jax2d.fidelity.arguments import OneLineParser
 from jax2d.fidelity.closed_forms import CLOSED_FORMS
 from jax2d.fidelity.peers import PEERS
 from jax2d.fidelity.reference_scenes import REFERENCE_SCENES
@@ -31,17 +31,10 @@ WORLDS_GPU_QUICK = 16384
 STEPS_CPU, STEPS_GPU = 32, 16  # physics steps of a timed run
 
 
-class OneLineParser(argparse.ArgumentParser):
-    """Says what was wrong in one line and exits with 2."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}\n")
-
-
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = OneLineParser(prog="python -m jax2d.fidelity", description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
-    add("--quick", action="store_true", help="fewer settings and worlds: two minutes instead of twenty on two cores")
+    add("--quick", action="store_true", help="fewer settings and worlds: three minutes instead of twelve on two cores")
     add("--json", type=File, default=File("runs/fidelity/study.json"), help="where the records go")
     add("--csv", type=File, help="the same as a table; default: beside the JSON")
     add("--picture", type=File, help="the log-log picture; default: beside the JSON, .png")

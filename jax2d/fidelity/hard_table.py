@@ -7,9 +7,12 @@ import sys
 from collections.abc import Sequence
 
 from jax2d.engine import Engine
+from jax2d.fidelity.arguments import OneLineParser
 from jax2d.fidelity.hard_scenes import CAPACITY, Check, HardScene, hard_scenes
 from jax2d.fidelity.motion import record
 from jax2d.settings import PRESETS, Settings
+
+SHOWN = sorted(set(PRESETS) - {"reference"})  # that one is for float64
 
 
 @functools.cache
@@ -57,5 +60,18 @@ def _named(check: Check, first: Check) -> str:
     return "" if check.figure == first.figure else f"{check.figure}: "
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = OneLineParser(prog="python -m jax2d.fidelity.hard_table", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "presets", nargs="*", metavar="PRESET", help=f"{', '.join(SHOWN)} by default, in seconds to minutes each"
+    )
+    presets = parser.parse_args(arguments).presets or SHOWN
+    for name in presets:
+        if name not in SHOWN:
+            parser.error(f"unknown preset {name!r}; known: {', '.join(SHOWN)}")
+    sys.stdout.write(table(presets) + "\n")
+    return 0
+
+
 if __name__ == "__main__":
-    sys.stdout.write(table(sys.argv[1:] or sorted(set(PRESETS) - {"reference"})) + "\n")
+    sys.exit(main())

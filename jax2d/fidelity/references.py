@@ -9,7 +9,6 @@ from there. An error is accepted when it is at least TRUST times that distance: 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import time
@@ -21,6 +20,7 @@ import numpy as np
 from rich.console import Console
 
 from jax2d.builder import BuiltWorld, SceneBuilder
+from jax2d.fidelity.arguments import OneLineParser
 from jax2d.fidelity.closed_forms import G, with_plain_friction
 from jax2d.fidelity.path import Path
 from jax2d.fidelity.reference_scenes import CAPACITY, REFERENCE_SCENES, ReferenceScene
@@ -150,9 +150,7 @@ def solve(scene: ReferenceScene, *, divisions: Sequence[int], seconds: float | N
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m jax2d.fidelity.references", description=(__doc__ or "").splitlines()[0]
-    )
+    parser = OneLineParser(prog="python -m jax2d.fidelity.references", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scenes", nargs="*", choices=[*REFERENCE_SCENES, []], default=[], metavar="SCENE")
     console = Console()
     chosen = parser.parse_args(arguments).scenes or list(REFERENCE_SCENES)
