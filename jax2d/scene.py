@@ -18,6 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d.whole_numbers import whole_number
+
 MAX_SHAPES = 512  # an int32 contact key has 9 bits for each of two shapes, and 12 for the feature
 
 Array = Any  # jax.Array or numpy.ndarray: fields are traced, stored and compared alike
@@ -34,8 +36,8 @@ class Capacity:
     vertices: int = 4  # most vertices of a polygon
 
     def __post_init__(self) -> None:
-        for name in ("polygons", "circles", "joints", "thrusters"):
-            if getattr(self, name) < 0:
+        for name in ("polygons", "circles", "joints", "thrusters", "vertices"):
+            if whole_number(f"Capacity.{name}", getattr(self, name)) < 0:
                 raise ValueError(f"Capacity.{name} is {getattr(self, name)}; it must be 0 or more")
         if self.shapes == 0:
             raise ValueError("Capacity has neither polygons nor circles; give at least one shape")

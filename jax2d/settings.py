@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import numbers
 from typing import Literal
 
 from jax2d.published_details import PUBLISHED_DETAILS
+from jax2d.whole_numbers import whole_number
 
 Solver = Literal["soft_step", "sequential_impulses"]
 
@@ -69,13 +71,14 @@ class Settings:
     published_details: tuple[str, ...] = ()  # names from jax2d/published_details.py, for comparison with that package
 
     def __post_init__(self) -> None:
+        self._check_types()
         if self.solver not in ("soft_step", "sequential_impulses"):
             raise ValueError(f"Settings.solver is {self.solver!r}; use 'soft_step' or 'sequential_impulses'")
         if self.friction_mixing not in ("geometric_mean", "root_sum_square"):
             raise ValueError(
                 f"Settings.friction_mixing is {self.friction_mixing!r}; use 'geometric_mean' or 'root_sum_square'"
             )
-        if not (math.isfinite(self.dt) and self.dt > 0):
+        if self.dt == 0:
             raise ValueError(f"Settings.dt is {self.dt}; a step must take a positive time in seconds")
         if self.substeps < 1:
             raise ValueError(f"Settings.substeps is {self.substeps}; at least 1 is needed")
@@ -89,10 +92,22 @@ class Settings:
                 "another; use 1, or solver='sequential_impulses'"
             )
         self._check_published_details()
+
+    def _check_types(self) -> None:
+        """Every field by its declared type; numbers are finite and not negative."""
         for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"Settings.{field.name} is {value}; it must be finite and not negative")
+            name, value = f"Settings.{field.name}", getattr(self, field.name)
+            if field.type == "int":
+                whole_number(name, value)
+            elif field.type == "float":
+                if not isinstance(value, numbers.Real) or isinstance(value, bool):
+                    raise ValueError(f"{name} is {value!r}; it must be a number")
+                if not (math.isfinite(value) and value >= 0):
+                    raise ValueError(f"{name} is {value}; it must be finite and not negative")
+            elif field.type == "bool" and not isinstance(value, bool):
+                raise ValueError(f"{name} is {value!r}; it must be True or False")
+            elif field.type == "tuple[str, ...]" and not isinstance(value, tuple):
+                raise ValueError(f"{name} is {value!r}; it must be a tuple of names")
 
     def _check_published_details(self) -> None:
         details = self.published_details

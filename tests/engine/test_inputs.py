@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, State, stack_worlds
+from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, Settings, State, preset, stack_worlds
 from tests.engine.worlds import CAPACITY, builder, engine
 
 
@@ -287,3 +287,45 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
     other = SceneBuilder(Capacity(polygons=1, circles=0, joints=0, thrusters=0)).build()
     with pytest.raises(ValueError, match=r"scene\.shape_active has shape \(1,\); this engine .* needs"):
         engine().initial_state(other.scene, np.zeros((n, 2)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"max_speed": -1}, "max_speed is -1; it must be finite and not negative"),
+        ({"push_out_speed": np.float32(np.inf)}, "push_out_speed is inf; it must be finite"),
+        ({"dt": "0.1"}, "dt is '0.1'; it must be a number"),
+        ({"dt": None}, "dt is None; it must be a number"),
+        ({"dt": 0}, "dt is 0; a step must take a positive time"),
+        ({"substeps": 2.5}, "substeps is 2.5; it must be a whole number"),
+        ({"substeps": 0}, "substeps is 0; at least 1 is needed"),
+        ({"solver": "sequential_impulses", "solver_batch_size": 16.0}, "solver_batch_size is 16.0; it must be a whole"),
+        ({"warm_start": 1}, "warm_start is 1; it must be True or False"),
+        (
+            {"solver": "sequential_impulses", "published_details": ["last_pair"]},
+            "published_details is .*; it must be a",
+        ),
+    ],
+)
+def test_settings_of_another_kind_are_refused(settings: dict[str, Any], said: str):
+    with pytest.raises(ValueError, match=rf"^Settings\.{said}"):
+        Settings(**settings)
+
+
+def test_settings_take_numbers_of_numpy():
+    assert Settings(dt=np.float64(1 / 60), substeps=np.int64(4)) == preset("standard")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ({"polygons": 1.5}, "polygons is 1.5; it must be a whole number"),
+        ({"joints": "1"}, "joints is '1'; it must be a whole number"),
+        ({"thrusters": -1}, "thrusters is -1; it must be 0 or more"),
+        ({"vertices": 4.0}, "vertices is 4.0; it must be a whole number"),
+        ({"vertices": 9}, "vertices is 9; polygons have 3 to 8 vertices"),
+    ],
+)
+def test_capacities_of_no_whole_numbers_are_refused(sizes: dict[str, Any], said: str):
+    with pytest.raises(ValueError, match=rf"^Capacity\.{said}"):
+        Capacity(**{"polygons": 1, "circles": 1, "joints": 1, "thrusters": 1} | sizes)
