@@ -13,13 +13,11 @@ speed and spin, how often a speed limit acted, contacts without a slot, how deep
 episode, and energy from nothing.
 
 Energy from nothing, J/kg of a world's movable mass: energy after an action - the most that it was after any of the
-four before - the most that motors and thrusters can have done since. (Four, because an impact that is passed from body
-to body takes a few steps, in which its energy is in the overlaps.) A motor does at most torque x target x time, a
-thruster force x speed at its place x time (the faster of before and after, and what it adds itself). Undoing overlaps
+four before - the most that motors and thrusters can have done since (`jax2d.measure.work_at_most`). (Four, because an
+impact that is passed from body to body takes a few steps, in which its energy is in the overlaps.) Undoing overlaps
 and pulling joints together gives a little; an explosion gives much. 1 J/kg lifts everything by 10 cm.
 
-Speeds are those after the last solve of an action: a body moves no faster than the limits of the settings, but what a
-solve leaves may be above them until it is moved.
+Speeds are those of the states after each action; the settings' limits are the largest that a state may have.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d import Controls, Engine, preset
-from jax2d.measure import energy, overlaps
+from jax2d.measure import energy, overlaps, work_at_most
 from jax2d.scene import Array, Scene, State, index_worlds
 from jax2d.settings import PRESETS, Settings
 from kinetix_dist.env.actions import controls_of
@@ -101,6 +99,7 @@ class Soak:
         num_actions = EPISODE_STEPS // self.frame_skip
         seconds = self.frame_skip * engine.settings.dt
         energy_of = jax.vmap(energy)
+        most_work = jax.vmap(partial(work_at_most, engine.settings, seconds))
 
         def act(carry: Any, index: Array) -> Any:
             packed, before, earlier, failed_at, largest = carry
@@ -110,7 +109,7 @@ class Soak:
             finite = _is_finite(after)
             failed_at = jnp.where(finite, failed_at, jnp.minimum(failed_at, index))
             energy_after = energy_of(scene, after)
-            most = work_at_most(engine.settings, seconds, scene, controls, before, after)
+            most = most_work(scene, controls, before, after)
             earlier = earlier + most  # [GAIN_WINDOW, W]: what each would be now, had nothing been lost since
             gain = jnp.where(finite, (energy_after - jnp.max(earlier, axis=0)) / mass, 0.0)
             earlier = jnp.concatenate([earlier[1:], energy_after[None]])
@@ -156,35 +155,6 @@ def _is_finite(state: State) -> jax.Array:
     """[W] bool."""
     fields = (state.position, state.angle, state.velocity, state.angular_velocity)
     return jnp.stack([jnp.isfinite(x).reshape(x.shape[0], -1).all(-1) for x in fields]).all(0)
-
-
-def work_at_most(
-    settings: Settings, seconds: float, scene: Scene, controls: Controls, before: State, after: State
-) -> jax.Array:
-    """J that the motors and thrusters of each world can have done in one action, [W]."""
-    take = partial(jnp.take_along_axis, axis=1)
-    inverse_inertia = jnp.asarray(scene.inverse_inertia)
-    yielding = take(inverse_inertia, scene.joint_a) + take(inverse_inertia, scene.joint_b)
-    inertia = jnp.where(yielding > 0, 1.0 / jnp.where(yielding > 0, yielding, 1.0), 0.0)
-    driven = jnp.asarray(scene.joint_active) & scene.motor_on & ~jnp.asarray(scene.joint_is_fixed)
-    torque = settings.base_motor_power * jnp.asarray(scene.motor_power) * inertia
-    target = settings.base_motor_speed * jnp.abs(controls.motor * scene.motor_speed)
-    motors = jnp.where(driven, torque * target * seconds, 0.0)
-
-    force = settings.base_thruster_power * jnp.asarray(scene.thruster_power) * controls.thruster
-    arm = jnp.linalg.norm(scene.thruster_position, axis=-1)
-
-    def speed_there(state: State) -> jax.Array:
-        return take(jnp.linalg.norm(state.velocity, axis=-1), scene.thruster_body) + arm * jnp.abs(
-            take(state.angular_velocity, scene.thruster_body)
-        )
-
-    yields = take(jnp.asarray(scene.inverse_mass), scene.thruster_body) + arm**2 * take(
-        inverse_inertia, scene.thruster_body
-    )
-    speed = jnp.maximum(speed_there(before), speed_there(after)) + force * yields * seconds
-    thrusters = jnp.where(scene.thruster_active, force * speed * seconds, 0.0)
-    return jnp.sum(motors, axis=1) + jnp.sum(thrusters, axis=1)
 
 
 @dataclasses.dataclass

@@ -1,11 +1,12 @@
-"""What a state amounts to: energy, momentum, joint error. Functions of one world; vmap for batches."""
+"""What a state amounts to: energy, work, momentum, joint error. Functions of one world; vmap for batches."""
 
 from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Array, Scene, State
+from jax2d.scene import Array, Controls, Scene, State
+from jax2d.settings import Settings
 
 
 def _masses(scene: Scene) -> tuple[jax.Array, jax.Array]:
@@ -47,6 +48,36 @@ def angular_momentum(scene: Scene, state: State) -> jax.Array:
     x, v = state.position, state.velocity
     orbital = mass * (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])
     return jnp.sum(orbital + inertia * state.angular_velocity)
+
+
+def work_at_most(
+    settings: Settings, seconds: float, scene: Scene, controls: Controls, before: State, after: State
+) -> jax.Array:
+    """J that motors and thrusters can have done under constant controls between two states, [].
+
+    A motor does at most torque x target x time, a thruster force x speed at its place x time: the faster of before and
+    after, and what it adds itself.
+    """
+    inverse_mass, inverse_inertia = jnp.asarray(scene.inverse_mass), jnp.asarray(scene.inverse_inertia)
+    yielding = inverse_inertia[scene.joint_a] + inverse_inertia[scene.joint_b]
+    inertia = jnp.where(yielding > 0, 1.0 / jnp.where(yielding > 0, yielding, 1.0), 0.0)
+    driven = jnp.asarray(scene.joint_active) & scene.motor_on & ~jnp.asarray(scene.joint_is_fixed)
+    torque = settings.base_motor_power * jnp.asarray(scene.motor_power) * inertia
+    target = settings.base_motor_speed * jnp.abs(controls.motor * scene.motor_speed)
+    motors = jnp.where(driven, torque * target * seconds, 0.0)
+
+    body = scene.thruster_body
+    force = settings.base_thruster_power * jnp.asarray(scene.thruster_power) * controls.thruster
+    arm = jnp.linalg.norm(scene.thruster_position, axis=-1)
+
+    def speed_there(state: State) -> jax.Array:
+        spin = jnp.asarray(state.angular_velocity)
+        return jnp.linalg.norm(state.velocity, axis=-1)[body] + arm * jnp.abs(spin[body])
+
+    yields = inverse_mass[body] + arm**2 * inverse_inertia[body]
+    speed = jnp.maximum(speed_there(before), speed_there(after)) + force * yields * seconds
+    thrusters = jnp.where(scene.thruster_active, force * speed * seconds, 0.0)
+    return jnp.sum(motors) + jnp.sum(thrusters)
 
 
 def joint_gaps(scene: Scene, state: State) -> jax.Array:
