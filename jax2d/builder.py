@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jax2d.scene import Capacity, Scene
+from jax2d.shapes import polygon_integrals
 
 Point = Sequence[float]
 SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
@@ -108,7 +109,7 @@ class SceneBuilder:
         the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
         index = self._take("polygons", self._polygons)
-        area, centroid, inertia = _polygon_integrals(corners)
+        area, centroid, inertia = polygon_integrals(corners)
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
         self._scene["vertices"][index] = padded - centroid
         self._scene["num_vertices"][index] = len(corners)
@@ -302,7 +303,7 @@ def check_polygon(vertices: Sequence[Point], most: int) -> np.ndarray:
     for i, length in enumerate(lengths):
         if length <= 1e-6 * max(lengths.max(), 1e-30):
             raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
-    area, _, _ = _polygon_integrals(corners)
+    area, _, _ = polygon_integrals(corners)
     turns = _cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
     if abs(area) < SMALLEST_AREA_M2:
         raise SceneError(f"the polygon has an area of {area:g} m^2; it needs at least {SMALLEST_AREA_M2:g}")
@@ -325,20 +326,6 @@ def _winding(edges: np.ndarray) -> int:
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def _polygon_integrals(corners: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """(area, centroid, second moment of area about the centroid) in float64; area is negative when clockwise."""
-    local = corners - corners[0]
-    following = np.roll(local, -1, 0)
-    cross = _cross(local, following)
-    area = 0.5 * float(cross.sum())
-    if area == 0.0:
-        return 0.0, corners[0], 0.0
-    centroid = (cross[:, None] * (local + following)).sum(0) / (6.0 * area)
-    second = (local**2 + local * following + following**2).sum(-1)
-    inertia = float((cross * second).sum()) / 12.0 - area * float(centroid @ centroid)
-    return area, centroid + corners[0], inertia
 
 
 def _rotate(v: np.ndarray, angle: float) -> np.ndarray:
