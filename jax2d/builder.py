@@ -21,9 +21,12 @@ import numpy as np
 
 from jax2d.scene import Capacity, Scene
 from jax2d.shapes import polygon_integrals
+from jax2d.whole_numbers import whole_number
 
 Point = Sequence[float]
 SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
+SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
+LARGEST = 1e18  # any number given, masses and inertias and their inverses too: the square must fit float32
 NO_LIMIT_RAD = 0.0  # limits of joints without limits are stored as zero and never read
 
 
@@ -45,8 +48,17 @@ class BuiltWorld(NamedTuple):
     angular_velocity: np.ndarray  # [n] rad/s
 
 
+class _Body(NamedTuple):
+    """What shapes of both kinds have, checked."""
+
+    scene: dict[str, float]  # fields of Scene
+    angle: float
+    velocity: list[float]
+    angular_velocity: float
+
+
 class SceneBuilder:
-    """Adds shapes, joints and thrusters to an empty world of the given capacity."""
+    """Adds shapes, joints and thrusters to an empty world of the given capacity. A refused call adds nothing."""
 
     def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81)):
         self.capacity = capacity
@@ -108,18 +120,15 @@ class SceneBuilder:
         """A convex polygon. `vertices` run counter-clockwise about any origin, which comes to `position`;
         the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
-        index = self._take("polygons", self._polygons)
         area, centroid, inertia = polygon_integrals(corners)
+        body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
+        at = np.asarray(_finite("position", position, 2)) + _rotate(centroid, body.angle)
+        index = self._take("polygons", self._polygons)
+        self._polygons += 1
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
         self._scene["vertices"][index] = padded - centroid
         self._scene["num_vertices"][index] = len(corners)
-        self._polygons += 1
-        offset = _rotate(centroid, angle)
-        at = np.asarray(_finite("position", position, 2)) + offset
-        # The given velocity is that of the centre of mass.
-        self._set_shape(
-            index, area, inertia, at, angle, density, friction, restitution, fixed, velocity, angular_velocity
-        )
+        self._set_shape(index, at, body)  # the given velocity is that of the centre of mass
         return index
 
     def add_box(self, *, width: float, height: float, **options: object) -> int:
@@ -142,20 +151,25 @@ class SceneBuilder:
     ) -> int:
         """A disc."""
         radius = _positive("radius", radius)
-        index = self.capacity.polygons + self._take("circles", self._circles)
-        self._scene["radius"][self._circles] = radius
-        self._circles += 1
+        if radius < SMALLEST_RADIUS_M:
+            raise SceneError(f"radius is {radius:g}; it must be at least {SMALLEST_RADIUS_M:.2g} m")
         area = math.pi * radius**2
-        at = np.asarray(_finite("position", position, 2))
         inertia = 0.5 * area * radius**2
-        self._set_shape(
-            index, area, inertia, at, angle, density, friction, restitution, fixed, velocity, angular_velocity
-        )
+        body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
+        at = np.asarray(_finite("position", position, 2))
+        slot = self._take("circles", self._circles)
+        self._circles += 1
+        self._scene["radius"][slot] = radius
+        index = self.capacity.polygons + slot
+        self._set_shape(index, at, body)
         return index
 
     def keep_apart(self, a: int, b: int) -> None:
         """Lets two shapes pass through each other. Shapes that a joint connects do so already."""
-        self._apart.add((self._shape("a", a), self._shape("b", b)))
+        a, b = self._shape("a", a), self._shape("b", b)
+        if a == b:
+            raise SceneError(f"shape {a} kept apart from itself; name two different shapes")
+        self._apart.add((a, b))
 
     # Joints and thrusters
 
@@ -172,35 +186,40 @@ class SceneBuilder:
         """Holds a and b together at the world point `at`. With `motor_speed` (in units of
         settings.base_motor_speed) a control drives b relative to a; `limits` bound angle_b - angle_a, counted
         from how they stand now, in rad."""
-        index = self._add_joint(a, b, at)
+        values: dict[str, float] = {}
         if motor_speed is not None:
-            self._scene["motor_on"][index] = True
-            self._scene["motor_speed"][index] = _finite("motor_speed", [motor_speed], 1)[0]
-            self._scene["motor_power"][index] = _positive("motor_power", motor_power)
+            values |= {"motor_on": True, "motor_speed": _number("motor_speed", motor_speed)}
+            values |= {"motor_power": _positive("motor_power", motor_power)}
         if limits is not None:
             lower, upper = _finite("limits", limits, 2)
             if lower > upper:
                 raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller angle first")
-            self._scene["has_limits"][index] = True
-            self._scene["lower_limit"][index], self._scene["upper_limit"][index] = lower, upper
-        return index
+            if not lower <= 0 <= upper:
+                raise SceneError(
+                    f"limits {lower:g} to {upper:g} leave out 0, which is how the shapes stand now; limits count from "
+                    "there: add the shapes at angles within the limits"
+                )
+            values |= {"has_limits": True, "lower_limit": lower, "upper_limit": upper}
+        return self._add_joint(a, b, at, values)
 
     def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
         """Welds a and b together as they stand."""
-        index = self._add_joint(a, b, at)
-        self._scene["joint_is_fixed"][index] = True
-        return index
+        return self._add_joint(a, b, at, {"joint_is_fixed": True})
 
     def add_thruster(self, body: int, *, at: Point, angle: float, power: float = 1.0) -> int:
         """A thruster at the world point `at` that pushes its body towards the world angle `angle`."""
         body = self._shape("body", body)
+        if self._is_fixed(body):
+            raise SceneError(f"thruster on shape {body}, which is fixed and would not move; put it on one that can")
+        position = self._to_local(body, at)
+        local_angle, power = _number("angle", angle) - self._angle[body], _positive("power", power)
         index = self._take("thrusters", self._thrusters)
         self._thrusters += 1
         self._scene["thruster_active"][index] = True
         self._scene["thruster_body"][index] = body
-        self._scene["thruster_position"][index] = self._to_local(body, at)
-        self._scene["thruster_angle"][index] = _finite("angle", [angle], 1)[0] - self._angle[body]
-        self._scene["thruster_power"][index] = _positive("power", power)
+        self._scene["thruster_position"][index] = position
+        self._scene["thruster_angle"][index] = local_angle
+        self._scene["thruster_power"][index] = power
         return index
 
     def build(self) -> BuiltWorld:
@@ -230,70 +249,97 @@ class SceneBuilder:
             raise SceneFullError(f"{used} of {room} {kind} used; build with Capacity({kind}={room + 1}) or more")
         return used
 
-    def _set_shape(
-        self,
-        index: int,
-        area: float,
-        inertia: float,
-        position: np.ndarray,
-        angle: float,
-        density: float,
-        friction: float,
-        restitution: float,
-        fixed: bool,
-        velocity: Point,
-        angular_velocity: float,
-    ) -> None:
-        density = _positive("density", density)
-        for name, value, top in (("friction", friction, math.inf), ("restitution", restitution, 1.0)):
-            if not 0.0 <= value <= top:
-                raise SceneError(f"{name} is {value:g}; it must lie between 0 and {top:g}")
-        speed = _finite("velocity", velocity, 2)
-        spin = _finite("angular_velocity", [angular_velocity], 1)[0]
-        if fixed and (any(speed) or spin):
-            raise SceneError("a fixed shape cannot move: drop its velocity, or fixed=True")
+    def _set_shape(self, index: int, position: np.ndarray, body: _Body) -> None:
         self._scene["shape_active"][index] = True
-        self._scene["inverse_mass"][index] = 0.0 if fixed else 1.0 / (density * area)
-        self._scene["inverse_inertia"][index] = 0.0 if fixed else 1.0 / (density * inertia)
-        self._scene["density"][index] = density
-        self._scene["friction"][index] = friction
-        self._scene["restitution"][index] = restitution
+        for name, value in body.scene.items():
+            self._scene[name][index] = value
         self._position[index] = position
-        self._angle[index] = _finite("angle", [angle], 1)[0]
-        self._velocity[index] = speed
-        self._angular_velocity[index] = spin
+        self._angle[index] = body.angle
+        self._velocity[index] = body.velocity
+        self._angular_velocity[index] = body.angular_velocity
 
-    def _add_joint(self, a: int, b: int, at: Point) -> int:
+    def _add_joint(self, a: int, b: int, at: Point, values: dict[str, float]) -> int:
         a, b = self._shape("a", a), self._shape("b", b)
         if a == b:
             raise SceneError(f"joint from shape {a} to itself; name two different shapes")
+        if self._is_fixed(a) and self._is_fixed(b):
+            raise SceneError(f"joint of shapes {a} and {b}, which are both fixed and would not move; leave it out")
+        anchors = self._to_local(a, at), self._to_local(b, at)
         index = self._take("joints", self._joints)
         self._joints += 1
         self._scene["joint_active"][index] = True
         self._scene["joint_a"][index], self._scene["joint_b"][index] = a, b
-        self._scene["joint_anchor_a"][index] = self._to_local(a, at)
-        self._scene["joint_anchor_b"][index] = self._to_local(b, at)
+        self._scene["joint_anchor_a"][index], self._scene["joint_anchor_b"][index] = anchors
         self._scene["joint_rest_angle"][index] = self._angle[b] - self._angle[a]
+        for name, value in values.items():
+            self._scene[name][index] = value
         return index
 
+    def _is_fixed(self, shape: int) -> bool:
+        return self._scene["inverse_mass"][shape] == 0
+
     def _shape(self, name: str, index: int) -> int:
-        if not 0 <= index < self.capacity.shapes or not self._scene["shape_active"][index]:
-            raise SceneError(
-                f"{name} is {index}, which is no shape of this scene; use what add_polygon or add_circle gave"
-            )
-        return int(index)
+        try:
+            number = whole_number(name, index)
+            if 0 <= number < self.capacity.shapes and self._scene["shape_active"][number]:
+                return number
+        except ValueError:
+            pass
+        raise SceneError(
+            f"{name} is {index!r}, which is no shape of this scene; use what add_polygon or add_circle gave"
+        )
 
     def _to_local(self, body: int, at: Point) -> np.ndarray:
         return _rotate(np.asarray(_finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
 
 
+def _body(
+    area: float,
+    second_moment: float,
+    angle: float,
+    density: float,
+    friction: float,
+    restitution: float,
+    fixed: bool,
+    velocity: Point,
+    angular_velocity: float,
+) -> _Body:
+    """`second_moment`: of area about the centre of mass, m^4."""
+    density = _positive("density", density)
+    friction, restitution = _number("friction", friction), _number("restitution", restitution)
+    if friction < 0:
+        raise SceneError(f"friction is {friction:g}; it must be 0 or more")
+    if not 0 <= restitution <= 1:
+        raise SceneError(f"restitution is {restitution:g}; it must be from 0 to 1")
+    speed, spin = _finite("velocity", velocity, 2), _number("angular_velocity", angular_velocity)
+    if fixed and (any(speed) or spin):
+        raise SceneError("a fixed shape cannot move: drop its velocity, or fixed=True")
+    mass, inertia = density * area, density * second_moment
+    if not fixed and not all(1 / LARGEST <= x <= LARGEST for x in (mass, inertia)):
+        raise SceneError(
+            f"the shape has a mass of {mass:g} kg and an inertia of {inertia:g} kg m^2; both must be from "
+            f"{1 / LARGEST:g} to {LARGEST:g}: change its size or density"
+        )
+    scene = {
+        "inverse_mass": 0.0 if fixed else 1.0 / mass,
+        "inverse_inertia": 0.0 if fixed else 1.0 / inertia,
+        "density": density,
+        "friction": friction,
+        "restitution": restitution,
+    }
+    return _Body(scene, _number("angle", angle), speed, spin)
+
+
 def check_polygon(vertices: Sequence[Point], most: int) -> np.ndarray:
     """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
-    corners = np.asarray(vertices, np.float64)
+    try:
+        corners = np.asarray(vertices, np.float64)
+    except (TypeError, ValueError):
+        raise SceneError("vertices are no list of (x, y) points; give numbers in metres, two for each") from None
     if corners.ndim != 2 or corners.shape[1] != 2:
         raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
-    if not np.isfinite(corners).all():
-        raise SceneError("vertices hold NaN or infinity; give finite coordinates in metres")
+    if not (np.abs(corners) <= LARGEST).all():
+        raise SceneError(f"vertices hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
     if not 3 <= len(corners) <= most:
         raise SceneError(
             f"{len(corners)} vertices; this capacity takes 3 to {most}, so split the shape or raise Capacity.vertices"
@@ -334,13 +380,27 @@ def _rotate(v: np.ndarray, angle: float) -> np.ndarray:
 
 
 def _finite(name: str, values: Sequence[float], count: int) -> list[float]:
-    numbers = [float(v) for v in values]
-    if len(numbers) != count or not all(math.isfinite(v) for v in numbers):
-        raise SceneError(f"{name} is {numbers}; give {count} finite number{'s' * (count > 1)}")
+    try:
+        numbers = [_number(name, value) for value in values]
+    except (TypeError, SceneError):
+        numbers = []
+    if len(numbers) != count:
+        raise SceneError(f"{name} is {values!r}; give {count} finite numbers")
     return numbers
 
 
+def _number(name: str, value: float) -> float:
+    try:
+        number = math.nan if isinstance(value, (str, bytes, bool)) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not abs(number) <= LARGEST:
+        raise SceneError(f"{name} is {value!r}; give a finite number (of at most {LARGEST:g})")
+    return number
+
+
 def _positive(name: str, value: float) -> float:
-    if not (math.isfinite(value) and value > 0):
-        raise SceneError(f"{name} is {value:g}; it must be positive and finite")
-    return float(value)
+    number = _number(name, value)
+    if number <= 0:
+        raise SceneError(f"{name} is {number:g}; it must be positive and finite")
+    return number

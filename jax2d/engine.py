@@ -224,6 +224,8 @@ class Engine:
         return jax.eval_shape(self.backend.pack_scene, scene), jax.eval_shape(self.backend.pack_state, state)
 
     def _step_packed(self, scene: PackedScene, state: Any, controls: Controls, num_steps: int) -> tuple[Any, Touching]:
+        if not is_known(num_steps):
+            raise ValueError("num_steps is known inside jit only; give a whole number known when a step is compiled")
         if not 1 <= whole_number("num_steps", num_steps) <= MOST_STEPS:
             raise ValueError(f"num_steps is {num_steps}; a call takes 1 to {MOST_STEPS} steps")
         controls, invalid = clamped_controls(controls)

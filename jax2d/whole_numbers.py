@@ -7,10 +7,10 @@ from typing import Any
 
 
 def whole_number(name: str, value: Any) -> int:
-    """`value` as an int. Raises ValueError for anything else, True and numbers that only inside jit are known too."""
+    """`value` as an int. Raises ValueError for anything else, True and False too."""
     try:
         if not isinstance(value, bool):
             return operator.index(value)
     except TypeError:
         pass
-    raise ValueError(f"{name} is {value!r}; it must be a whole number, known before anything is compiled")
+    raise ValueError(f"{name} is {value!r}; it must be a whole number")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import jax
 import numpy as np
 import pytest
 
@@ -48,6 +49,7 @@ def test_jointed_shapes_may_not_touch():
         ([(0, 0), (1, 0), (1, 0), (0, 1)], "same point"),
         ([(0, 0), (1, 0), (math.nan, 1)], "NaN"),
         ([(0, 0), (1, 0)], "2 vertices"),
+        ([(0, 0), (1, 0), (1,)], "no list of"),
         ([(math.cos(4 * k * math.pi / 5), math.sin(4 * k * math.pi / 5)) for k in range(5)], "not convex"),
     ],
 )
@@ -71,6 +73,58 @@ def test_joint_to_itself_or_to_a_missing_shape_is_refused():
         b.add_fixed_joint(a, a, at=(0, 0))
     with pytest.raises(SceneError, match="no shape"):
         b.add_fixed_joint(a, 5, at=(0, 0))
+    for index in (0.0, True, None, "0", -1, 10**9):
+        with pytest.raises(SceneError, match=f"a is {index!r}, which is no shape of this scene"):
+            b.add_fixed_joint(index, a, at=(0, 0))  # type: ignore[arg-type]
+    with pytest.raises(SceneError, match="shape 0 kept apart from itself"):
+        b.keep_apart(a, a)
+
+
+def test_joints_and_thrusters_that_could_move_nothing_are_refused():
+    b = builder()
+    a, c = b.add_box(width=1, height=1, fixed=True), b.add_circle(radius=1, fixed=True)
+    with pytest.raises(SceneError, match=f"joint of shapes {a} and {c}, which are both fixed"):
+        b.add_revolute_joint(a, c, at=(0, 0))
+    with pytest.raises(SceneError, match=f"thruster on shape {a}, which is fixed"):
+        b.add_thruster(a, at=(0, 0), angle=0.0)
+
+
+def test_limits_hold_how_the_shapes_stand():
+    b = builder()
+    a, c = b.add_box(width=1, height=1), b.add_circle(radius=1)
+    for limits in ((0.5, 1.0), (-1.0, -0.5)):
+        with pytest.raises(SceneError, match="leave out 0, which is how the shapes stand now"):
+            b.add_revolute_joint(a, c, at=(0, 0), limits=limits)
+    with pytest.raises(SceneError, match="limits 1 to -1 are empty"):
+        b.add_revolute_joint(a, c, at=(0, 0), limits=(1, -1))
+    b.add_revolute_joint(a, c, at=(0, 0), limits=(0.0, 1.0))
+
+
+def test_a_refused_call_adds_nothing():
+    def filled() -> SceneBuilder:
+        b = builder()
+        b.add_box(width=1, height=1)
+        b.add_circle(radius=1)
+        return b
+
+    b = filled()
+    for refused in (
+        lambda: b.add_box(width=1, height=1, density=-1),
+        lambda: b.add_box(width=1, height=1, position=(0, math.inf)),
+        lambda: b.add_circle(radius=1, restitution=2),
+        lambda: b.add_circle(radius=1, angle=math.nan),
+        lambda: b.add_revolute_joint(0, 7, at=(0, 0), limits=(1, -1)),
+        lambda: b.add_revolute_joint(0, 7, at=(0, 0), motor_speed=math.inf),
+        lambda: b.add_fixed_joint(0, 7, at=(0, math.nan)),
+        lambda: b.add_thruster(0, at=(0, 0), angle=math.inf),
+        lambda: b.add_thruster(0, at=(0, 0), angle=0.0, power=-1),
+        lambda: b.keep_apart(0, 6),
+    ):
+        with pytest.raises(SceneError):
+            refused()
+    jax.tree.map(np.testing.assert_array_equal, b.build(), filled().build())
+    assert b.add_circle(radius=1) == 8
+    assert b.add_thruster(0, at=(0, 0), angle=0.0) == 0
 
 
 @pytest.mark.parametrize(
@@ -81,8 +135,17 @@ def test_joint_to_itself_or_to_a_missing_shape_is_refused():
         ({"restitution": 1.5}, "restitution"),
         ({"position": (math.inf, 0)}, "position"),
         ({"fixed": True, "velocity": (1, 0)}, "fixed"),
+        ({"friction": math.inf}, "friction is inf; give a finite number"),
+        ({"friction": "rough"}, "friction is 'rough'; give a finite number"),
+        ({"angle": math.inf}, "angle is inf; give a finite number"),
+        ({"position": 1.0}, "position is 1.0; give 2 finite numbers"),
+        ({"position": (1, None)}, "position is .* give 2 finite numbers"),
+        ({"density": 1e-30}, "a mass of 3.14159e-30 kg .*: change its size or density"),
+        ({"density": 1e46}, "density is 1e.46; give a finite number"),
+        ({"radius": 1e-10}, "radius is 1e-10; it must be at least 5.6e-05 m"),
+        ({"radius": 1e15}, "an inertia of .*: change its size or density"),
     ],
 )
 def test_numbers_that_make_no_body_are_refused(options, message):
     with pytest.raises(SceneError, match=message):
-        builder().add_circle(radius=1.0, **options)
+        builder().add_circle(**{"radius": 1.0} | options)

@@ -226,7 +226,7 @@ def test_numbers_of_steps_that_are_none_are_refused(value: Any, said: str):
 
 
 def test_number_of_steps_must_be_known_when_a_step_is_compiled():
-    with pytest.raises(ValueError, match=r"num_steps is .*; it must be a whole number, known before anything is"):
+    with pytest.raises(ValueError, match="num_steps is known inside jit only"):
         jax.jit(lambda number: engine().step(*start(), num_steps=number))(3)
 
 
