@@ -14,6 +14,9 @@ from typing import Literal
 from jax2d.published_details import PUBLISHED_DETAILS
 from jax2d.whole_numbers import whole_number
 
+# Times in a step that a sub-step is stopped and contacts found anew because a body goes farther than was foreseen.
+MOST_STOPS = 8
+
 Solver = Literal["soft_step", "sequential_impulses"]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from jax2d.effects import EFFECTS, Effects
 from jax2d.scene import Capacity
-from jax2d.settings import Settings
+from jax2d.settings import MOST_STOPS, Settings
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
 
 NATIVE_FILES = (
@@ -66,6 +66,7 @@ def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[
         "SWEEP": int(sweep),
         "SWEEP_SHAPES": polygons + circles if sweep else 1,
         "SOFT_STEP": int(settings.solver == "soft_step"),
+        "MOST_STOPS": MOST_STOPS,
         "FRICTION_ROOT_SUM_SQUARE": int(settings.friction_mixing == "root_sum_square"),
     }
     values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}

@@ -17,6 +17,7 @@ from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
 from jax2d.xla import vec2
 from jax2d.xla.bodies import Bodies, Motion
+from jax2d.xla.branching import in_any_world
 from jax2d.xla.contacts import Contacts, Leaving
 from jax2d.xla.joints import Joints
 from jax2d.xla.parameters import Parameters, Rules, Scalar
@@ -30,7 +31,9 @@ class Round(NamedTuple):
     joints: Joints
     contacts: Contacts
     leaving: Leaving
-    settled: jax.Array  # [] bool
+    settled: jax.Array  # [] bool, everything leaves with its speed, as far as any push can make it
+    rubbed: jax.Array  # [] bool, friction has acted
+    done: jax.Array  # [] bool
 
 
 def bounce(
@@ -46,35 +49,26 @@ def bounce(
     """Bodies after the bounces of one world; `leaving_speed` [K] m/s is zero where a contact does not bounce."""
 
     def rounds() -> Motion:
-        def one_round(now: Round, is_first: jax.Array) -> tuple[Round, None]:
+        def one_round(now: Round, index: jax.Array) -> tuple[Round, None]:
             bodies, joints, contacts = now.bodies, now.joints, now.contacts
             for _ in range(JOINT_PASSES):
-                bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
+                bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False, motors=False)
+            rub = ~now.rubbed & (now.settled | (index == rules.bounce_rounds - 1))
             bodies, contacts, leaving, settled = contacts_of.solve_bounces(
-                bodies, contacts, now.leaving, is_first, params
+                bodies, contacts, now.leaving, index == 0, rub, params
             )
-            after = Round(bodies, joints, contacts, leaving, settled)
-            return jax.tree.map(lambda x, y: jnp.where(now.settled, x, y), now, after), None
+            after = Round(bodies, joints, contacts, leaving, settled, now.rubbed | rub, now.rubbed & settled)
+            return jax.tree.map(lambda x, y: jnp.where(now.done, x, y), now, after), None
 
         leaving = Leaving(leaving_speed, contacts.mass_normal, contacts.approach)
-        start = Round(bodies, joints, contacts, leaving, ~jnp.any(leaving_speed > 0))
-        end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds) == 0)
+        no, none_bounces = jnp.array(False), ~jnp.any(leaving_speed > 0)
+        start = Round(bodies, joints, contacts, leaving, settled=no, rubbed=no, done=none_bounces)
+        end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
         return limit(bodies, end.bodies, most_energy, gravity, params.h)
 
     # Worlds are stepped together, and mostly nothing bounces in any of them.
     motion = jax.lax.cond(in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: bodies.motion)
     return bodies._replace(motion=motion)
-
-
-@jax.custom_batching.custom_vmap
-def in_any_world(condition: jax.Array) -> jax.Array:
-    """Whether the condition holds in any of the worlds that are mapped over: a branch that is taken for all or none."""
-    return condition
-
-
-@in_any_world.def_vmap
-def _in_any_world(axis_size: int, in_batched: list[bool], condition: jax.Array) -> tuple[jax.Array, bool]:
-    return in_any_world(jnp.any(condition) if in_batched[0] else condition), False
 
 
 def energy(bodies: Bodies, motion: Motion, gravity: jax.Array, h: Scalar) -> jax.Array:

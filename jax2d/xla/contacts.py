@@ -52,6 +52,7 @@ class Contacts(NamedTuple):
     against_fixed: jax.Array  # [K] bool
     overflow: jax.Array  # [] int32, points that found no slot
     swinging: jax.Array  # [] bool, a body with a contact turns too far in a step for contacts found once
+    foreseen: manifolds.Foresight
     turns: published.Turns | None  # when each is solved, where the published package's order is asked for
 
 
@@ -79,8 +80,9 @@ def find(
     dt: Scalar,
 ) -> Contacts:
     """Points of all pairs that may touch within `dt`, compacted into the slots of `memory`."""
+    foreseen = manifolds.foresee(bodies, geometry, dt)
     points, a, b, overflow, swinging, turns = _points_in_use(
-        bodies, geometry, scene, params, rules, capacity, dt, slots=memory.key.shape[0]
+        bodies, geometry, foreseen, scene, params, rules, capacity, dt, slots=memory.key.shape[0]
     )
     pair = pair_up(bodies, a, b, points.exists)
     friction_a, friction_b = scene.friction[a], scene.friction[b]
@@ -110,6 +112,7 @@ def find(
         against_fixed=~(dynamic[a] & dynamic[b]),
         overflow=overflow,
         swinging=swinging,
+        foreseen=foreseen,
         turns=turns,
     )
 
@@ -117,6 +120,7 @@ def find(
 def _points_in_use(
     bodies: Bodies,
     geometry: Geometry,
+    foreseen: manifolds.Foresight,
     scene: Scene,
     params: Parameters,
     rules: Rules,
@@ -132,7 +136,7 @@ def _points_in_use(
         zeros, none = jnp.zeros((slots, 2), bodies.position.dtype), jnp.zeros(slots, jnp.int32)
         return Points(zeros, zeros, zeros[:, 0], none, none > 0), none, none, none[0], none[0] > 0, None
     pairs = manifolds.pair_list(capacity)
-    margin = manifolds.margins(bodies, geometry, reach, dt, ahead=is_soft)
+    margin = manifolds.margins(foreseen, reach, ahead=is_soft)
     points = manifolds.collide(geometry, bodies, capacity, margin, rules)
     # Contact points and normals hold for small turns only: a rod that spins fast sweeps over what they say.
     swings = is_soft & ((geometry.extent - geometry.core) * jnp.square(bodies.motion.omega * dt) > reach)
@@ -145,6 +149,21 @@ def _points_in_use(
     points, turns = jax.tree.map(lambda x: x[source], (points._replace(exists=exists), turns))
     overflow = jnp.maximum(jnp.sum(exists, dtype=jnp.int32) - slots, 0)
     return points, jnp.asarray(pairs.point_a)[source], jnp.asarray(pairs.point_b)[source], overflow, swinging, turns
+
+
+def strays(bodies: Bodies, contacts: Contacts, can_touch: jax.Array, reach: Scalar, left: Scalar) -> jax.Array:
+    """Whether two bodies that move on as they do for the `left` seconds of the step could meet without a contact, since
+    they go farther than was foreseen: every margin has `reach` to spare. can_touch [n, n], at [lower, higher]."""
+    foreseen, pair = contacts.foreseen, contacts.pair
+    distance = manifolds.travel(bodies, foreseen.arm, left)
+    farther = distance - foreseen.distance
+    both = (distance[:, None] + distance[None])[..., None]
+    d = bodies.position[None] - bodies.position[:, None]
+    below = foreseen.lower[None] + d <= foreseen.upper[:, None] + both
+    above = foreseen.upper[None] + d >= foreseen.lower[:, None] - both
+    has_contact = jnp.any(pair.is_a[:, :, None] & pair.is_b[:, None, :], axis=0)
+    could_meet = can_touch & jnp.all(below & above, axis=-1) & ~has_contact
+    return jnp.any(could_meet & (farther[:, None] + farther[None] > reach))
 
 
 def _remembered(key: jax.Array, memory: Memory) -> jax.Array:
@@ -230,7 +249,10 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: Parameters, *, use_bi
         before = of = pair_motion(c.pair, motion)
         vn = normal_speed(of, c)
         impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal
-        of, normal_total, tangent_total = push_apart(of, c, impulse, with_friction=not use_bias)
+        of, normal_total = push_apart(of, c, impulse)
+        tangent_total = c.impulse_tangent
+        if not use_bias:
+            of, tangent_total = solve_friction(of, c, normal_total)
         return put_back(motion, c.pair, before, of), (normal_total, tangent_total)
 
     motion, (normal, tangent) = jax.lax.scan(solve, bodies.motion, (_rows(contacts), bias, mass_scale, impulse_scale))
@@ -246,9 +268,10 @@ class Leaving(NamedTuple):
 
 
 def solve_bounces(
-    bodies: Bodies, contacts: Contacts, leaving: Leaving, is_first: jax.Array, params: Parameters
+    bodies: Bodies, contacts: Contacts, leaving: Leaving, is_first: jax.Array, rub: jax.Array, params: Parameters
 ) -> tuple[Bodies, Contacts, Leaving, jax.Array]:
-    """A relax pass in which what bounces leaves with its speed. Also whether all of it already did."""
+    """A relax pass in which what bounces leaves with its speed, and rubs where asked. Also whether all of it already
+    left, as far as any push can make it."""
     separation = current_separation(bodies, contacts)
     apart = jnp.maximum(separation, 0) / params.h
 
@@ -257,39 +280,41 @@ def solve_bounces(
         before = of = pair_motion(c.pair, motion)
         vn = normal_speed(of, c)
         bounces = bounce.speed > 0
-        off = bounces & (is_first | (jnp.abs(vn - bounce.speed) > 0.01 * bounce.speed))
-        mass = jnp.where(off & ~is_first, bounce_mass(c, bounce, vn), bounce.mass)
-        impulse = -mass * (vn + jnp.where(bounces, -bounce.speed, apart))
-        of, normal_total, tangent_total = push_apart(of, c, impulse, with_friction=True)
-        pushed = Leaving(bounce.speed, mass, vn)
-        return put_back(motion, c.pair, before, of), (normal_total, tangent_total, pushed, off)
+        mass, is_settled = aim(c, bounce, vn, is_first)
+        impulse = jnp.where(bounces, mass * (bounce.speed - vn), -c.mass_normal * (vn + apart))
+        pushed, normal_total = push_apart(of, c, impulse)
+        rubbed, tangent_total = solve_friction(pushed, c, normal_total)
+        rubs = rub | ~bounces
+        of = jax.tree.map(lambda x, y: jnp.where(rubs, x, y), rubbed, pushed)
+        tangent_total = jnp.where(rubs, tangent_total, c.impulse_tangent)
+        after = Leaving(bounce.speed, mass, vn)
+        return put_back(motion, c.pair, before, of), (normal_total, tangent_total, after, is_settled | ~bounces)
 
-    motion, (normal, tangent, leaving, off) = jax.lax.scan(solve, bodies.motion, (_rows(contacts), leaving, apart))
-    return bodies._replace(motion=motion), _with_impulses(contacts, normal, tangent), leaving, ~jnp.any(off)
+    motion, (normal, tangent, leaving, settled) = jax.lax.scan(solve, bodies.motion, (_rows(contacts), leaving, apart))
+    return bodies._replace(motion=motion), _with_impulses(contacts, normal, tangent), leaving, jnp.all(settled)
 
 
-def bounce_mass(c: Row, bounce: Leaving, vn: jax.Array) -> jax.Array:
-    """What the last push gave a bounce, joints and other contacts have shared out since. The next one pushes as if the
+def aim(c: Row, bounce: Leaving, vn: jax.Array, is_first: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """(mass that the next push is taken to move, whether it has its speed or no push can give it any more).
+
+    What the last push gave a bounce, joints and other contacts have shared out since. The next one pushes as if the
     contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone."""
     asked = bounce.speed - bounce.before
     kept = (vn - bounce.before) / jnp.where(asked == 0, 1, asked)
+    is_settled = (jnp.abs(vn - bounce.speed) <= 0.002 * bounce.speed) | ((asked != 0) & (jnp.abs(kept) < 0.001))
     is_seen = (asked != 0) & (kept > 0) & (kept < 2)
-    return jnp.where(is_seen, bounce.mass / jnp.clip(kept, 0.125, 2), c.mass_normal)
+    mass = jnp.where(is_seen, bounce.mass / jnp.clip(kept, 0.125, 2), c.mass_normal)
+    return jnp.where(is_first | is_settled, bounce.mass, mass), is_settled & ~is_first
 
 
 def normal_speed(of: PairMotion, c: Row) -> jax.Array:
     return vec2.dot(c.normal, relative_velocity(of, c.arm_a, c.arm_b))
 
 
-def push_apart(
-    of: PairMotion, c: Row, impulse: jax.Array, *, with_friction: bool
-) -> tuple[PairMotion, jax.Array, jax.Array]:
-    """Adds a normal impulse, as far as the accumulated one stays positive; new totals of both."""
-    normal_total, tangent_total = jnp.maximum(c.impulse_normal + impulse, 0), c.impulse_tangent
-    of = push_pair(of, c.pair, c.arm_a, c.arm_b, c.normal * (normal_total - c.impulse_normal)[..., None])
-    if with_friction:
-        of, tangent_total = solve_friction(of, c, normal_total)
-    return of, normal_total, tangent_total
+def push_apart(of: PairMotion, c: Row, impulse: jax.Array) -> tuple[PairMotion, jax.Array]:
+    """Adds a normal impulse, as far as the accumulated one stays positive; also the new total."""
+    total = jnp.maximum(c.impulse_normal + impulse, 0)
+    return push_pair(of, c.pair, c.arm_a, c.arm_b, c.normal * (total - c.impulse_normal)[..., None]), total
 
 
 class Row(NamedTuple):

@@ -147,14 +147,17 @@ class Row(NamedTuple):
     point_mass: jax.Array  # [2, 2], inverse of K
 
 
-def solve_soft(bodies: Bodies, joints: Joints, params: Parameters, *, use_bias: bool) -> tuple[Bodies, Joints]:
-    """One pass over all joints: motor and limits, or the angle of a fixed joint; then the common point."""
+def solve_soft(
+    bodies: Bodies, joints: Joints, params: Parameters, *, use_bias: bool, motors: bool = True
+) -> tuple[Bodies, Joints]:
+    """One pass over all joints: motor and limits, or the angle of a fixed joint; then the common point. No `motors`
+    in a bounce: a torque does nothing in an instant."""
     arm_a, arm_b = arms(bodies, joints)
     angle = current_angle(bodies, joints)
     rows = Row(
         pair=joints.pair,
         is_fixed=joints.is_fixed,
-        is_driven=joints.is_driven,
+        is_driven=joints.is_driven & motors,
         is_limited=joints.is_limited & ~joints.is_fixed,
         axial_mass=joints.axial_mass,
         motor_target=joints.motor_target,

@@ -355,19 +355,39 @@ def bounds_overlap(geometry: Geometry, a: np.ndarray, b: np.ndarray, d: jax.Arra
     return jnp.all(below & above, axis=-1)
 
 
-def margins(bodies: Bodies, geometry: Geometry, reach: Scalar, dt: Scalar, *, ahead: bool) -> jax.Array:
+class Foresight(NamedTuple):
+    """How far each surface goes at most at the speed that its body has when contacts are found."""
+
+    distance: jax.Array  # [n] m
+    core: jax.Array  # [n] m
+    arm: jax.Array  # [n] m, of what swings: a disc's surface does not leave its place by turning
+    lower: jax.Array  # [n, 2] m, bounds
+    upper: jax.Array
+
+
+def foresee(bodies: Bodies, geometry: Geometry, seconds: Scalar) -> Foresight:
+    arm = geometry.extent - geometry.core
+    distance = travel(bodies, arm, seconds)
+    return Foresight(distance, geometry.core, arm, geometry.lower, geometry.upper)
+
+
+def travel(bodies: Bodies, arm: jax.Array, left: Scalar) -> jax.Array:
+    """How far each surface gets by the end of the step, at most, [n] m."""
+    velocity, omega = bodies.motion
+    gone = vec2.length(bodies.delta) + arm * jnp.abs(bodies.turn)
+    there = gone + (vec2.length(velocity) + arm * jnp.abs(omega)) * left
+    return jnp.where(bodies.is_dynamic, there, 0)
+
+
+def margins(foreseen: Foresight, reach: Scalar, *, ahead: bool) -> jax.Array:
     """Distance at which a contact of each pair is prepared, [n, n] m.
 
-    `ahead`: within a step's motion if that is more than `reach`, so that no step ends inside; and within both where a
-    body could step over what is in its way.
+    `ahead`: within what both move in a step if that is more than `reach`, so that no step ends inside; and within both
+    where a body could step over what is in its way.
     """
-    n = bodies.angle.shape[0]
-    velocity, omega = bodies.motion
-    dtype = velocity.dtype
+    n, dtype = foreseen.distance.shape[0], foreseen.distance.dtype
     if not ahead:
         return jnp.full((n, n), reach, dtype)
-    spin = jnp.abs(omega) * (geometry.extent - geometry.core)
-    speed = vec2.length(velocity[None] - velocity[:, None])
-    motion = (speed + spin[:, None] + spin[None]) * dt
-    safe = 0.5 * jnp.minimum(geometry.core[:, None], geometry.core[None])
+    motion = foreseen.distance[:, None] + foreseen.distance[None]
+    safe = 0.5 * jnp.minimum(foreseen.core[:, None], foreseen.core[None])
     return jnp.where(motion > safe, reach + motion, jnp.maximum(reach, motion)).astype(dtype)

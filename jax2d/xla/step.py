@@ -8,11 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Capacity, Controls, Noted, Scene, State, touch_bits
+from jax2d.settings import MOST_STOPS
 from jax2d.xla import bodies as bodies_of
 from jax2d.xla import bounces, forces, manifolds, paper, published
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
 from jax2d.xla.bodies import Bodies
+from jax2d.xla.branching import in_any_world
 from jax2d.xla.contacts import Contacts, Memory
 from jax2d.xla.joints import Joints
 from jax2d.xla.parameters import Parameters, Rules
@@ -67,11 +69,21 @@ def run(
     )
 
 
+class Under(NamedTuple):
+    """A step of sub-steps under way."""
+
+    progress: Progress
+    substep: jax.Array  # [] int32, that is solved next
+    begun: jax.Array  # [] bool, it has begun: forces have acted in it
+    find: jax.Array  # [] bool, contacts are found before it is solved
+    anew: jax.Array  # [] bool, and for every sub-step, where a body turns too far for those found once
+    stops: jax.Array  # [] int32
+
+
 def soft_step(
     scene: Scene, state: State, controls: Controls, params: Parameters, rules: Rules, capacity: Capacity
 ) -> Progress:
-    """Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h. Where a body with a
-    contact turns too far for that, they are found anew for every sub-step."""
+    """Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h."""
     h = params.h
     thrusters = forces.load(bodies_of.load(scene, state), scene, controls, params)
 
@@ -79,48 +91,59 @@ def soft_step(
         geometry = manifolds.build(scene, bodies)
         return contacts_of.find(bodies, geometry, scene, memory, params, rules, capacity, dt)
 
-    def substep(carry: tuple[Progress, jax.Array], index: jax.Array) -> tuple[tuple[Progress, jax.Array], None]:
-        (bodies, joints, contacts, memory, touch, overflow, most_energy), anew = carry
-        # One program for the first sub-step and for those that find contacts anew.
-        is_first, is_last = index == 0, index == rules.substeps - 1
-        begun = bodies_of.end_step(bodies)
-        begun_contacts = find(begun, memory, jnp.where(is_first, params.dt, h))
-        begun_joints = joints_of.prepare(begun, scene, joints.impulses, controls, params)
-        anew = jnp.where(is_first, begun_contacts.swinging, anew)
-        begun_energy = bounces.energy(begun, begun.motion, scene.gravity, h)
+    def solve(now: Under) -> Under:
+        (bodies, joints, contacts, memory, touch, overflow, most_energy), substep, begun, is_found, anew, stops = now
+        left = h * jnp.where(anew, 1, rules.substeps - substep)
+        found = bodies_of.end_step(bodies)
+        found_contacts = find(found, memory, left)
+        found_joints = joints_of.prepare(found, scene, joints.impulses, controls, params)
+        found_energy = bounces.energy(found, found.motion, scene.gravity, h)
         bodies, contacts, joints, most_energy = _choose(
-            is_first | anew,
-            (begun, begun_contacts, begun_joints, begun_energy),
+            is_found,
+            (found, found_contacts, found_joints, found_energy),
             (bodies, contacts, joints, most_energy),
         )
+        anew = jnp.where((substep == 0) & ~begun, contacts.swinging, anew)
 
-        bodies = bodies_of.apply_gravity(bodies, scene.gravity, h)
-        bodies = forces.apply(bodies, thrusters, h)
-        bodies = joints_of.warm_start(bodies, joints)
-        bodies = contacts_of.warm_start(bodies, contacts)
+        driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
+        driven = forces.apply(driven, thrusters, h)
+        driven = joints_of.warm_start(driven, joints)
+        driven = contacts_of.warm_start(driven, contacts)
+        bodies = _choose(begun, bodies, driven)
         # Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=True)
         bodies, contacts = contacts_of.solve_soft(bodies, contacts, params, use_bias=True)
-        bodies = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed)
+        # Where a body would now go farther than was foreseen, contacts are found anew before anything moves.
+        strays = contacts_of.strays(bodies, contacts, scene.can_touch, params.speculative_distance, left)
+        begun = strays & (stops < MOST_STOPS)
+        moved = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed)
+        bodies = _choose(begun, bodies, moved)
+        substep, stops = jnp.where(begun, substep, substep + 1), jnp.where(begun, stops + 1, stops)
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
         bodies, contacts = contacts_of.solve_soft(bodies, contacts, params, use_bias=False)
-
         most_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
 
-        is_end = is_last | anew
+        is_end = begun | anew | (substep == rules.substeps)
         leaving = jnp.where(is_end, contacts_of.leaving_speed(bodies, contacts, scene.gravity, params), 0)
         bounced = bounces.bounce(bodies, joints, contacts, leaving, most_energy, scene.gravity, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
-        now = Progress(bodies, joints, contacts, memory, touch, overflow, most_energy)
-        finished = _finish_contacts(now._replace(bodies=bounced), leaving > 0)
-        return (_choose(is_end, finished, now), anew), None
+        progress = Progress(bodies, joints, contacts, memory, touch, overflow, most_energy)
+        ended = _finish_contacts(progress._replace(bodies=bounced), leaving > 0)
+        return Under(_choose(is_end, ended, progress), substep, begun, is_end, anew, stops)
+
+    def solve_unless_done(now: Under, _: None) -> tuple[Under, None]:
+        is_left = now.substep < rules.substeps
+        return jax.lax.cond(in_any_world(is_left), lambda: _choose(is_left, solve(now), now), lambda: now), None
 
     start = _begin(scene, state, controls, params)
     no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]))
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
     progress = Progress(start[0], start[1], empty, start[2], *_nothing_noted(capacity, state.position.dtype))
-    (progress, _), _ = jax.lax.scan(substep, (progress, jnp.array(False)), jnp.arange(rules.substeps))
-    return progress
+    none, no = jnp.zeros((), jnp.int32), jnp.array(False)
+    under = Under(progress, substep=none, begun=no, find=~no, anew=no, stops=none)
+    # One program for sub-steps, those that find contacts anew, and those that are stopped.
+    under, _ = jax.lax.scan(solve_unless_done, under, length=rules.substeps + MOST_STOPS)
+    return under.progress
 
 
 def paper_step(

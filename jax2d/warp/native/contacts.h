@@ -23,6 +23,7 @@ struct Contacts {
   Pairs pairs;
   bool swinging;    // a body with a contact turns too far in a step for contacts found once
   bool may_bounce;  // something approaches fast enough
+  bool hurried;     // a body has moved so much faster than foreseen that it may stray
   bool settled;     // in the last pass every bounce had its speed
 
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << 22) | (slot_b << 12) | feature; }
@@ -34,18 +35,18 @@ struct Contacts {
                 bool ahead) {
     count = 0;
     overflow = 0;
-    swinging = may_bounce = false;
+    swinging = may_bounce = hurried = false;
     real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
     bool warm = params.get(PARAM_WARM_START) != real(0);
-    pairs.find(bodies, geometry, ints, reach, dt, ahead);
+    pairs.find(bodies, geometry, ints, reach, ahead);
     PairWalk walk = PairWalk::over(pairs);
     int old_slot = 0, slot_b;
     while ((slot_b = walk.next_slot(pairs)) >= 0) {
       int a = walk.a, b = Slot::shape(slot_b), slot_a = Slot::of(a);
       Vec2 d = bodies.position[b] - bodies.position[a];
-      real margin = Pairs::margin(bodies, geometry, a, b, reach, dt, ahead);
+      real margin = Pairs::margin(geometry, a, b, reach, ahead);
       Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], bodies.omega[a], margin);
       if (m.count == 0) continue;
       if (ahead) swinging |= swings(bodies, geometry, a, reach, dt) || swings(bodies, geometry, b, reach, dt);
@@ -99,6 +100,52 @@ struct Contacts {
     }
   }
 
+  // Whether two bodies that move on as they do for the `left` seconds of the step could meet without a contact, since
+  // they go farther than was foreseen: every margin has `reach` to spare.
+  KFN bool strays(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real left) {
+    if (!HAS_CONTINUOUS_COLLISION || NUM_CONTACTS == 0) return false;
+    for (int k = 0; k < bodies.num_moving; ++k) hurried |= geometry.hurries(bodies, bodies.moving[k], reach);
+    if (!hurried) return false;
+    real travel[NUM_SHAPES], most = real(0), second = real(0);
+    unsigned int far_slots[TOUCH_WORDS];  // one body of such a pair goes at least half of `reach` farther
+    for (int word = 0; word < TOUCH_WORDS; ++word) far_slots[word] = 0u;
+    for (int k = 0; k < bodies.num_moving; ++k) {
+      int i = bodies.moving[k], slot = Slot::of(i);
+      travel[i] = geometry.travel(bodies, i, left);
+      real farther = travel[i] - geometry.foreseen[i];
+      if (farther > real(0.5) * reach) far_slots[slot / 32] |= 1u << (slot % 32);
+      second = Math::max(second, Math::min(farther, most));
+      most = Math::max(most, farther);
+    }
+    if (most + second <= reach) return false;
+    for (int a = 0; a < NUM_SHAPES; ++a) {
+      int slot_a = Slot::of(a);
+      if (!bodies.is_active(a)) continue;
+      bool is_far = (far_slots[slot_a / 32] >> (slot_a % 32) & 1u) != 0u;
+      for (int word = slot_a / 32; word < TOUCH_WORDS; ++word) {
+        if (!is_far && far_slots[word] == 0u) continue;
+        unsigned int partners = (unsigned int)(ints.get(INTS_PARTNERS + slot_a * TOUCH_WORDS + word));
+        if (!is_far) partners &= far_slots[word];
+        for (; partners != 0u; partners &= partners - 1u) {
+          int slot_b = word * 32 + Math::lowest_bit(partners);
+          if (!Slot::in_use(slot_b)) continue;
+          int b = Slot::shape(slot_b);
+          real both = (bodies.is_dynamic(a) ? travel[a] : real(0)) + (bodies.is_dynamic(b) ? travel[b] : real(0));
+          if (both - geometry.foreseen[a] - geometry.foreseen[b] <= reach) continue;
+          Vec2 d = bodies.position[b] - bodies.position[a];
+          if (geometry.bounds_overlap(a, b, d, both) && !has_contact(a, b)) return true;
+        }
+      }
+    }
+    return false;
+  }
+
+  KFN bool has_contact(int a, int b) const {
+    for (int k = 0; k < count; ++k)
+      if (list[k].a == a && list[k].b == b) return true;
+    return false;
+  }
+
   // Contact points and normals of a step hold for small turns only: a rod that spins fast sweeps over what they say.
   KFN static bool swings(const Bodies& bodies, const Geometry& geometry, int i, real reach, real dt) {
     real turn = bodies.omega[i] * dt;
@@ -144,8 +191,9 @@ struct Contacts {
   }
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
-  // back the velocity that the push added, and applies friction; in the rounds after the first what bounces leaves.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round) {
+  // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves, and rubs
+  // in one of them.
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round, bool rub) {
     settled = true;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
@@ -161,13 +209,10 @@ struct Contacts {
         bias = Math::max(mass_scale * of.bias_rate * separation, -soft.push_out_speed);
       }
       real vn = c.normal.dot(pair.relative(c.arm_a, c.arm_b));
-      if (HAS_RESTITUTION && round > 0 && c.bounce > real(0)) {
+      bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
+      if (bounces) {
         bias = -c.bounce;
-        if (round == 1 || Math::abs(vn - c.bounce) > real(0.01) * c.bounce) {
-          settled = false;
-          if (round > 1) c.mass_normal = bounce_mass(bodies, c, vn);
-        }
-        c.approach = vn;
+        settled &= aim(bodies, c, vn, round);
       }
       real impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
       real total = Math::max(c.impulse_normal + impulse, real(0));
@@ -175,7 +220,7 @@ struct Contacts {
       c.impulse_normal = total;
       c.most_impulse = Math::max(c.most_impulse, total);
       pair.push(c.arm_a, c.arm_b, c.normal * impulse);
-      if (!use_bias) solve_friction(pair, c);
+      if (!use_bias && (rub || !bounces)) solve_friction(pair, c);
       pair.give_back(bodies);
     }
   }
@@ -193,10 +238,15 @@ struct Contacts {
 
   // What the last pass gave a bounce, joints and other contacts have shared out since. The next pass pushes as if the
   // contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone.
-  KFN static real bounce_mass(const Bodies& bodies, const Contact& c, real vn) {
+  // True if it has its speed, or no push can give it any more.
+  KFN static bool aim(const Bodies& bodies, Contact& c, real vn, int round) {
     real kept = (vn - c.approach) / (c.bounce - c.approach);
-    if (kept > real(0) && kept < real(2)) return c.mass_normal / Math::max(kept, real(0.125));
-    return pair_mass(bodies, c, c.normal);
+    c.approach = vn;
+    if (round == 1) return false;
+    if (Math::abs(vn - c.bounce) <= real(0.002) * c.bounce || Math::abs(kept) < real(0.001)) return true;
+    bool is_seen = kept > real(0) && kept < real(2);
+    c.mass_normal = is_seen ? c.mass_normal / Math::max(kept, real(0.125)) : pair_mass(bodies, c, c.normal);
+    return false;
   }
 
   // Restitution, after all sub-steps: what hit gets the speed at which it must leave. True if anything bounces.

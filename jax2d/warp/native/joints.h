@@ -116,14 +116,15 @@ struct Joints {
     return joint.start_angle + bodies.turn[joint.b] - bodies.turn[joint.a];
   }
 
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias) {
+  // Without `motors` in a bounce: a torque does nothing in an instant.
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool motors) {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       if (is_fixed(joint.flags)) {
         solve_angle(pair, joint, current_angle(bodies, joint), soft, use_bias);
       } else {
-        if (HAS_MOTORS && (joint.flags & JOINT_MOTOR) != 0) solve_motor(pair, joint);
+        if (HAS_MOTORS && motors && (joint.flags & JOINT_MOTOR) != 0) solve_motor(pair, joint);
         if (is_limited(joint.flags))
           solve_limits(pair, joint, current_angle(bodies, joint), soft, use_bias);
       }

@@ -8,9 +8,8 @@ struct Pairs {
   unsigned int rows[SWEEP ? 1 : NUM_SHAPES * TOUCH_WORDS + 1];  // row a, bit of slot b: near; only later slots
 
   // `reach` is the distance at which a contact is prepared.
-  KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real dt,
-                bool ahead) {
-    if (SWEEP) sweep.find(bodies, geometry, reach, dt, ahead);
+  KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, bool ahead) {
+    if (SWEEP) sweep.find(bodies, geometry, reach, ahead);
     for (int a = 0; a < NUM_SHAPES; ++a) {
       for (int word = first_word(a); word < TOUCH_WORDS; word = next_word(a, word)) {
         unsigned int partners = 0u, near = 0u;
@@ -21,7 +20,7 @@ struct Pairs {
           if (!Slot::in_use(slot_b)) continue;
           int b = Slot::shape(slot_b);
           Vec2 d = bodies.position[b] - bodies.position[a];
-          if (geometry.bounds_overlap(a, b, d, margin(bodies, geometry, a, b, reach, dt, ahead)))
+          if (geometry.bounds_overlap(a, b, d, margin(geometry, a, b, reach, ahead)))
             near |= partners & (~partners + 1u);  // its lowest bit
         }
         row(a, word) = near;
@@ -34,13 +33,11 @@ struct Pairs {
   KFN int next_word(int a, int word) const { return SWEEP ? sweep.next_word(a, word) : word + 1; }
   KFN unsigned int& row(int a, int word) { return (SWEEP ? sweep.rows : rows)[a * TOUCH_WORDS + word]; }
 
-  // A contact is prepared within `reach`, or within what the pair moves in a step, so that it does not end inside; and
-  // within both for a body that could step over what is in its way.
-  KFN static real margin(const Bodies& bodies, const Geometry& geometry, int a, int b, real reach, real dt,
-                         bool ahead) {
+  // A contact is prepared within `reach`, or within what both move in a step, so that it does not end inside; and within
+  // both for a body that could step over what is in its way.
+  KFN static real margin(const Geometry& geometry, int a, int b, real reach, bool ahead) {
     if (!ahead) return reach;
-    Vec2 relative = bodies.velocity[b] - bodies.velocity[a];
-    real motion = (relative.length() + geometry.swing_speed(bodies, a) + geometry.swing_speed(bodies, b)) * dt;
+    real motion = geometry.foreseen[a] + geometry.foreseen[b];
     real safe = real(0.5) * Math::min(geometry.core[a], geometry.core[b]);
     return motion > safe ? reach + motion : Math::max(reach, motion);
   }

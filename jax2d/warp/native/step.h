@@ -1,4 +1,4 @@
-// One world, PARAM-many physics steps: read, step, write. Read this file first.
+// One world, num_steps physics steps: read, step, write. Read this file first.
 
 struct World {
   const Column& scene;
@@ -51,33 +51,46 @@ struct World {
   // Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h.
   KFN void soft_step() {
     Soft soft = Soft::load(params);
-    real dt = params.get(PARAM_DT), h = params.get(PARAM_H), reach = params.get(PARAM_SPECULATIVE_DISTANCE);
+    real h = params.get(PARAM_H), reach = params.get(PARAM_SPECULATIVE_DISTANCE);
     int substeps = (int)(params.get(PARAM_SUBSTEPS));
     Vec2 gravity = scene.get2(SCENE_GRAVITY);
 
     bool anew = false;  // contacts are found for every sub-step, where a body turns too far for those found once
-    for (int substep = 0; substep < substeps; ++substep) {
+    bool find = true, begun = false;
+    int stops = 0;
+    for (int substep = 0; substep < substeps;) {
       // One call of each function: what is inlined twice is twice the code.
-      if (anew || substep == 0) {
+      real left = anew ? h : h * (real)(substeps - substep);
+      if (find) {
         bodies.begin_step(first);
         geometry.build(scene, ints, bodies, first);
+        geometry.foresee(bodies, left);
         first = false;
-        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, substep == 0 ? dt : h, true);
+        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true);
         joints.prepare(bodies, scene, controls, params, h);
-        if (substep == 0) anew = contacts.swinging;
+        if (substep == 0 && !begun) anew = contacts.swinging;
         if (contacts.may_bounce) bounces.begin(bodies, gravity, h);
       }
-      bodies.apply_gravity(gravity, h);
-      thrusters.apply(bodies, h);
-      joints.warm_start(bodies);
-      contacts.warm_start(bodies);
+      if (!begun) {
+        bodies.apply_gravity(gravity, h);
+        thrusters.apply(bodies, h);
+        joints.warm_start(bodies);
+        contacts.warm_start(bodies);
+      }
       // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
-      joints.solve_soft(bodies, soft, true);
-      contacts.solve_soft(bodies, soft, true, 0);
-      bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
-      bool is_last = anew || substep + 1 == substeps;
-      relax(soft, gravity, h, is_last);
-      if (is_last) {
+      joints.solve_soft(bodies, soft, true, true);
+      contacts.solve_soft(bodies, soft, true, 0, false);
+      // Where a body would now go farther than was foreseen, contacts are found anew before anything moves.
+      begun = stops < MOST_STOPS && contacts.strays(bodies, geometry, ints, reach, left);
+      if (begun) {
+        ++stops;
+      } else {
+        bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
+        ++substep;
+      }
+      find = begun || anew || substep == substeps;
+      relax(soft, gravity, h, find);
+      if (find) {
         bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
         bodies.end_step();
       }
@@ -89,13 +102,15 @@ struct World {
   // does not last.
   KFN void relax(const Soft& soft, Vec2 gravity, real h, bool is_last) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
-    bool bouncing = false;
+    bool bouncing = false, rubbed = false;
     for (int round = 0; round <= rounds; ++round) {
       int joint_passes = round == 0 ? 1 : 2;  // along a chain a bounce goes joint by joint
-      for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false);
-      contacts.solve_soft(bodies, soft, false, round);
+      bool rub = round > 0 && !rubbed && (contacts.settled || round == rounds);
+      for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0);
+      contacts.solve_soft(bodies, soft, false, round, rub);
       if (round > 0) {
-        if (contacts.settled) break;
+        if (rubbed && contacts.settled) break;
+        rubbed |= rub;
         continue;
       }
       if (contacts.may_bounce) bounces.most += joints.motor_work(bodies) + thrusters.work(bodies, h);
@@ -103,6 +118,7 @@ struct World {
       if (contacts.may_bounce) bouncing = contacts.begin_bounces(bodies, params, gravity, h);
       finish_contacts();
       if (!bouncing) break;
+      contacts.settled = false;
       bounces.keep_velocities(bodies);
       joints.store(impulses);
     }

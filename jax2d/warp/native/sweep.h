@@ -24,9 +24,9 @@ struct Sweep {
       if (bodies.is_active(i)) sorted[count++].shape = i;
   }
 
-  KFN void find(const Bodies& bodies, const Geometry& geometry, real reach, real dt, bool ahead) {
+  KFN void find(const Bodies& bodies, const Geometry& geometry, real reach, bool ahead) {
     for (int i = 0; i < SWEEP_SHAPES; ++i) used[i] = 0u;
-    for (int k = 0; k < count; ++k) widen(bodies, geometry, sorted[k].shape, reach, dt, ahead);
+    for (int k = 0; k < count; ++k) widen(bodies, geometry, sorted[k].shape, reach, ahead);
     bool along_x = fewer_overlap_along_x();
     for (int k = 0; k < count; ++k) sorted[k].begin = along_x ? lower[sorted[k].shape].x : lower[sorted[k].shape].y;
     sort();
@@ -42,12 +42,9 @@ struct Sweep {
   }
 
   // Margins of pairs are at most the sum of both shapes' shares: half the reach, and how far the surface moves.
-  KFN void widen(const Bodies& bodies, const Geometry& geometry, int i, real reach, real dt, bool ahead) {
+  KFN void widen(const Bodies& bodies, const Geometry& geometry, int i, real reach, bool ahead) {
     real share = real(0.5) * reach;
-    if (ahead) {
-      real motion = (bodies.velocity[i].length() + geometry.swing_speed(bodies, i)) * dt;
-      if (motion > real(0)) share += motion;  // not a number: no pair has such a margin
-    }
+    if (ahead && geometry.foreseen[i] > real(0)) share += geometry.foreseen[i];  // not a number: no pair has such a margin
     Vec2 at = bodies.position[i];
     // 2^-20 is sixteen times the rounding of one operation, of which neither search does as many.
     real rounding = (Math::abs(at.x) + Math::abs(at.y) + geometry.extent[i] + share) * real(9.5367432e-7);

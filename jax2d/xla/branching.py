@@ -1,0 +1,17 @@
+"""Branches that worlds stepped together take together, so that what none of them needs is not computed."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+
+@jax.custom_batching.custom_vmap
+def in_any_world(condition: jax.Array) -> jax.Array:
+    """Whether the condition [] holds in any of the worlds that are mapped over: one value for all of them."""
+    return condition
+
+
+@in_any_world.def_vmap
+def _in_any_world(axis_size: int, in_batched: list[bool], condition: jax.Array) -> tuple[jax.Array, bool]:
+    return in_any_world(jnp.any(condition) if in_batched[0] else condition), False
