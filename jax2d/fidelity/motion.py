@@ -99,6 +99,7 @@ def record(
     seconds: float,
     every: int = 1,
     motor: float = 1.0,
+    thruster: float = 0.0,
     state: State | None = None,
 ) -> tuple[list[Motion], State]:
     """Steps all worlds in one batch with constant controls; keeps one moment in `every` steps. Starts from `state`
@@ -107,7 +108,9 @@ def record(
     if state is None:
         state = stack_worlds([engine.initial_state(*w) for w in worlds])
     num_moments = round(seconds / (engine.settings.dt * every))
-    bodies, overflow, limited, last = _trajectory(engine, num_moments, every)(scene, state, np.float32(motor))
+    bodies, overflow, limited, last = _trajectory(engine, num_moments, every)(
+        scene, state, np.float32(motor), np.float32(thruster)
+    )
     parts = [
         np.concatenate([np.asarray(x, np.float64)[None], np.asarray(y, np.float64)])
         for x, y in zip((state.position, state.angle, state.velocity, state.angular_velocity), bodies)
@@ -122,11 +125,11 @@ def record(
 @functools.cache
 def _trajectory(engine: Engine, num_moments: int, every: int) -> Callable:
     @jax.jit
-    def simulate(scene: Scene, state: State, motor: jax.Array):
+    def simulate(scene: Scene, state: State, motor: jax.Array, thruster: jax.Array):
         worlds = state.position.shape[0]
         controls = Controls(
             motor=jnp.full((worlds, engine.capacity.joints), motor),
-            thruster=jnp.zeros((worlds, engine.capacity.thrusters)),
+            thruster=jnp.full((worlds, engine.capacity.thrusters), thruster),
         )
         packed_scene = engine.pack_scene(scene)
 

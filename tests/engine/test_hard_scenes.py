@@ -157,7 +157,7 @@ def test_published_table_says_the_same():
 
 
 def motions(worlds: list[BuiltWorld], seconds: float = 1.0, *, settings=preset("standard")) -> list[Motion]:
-    return record(worlds, engine(settings), seconds=seconds)[0]
+    return record(worlds, engine(settings), seconds=seconds, thruster=1.0)[0]
 
 
 def shots(speed: float, *, angle: float = 0.0, width: float, height: float, ball: bool, across: np.ndarray):
@@ -182,6 +182,85 @@ def test_nothing_passes_a_thin_wall(speed: float):
     for ball, body in ((True, CAPACITY.polygons), (False, 1)):
         for m in motions(shots(speed, width=0.1, height=4, ball=ball, across=across)):
             assert m.position[:, body, 0].max() < 0
+
+
+def before_a_wall(phase: int) -> SceneBuilder:
+    """A fixed wall from x = 0 to 0.1 m."""
+    b = builder(gravity=(0, 0))
+    b.add_box(width=0.1, height=4, position=(0.05, 0), fixed=True)
+    return b
+
+
+def struck(b: SceneBuilder, phase: int) -> int:
+    """A disc of 100 m/s hits one at rest 3 to 30 cm before the wall."""
+    at = -0.1 - (0.03, 0.1, 0.3)[phase % 3]
+    body = b.add_circle(radius=0.1, position=(at, 0))
+    b.add_circle(radius=0.1, position=(at - 1.25 - 100 / 60 * phase / PHASES, 0), velocity=(100, 0))
+    return body
+
+
+def struck_twice(b: SceneBuilder, phase: int) -> int:
+    """A row of three discs, the first of which moves."""
+    body = b.add_circle(radius=0.1, position=(-0.3, 0))
+    b.add_circle(radius=0.1, position=(-0.6 - 0.2 * phase / PHASES, 0))
+    b.add_circle(radius=0.1, position=(-1.5 - phase / PHASES, 0), velocity=(60, 0))
+    return body
+
+
+def thrust(b: SceneBuilder, phase: int) -> int:
+    """A thruster of power 2 on a disc of 8 g: 44 m/s more in every step."""
+    at = -0.05 - 0.03 - 0.3 * phase / PHASES
+    body = b.add_circle(radius=0.05, position=(at, 0))
+    b.add_thruster(body, at=(at, 0), angle=0.0, power=2.0)
+    return body
+
+
+def convoy(b: SceneBuilder, phase: int) -> int:
+    """Two discs one behind the other at 80 m/s; the first bounces back into the second."""
+    b.add_circle(radius=0.1, position=(-1.2 - 80 / 60 * phase / PHASES, 0), velocity=(80, 0), restitution=1.0)
+    return b.add_circle(radius=0.1, position=(-1.8 - 80 / 60 * phase / PHASES, 0), velocity=(80, 0))
+
+
+@pytest.mark.also_gpu
+@pytest.mark.parametrize("settings", [preset("standard"), preset("fine")], ids=["standard", "fine"])
+@pytest.mark.parametrize("build", [struck, struck_twice, thrust, convoy])
+def test_what_gets_its_speed_within_a_step_passes_no_wall(build, settings):
+    worlds, bodies = [], []
+    for phase in range(PHASES):
+        b = before_a_wall(phase)
+        bodies.append(build(b, phase))
+        worlds.append(b.build())
+    for m, body in zip(motions(worlds, settings=settings), bodies):
+        assert m.position[:, body, 0].max() < 0
+        assert m.position[:, :, 0].max() < 0.06  # the wall is at 0.05
+
+
+@pytest.mark.also_gpu
+def test_gravity_of_a_hundred_g_pulls_nothing_through_a_wall():
+    worlds = []
+    for phase in range(PHASES):
+        b = builder(gravity=(1000, 0))
+        b.add_box(width=0.1, height=4, position=(0.05, 0), fixed=True)
+        b.add_circle(radius=0.05, position=(-0.08 - 0.5 * phase / PHASES, 0))
+        worlds.append(b.build())
+    for m in motions(worlds):
+        assert m.position[:, CAPACITY.polygons, 0].max() < 0
+
+
+@pytest.mark.also_gpu
+@pytest.mark.parametrize(("power", "length", "width"), [(2, 2, 0.05), (3, 2, 0.1), (3, 1, 0.05)])
+def test_rod_that_a_motor_starts_stops_at_a_post(power: float, length: float, width: float):
+    worlds, posts = [], 0.2 + 0.4 * np.arange(PHASES) / PHASES
+    for angle in posts:
+        b = builder(gravity=(0, 0))
+        pivot = b.add_circle(radius=0.02, fixed=True)
+        bar = b.add_box(width=length, height=width)
+        b.add_revolute_joint(pivot, bar, at=(0, 0), motor_speed=3.0, motor_power=power)
+        at = 0.45 * length
+        b.add_circle(radius=0.05, position=(at * math.cos(angle), at * math.sin(angle)), fixed=True)
+        worlds.append(b.build())
+    for m, angle in zip(motions(worlds), posts):
+        assert m.angle[:, 0].max() < angle + 0.15
 
 
 @pytest.mark.also_gpu
