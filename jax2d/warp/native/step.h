@@ -14,6 +14,7 @@ struct World {
   Joints joints;
   Thrusters thrusters;
   Bounces bounces;
+  Soft soft;
   unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
   unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
   bool first;       // nothing has been prepared in this call yet
@@ -50,7 +51,7 @@ struct World {
 
   // Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h.
   KFN void soft_step() {
-    Soft soft = Soft::load(params);
+    soft = Soft::load(params);
     real h = params.get(PARAM_H), reach = params.get(PARAM_SPECULATIVE_DISTANCE);
     int substeps = (int)(params.get(PARAM_SUBSTEPS));
     Vec2 gravity = scene.get2(SCENE_GRAVITY);
@@ -89,7 +90,7 @@ struct World {
         ++substep;
       }
       find = begun || anew || substep == substeps;
-      relax(soft, gravity, h, find);
+      relax(gravity, h, find);
       if (find) {
         bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
         bodies.end_step();
@@ -100,7 +101,7 @@ struct World {
   // Solves without bias. The last time in a step what hit bounces: rounds go on until joints and other contacts have
   // shared in it and every bounce has its speed. What is remembered for the next step is from before, since a bounce
   // does not last.
-  KFN void relax(const Soft& soft, Vec2 gravity, real h, bool is_last) {
+  KFN void relax(Vec2 gravity, real h, bool is_last) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
     bool bouncing = false, rubbed = false;
     for (int round = 0; round <= rounds; ++round) {
