@@ -25,7 +25,7 @@ def test_help_is_printed(main: Callable, capsys):
 @pytest.mark.parametrize(
     ("main", "arguments", "says"),
     [
-        (hard_table.main, ["nosuch"], "unknown preset 'nosuch'; known: draft, fine, paper, standard"),
+        (hard_table.main, ["nosuch"], "unknown preset 'nosuch'; known: standard, fine, draft, paper"),
         (hard_table.main, ["standard", "reference"], "unknown preset 'reference'"),
         (references.main, ["nosuch"], "'nosuch'"),
         (published_steps.main, [], "arguments are required"),
