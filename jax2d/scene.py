@@ -201,8 +201,8 @@ def num_invalid(scene: Scene) -> jax.Array:
     number = jnp.asarray(scene.num_vertices)
     polygons = (number >= 3) & (number <= scene.vertices.shape[-2])
     active_polygons = scene.shape_active[..., : number.shape[-1]]
-    wrong = (scene.joint_active & ~joints, scene.thruster_active & ~thrusters, active_polygons & ~polygons)
-    return sum((jnp.sum(x, axis=-1, dtype=jnp.int32) for x in wrong[1:]), jnp.sum(wrong[0], axis=-1, dtype=jnp.int32))
+    wrong = [scene.joint_active & ~joints, scene.thruster_active & ~thrusters, active_polygons & ~polygons]
+    return jnp.sum(jnp.concatenate(wrong, axis=-1), axis=-1, dtype=jnp.int32)
 
 
 def _names_shapes(scene: Scene) -> tuple[jax.Array, jax.Array]:

@@ -51,14 +51,10 @@ class Settings:
     joint_damping_ratio: float = 4.0  # at 2 stretched chains and welded beams ring for seconds
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
     joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed
-    joint_turn_speed: float = (
-        4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld to its angle
-    )
+    joint_turn_speed: float = 4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld
     speculative_distance: float = 0.02  # m, contacts are prepared from here on (4 x Box2D's linear slop)
     restitution_threshold: float = 1.0  # m/s, slower impacts do not bounce, so that stacks come to rest
-    bounce_rounds: int = (
-        16  # most rounds in which joints and other contacts share in a bounce; fewer once it is settled
-    )
+    bounce_rounds: int = 16  # most rounds in which joints and other contacts share in a bounce
 
     # sequential_impulses (published constants)
     slop: float = 0.01  # m, penetration left alone

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.scene import Capacity, Scene
 from jax2d.xla import manifolds, published, vec2
@@ -157,13 +158,11 @@ def strays(bodies: Bodies, contacts: Contacts, can_touch: jax.Array, reach: Scal
     foreseen, pair = contacts.foreseen, contacts.pair
     distance = manifolds.travel(bodies, foreseen.arm, left)
     farther = distance - foreseen.distance
-    both = (distance[:, None] + distance[None])[..., None]
-    d = bodies.position[None] - bodies.position[:, None]
-    below = foreseen.lower[None] + d <= foreseen.upper[:, None] + both
-    above = foreseen.upper[None] + d >= foreseen.lower[:, None] - both
-    has_contact = jnp.any(pair.is_a[:, :, None] & pair.is_b[:, None, :], axis=0)
-    could_meet = can_touch & jnp.all(below & above, axis=-1) & ~has_contact
-    return jnp.any(could_meet & (farther[:, None] + farther[None] > reach))
+    a, b = np.triu_indices(farther.shape[0], 1)
+    d = bodies.position[b] - bodies.position[a]
+    near = manifolds.bounds_overlap(foreseen, a, b, d, distance[a] + distance[b])
+    has_contact = jnp.any(pair.is_a[:, a] & pair.is_b[:, b], axis=0)
+    return jnp.any(can_touch[a, b] & near & ~has_contact & (farther[a] + farther[b] > reach))
 
 
 def _remembered(key: jax.Array, memory: Memory) -> jax.Array:
@@ -351,13 +350,9 @@ def solve_friction(of: Any, c: Row, normal_total: jax.Array) -> tuple[Any, jax.A
 
 def leaving_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, params: Parameters) -> jax.Array:
     """Speed with which what hit in this step must leave, [K] m/s; 0 where nothing bounces."""
-    bounces = may_bounce(contacts, params) & (contacts.most_impulse != 0)
+    hits = (contacts.restitution > 0) & (contacts.approach <= -params.restitution_threshold)
+    bounces = hits & (contacts.most_impulse != 0)
     return jnp.where(bounces, contacts.restitution * impact_speed(bodies, contacts, gravity, params.h), 0)
-
-
-def may_bounce(contacts: Contacts, params: Parameters) -> jax.Array:
-    """[K] bool: approached fast enough."""
-    return (contacts.restitution != 0) & (contacts.approach <= -params.restitution_threshold)
 
 
 def impact_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, h: Scalar) -> jax.Array:

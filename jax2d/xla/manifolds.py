@@ -348,7 +348,9 @@ def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.
     return jax.tree.map(lambda *xs: jnp.concatenate(xs)[pairs.order], *found)
 
 
-def bounds_overlap(geometry: Geometry, a: np.ndarray, b: np.ndarray, d: jax.Array, margin: jax.Array) -> jax.Array:
+def bounds_overlap(
+    geometry: Geometry | Foresight, a: np.ndarray, b: np.ndarray, d: jax.Array, margin: jax.Array
+) -> jax.Array:
     reach = margin[:, None]
     below = geometry.lower[b] + d <= geometry.upper[a] + reach
     above = geometry.upper[b] + d >= geometry.lower[a] - reach

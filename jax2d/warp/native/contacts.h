@@ -95,7 +95,7 @@ struct Contacts {
           }
         }
         c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
-        if (SOFT_STEP) may_bounce |= c.restitution > real(0) && c.approach <= -threshold;
+        if (SOFT_STEP) may_bounce |= hits(c, threshold);
       }
     }
   }
@@ -249,13 +249,18 @@ struct Contacts {
     return false;
   }
 
+  // Slower impacts do not bounce.
+  KFN static bool hits(const Contact& c, real threshold) {
+    return c.restitution > real(0) && c.approach <= -threshold;
+  }
+
   // Restitution, after all sub-steps: what hit gets the speed at which it must leave. True if anything bounces.
   KFN bool begin_bounces(const Bodies& bodies, const Column& params, Vec2 gravity, real h) {
     real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
     bool any = false;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
-      if (c.restitution == real(0) || c.approach > -threshold || c.most_impulse == real(0)) continue;
+      if (!hits(c, threshold) || c.most_impulse == real(0)) continue;
       c.bounce = c.restitution * impact_speed(bodies, c, gravity, h);
       any = true;
     }
