@@ -60,11 +60,13 @@ REVISIONS = {
     "bf89792": "fixed bodies once a call",
     "9678843": "speed limits hold for every state",
     "afbda07": "pushes and twists written once, in Pair",
+    "1a08b34": "bounces in rounds, sub-steps stopped for what strays",
 }
 VARIANTS: dict[str, dict[str, Any]] = {
     "blocks of 32": {"block_dim": 32},
     "blocks of 128": {"block_dim": 128},
-    "blocks of 256": {"block_dim": 256},
+    "no shared memory": {"shared_bytes": 0},
+    "all that solving uses of a body in shared memory": {"shared_bytes": 49152},
     "at most 80 registers": {"kernel": {"cuda_max_registers": 80}},
     "at most 64 registers": {"kernel": {"cuda_max_registers": 64}},
     "12 blocks a multiprocessor": {"kernel": {"launch_bounds": [64, 12]}},

@@ -41,13 +41,13 @@ import warp as wp
 from jax2d import Controls, Engine, preset
 from jax2d.scene import stack_worlds
 from jax2d.warp.kernel import make_kernel
+from jax2d.warp.source import BLOCK
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import load_kinetix
 from kinetix_dist.level.level import SIZES, Level
 
 ARCH = 90  # H100 and H200
-BLOCK = 64  # threads a block, as jax2d/warp/ffi.py launches it
 WARP = 32  # lanes that run in lockstep
 REGISTERS_PER_SM, WARPS_PER_SM, REGISTER_UNIT = 65536, 64, 256  # sm_90; registers are given to a warp in units of 256
 FRAME_SKIP = 2  # physics steps a launch, as in training

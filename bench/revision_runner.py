@@ -7,6 +7,7 @@ The argument changes how the kernel is compiled and launched, for variants that 
     block_dim           threads a block
     kernel              options of `warp.kernel`: cuda_max_registers, launch_bounds, enable_cuda_smem_spilling
     module              options of its module: fast_math, fuse_fp
+    shared_bytes        of a block's bodies in shared memory, at most
     sweep_above_shapes  from how many shapes on pairs are found by sort and sweep
 
 Reads one JSON request a line from stdin and answers each with one line on stdout:
@@ -55,6 +56,10 @@ def compile_with(variant: dict[str, Any]) -> None:
         from jax2d.warp import source
 
         source.SWEEP_ABOVE_SHAPES = variant["sweep_above_shapes"]
+    if "shared_bytes" in variant:
+        from jax2d.warp import source
+
+        source.SHARED_BYTES = variant["shared_bytes"]
 
 
 class Bench:

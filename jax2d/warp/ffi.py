@@ -22,6 +22,11 @@ from jax2d.scene import Array, Capacity, Controls, Noted, Scene, State, only_wha
 from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
+from jax2d.warp.source import BLOCK
+
+# The kernel's tables of the state, which come after four others.
+STATE_ARGUMENT = 4
+STATE_TABLES = ("state_table", "impulse_table", "key_table")
 
 
 @jax.tree_util.register_dataclass
@@ -215,14 +220,15 @@ def _launch(call: Any, out_rows: int, num_steps: int) -> Callable[..., tuple[Arr
 
     @jax.custom_batching.custom_vmap
     def launch(*tables: Array) -> tuple[Array, ...]:
-        bodies, impulses, keys = tables[4:]
-        worlds = bodies.shape[1]
+        state = tables[STATE_ARGUMENT:]
+        worlds = state[0].shape[1]
         if worlds == 0:  # the kernel cannot be launched for nobody
-            return bodies, impulses, keys, jnp.zeros((out_rows, 0), jnp.int32)
+            return *state, jnp.zeros((out_rows, 0), jnp.int32)
         # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by what
         # it says instead, equal programs are equal in every process and found in the compile cache.
         call.launch_id = (num_steps << 32) | worlds
-        return tuple(call(*tables, num_steps, launch_dims=worlds, output_dims={"out_table": (out_rows, worlds)}))
+        shapes = dict(zip(STATE_TABLES, (table.shape for table in state))) | {"out_table": (out_rows, worlds)}
+        return tuple(call(*tables, num_steps, launch_dims=worlds, output_dims=shapes))
 
     @launch.def_vmap
     def launch_folded(axis_size: int, is_mapped: Sequence[bool], *tables: Array) -> tuple[tuple, tuple]:
@@ -254,9 +260,9 @@ def _launch(call: Any, out_rows: int, num_steps: int) -> Callable[..., tuple[Arr
 
 @functools.cache
 def _jax_call(capacity: Capacity, solver: str, friction_mixing: str, effects: Effects) -> Any:
-    return wp.jax_kernel(
-        make_kernel(capacity, solver, friction_mixing, effects),
-        num_outputs=4,
-        in_out_argnames=["state_table", "impulse_table", "key_table"],
-        block_dim=64,
-    )
+    call = wp.jax_kernel(make_kernel(capacity, solver, friction_mixing, effects), num_outputs=4, block_dim=BLOCK)
+    # The state is stepped where it stands, which saves a copy in every pass of a loop. XLA does not always keep to it:
+    # on a GPU it may let a call write straight into the stacked results of a scan, with other memory for the input. So
+    # the kernel takes both, and copies where they differ; with `in_out_argnames` it would read what was never written.
+    call.input_output_aliases = {STATE_ARGUMENT + table: table for table in range(len(STATE_TABLES))}
+    return call

@@ -30,7 +30,10 @@ def make_kernel(capacity: Capacity, solver: str, friction_mixing: str, effects: 
         ints_table: wp.array2d[wp.int32],
         controls_table: wp.array2d[wp.float32],
         params_table: wp.array[wp.float32],
-        # State in and out:
+        # State before and after, which may be the same memory:
+        state_before: wp.array2d[wp.float32],
+        impulses_before: wp.array2d[wp.float32],
+        keys_before: wp.array2d[wp.int32],
         state_table: wp.array2d[wp.float32],
         impulse_table: wp.array2d[wp.float32],
         key_table: wp.array2d[wp.int32],
@@ -45,12 +48,16 @@ def make_kernel(capacity: Capacity, solver: str, friction_mixing: str, effects: 
         ints_table: wp.array2d[wp.int32],
         controls_table: wp.array2d[wp.float32],
         params_table: wp.array[wp.float32],
-        # State in and out:
+        # State before:
+        state_before: wp.array2d[wp.float32],
+        impulses_before: wp.array2d[wp.float32],
+        keys_before: wp.array2d[wp.int32],
+        # Static:
+        num_steps: int,
+        # State after:
         state_table: wp.array2d[wp.float32],
         impulse_table: wp.array2d[wp.float32],
         key_table: wp.array2d[wp.int32],
-        # Static:
-        num_steps: int,
         # Out:
         out_table: wp.array2d[wp.int32],
     ):
@@ -63,6 +70,9 @@ def make_kernel(capacity: Capacity, solver: str, friction_mixing: str, effects: 
             ints_table,
             controls_table,
             params_table,
+            state_before,
+            impulses_before,
+            keys_before,
             state_table,
             impulse_table,
             key_table,

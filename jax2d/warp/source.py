@@ -33,6 +33,18 @@ NATIVE_FILES = (
 SWEEP_ABOVE_SHAPES = 32
 
 
+# Threads a block on a GPU, one a world.
+BLOCK = 64
+# Of shared memory for a block: with more, fewer blocks run at a time than registers leave room for.
+SHARED_BYTES = 20480
+
+
+def shared_record(shapes: int) -> int:
+    """How many numbers of a body a GPU keeps in shared memory: all that solving uses, all but its motion since the
+    start of the step, or none."""
+    return next((n for n in (8, 5) if 4 * n * shapes * BLOCK <= SHARED_BYTES), 0)
+
+
 @functools.cache
 def _read(name: str) -> str:
     return (Path(__file__).parent / "native" / name).read_text()
@@ -60,6 +72,8 @@ def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[
         "ALL_SHAPES": int(polygons + circles == capacity.shapes),
         "MAX_VERTICES": capacity.vertices,
         "NUM_CORNERS": max(1, polygons * capacity.vertices),
+        "SHARED_RECORD": shared_record(polygons + circles),
+        "SHAPE_WORDS": -(-(polygons + circles) // 32),
         "BOUNCE_SHAPES": polygons + circles if effects.restitution and settings.solver == "soft_step" else 1,
         "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
         "TOUCH_WORDS": capacity.touch_words,
@@ -90,6 +104,9 @@ Column state = {state_table.data + world, stride};
 Column impulses = {impulse_table.data + world, stride};
 IntColumn keys = {key_table.data + world, stride};
 IntColumn out = {out_table.data + world, stride};
+state.take(state_before.data + world, STATE_ROWS);
+impulses.take(impulses_before.data + world, IMPULSE_ROWS);
+keys.take(keys_before.data + world, CAPACITY_CONTACTS);
 World one = {scene, ints, controls, params, state, impulses, keys};
 one.run(num_steps, out);
 """

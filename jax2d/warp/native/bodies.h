@@ -4,53 +4,91 @@
 struct Bodies {
   Vec2 position[NUM_SHAPES];  // at the start of the step
   real angle[NUM_SHAPES];
-  Vec2 velocity[NUM_SHAPES];
-  real omega[NUM_SHAPES];
-  Vec2 delta[NUM_SHAPES];     // moved since the start of the step
-  real turn[NUM_SHAPES];      // turned since the start of the step
   Rotation rotation[NUM_SHAPES];
-  real inverse_mass[NUM_SHAPES];
-  real inverse_inertia[NUM_SHAPES];
-  unsigned int active[TOUCH_WORDS];  // a bit a slot
-  int moving[NUM_SHAPES];     // shapes that can move; most work is for these alone
-  int num_moving;
-  int limited;                // times a speed limit acted
+  unsigned int present[SHAPE_WORDS];  // a bit a shape that is active
+  unsigned int moving[SHAPE_WORDS];   // a bit a shape that can move; most work is for these alone
+  int limited;                        // times a speed limit acted
 
-  KFN bool is_dynamic(int i) const { return inverse_mass[i] > real(0) || inverse_inertia[i] > real(0); }
+  // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
+  // a time, and in local memory that would be a transaction for each world and a wait for the slowest.
+  enum { VELOCITY, OMEGA = 2, INVERSE_MASS, INVERSE_INERTIA, DELTA, TURN = 7, RECORD };
+#if defined(__CUDA_ARCH__)
+  enum { LOCAL_RECORD = RECORD - SHARED_RECORD };
+#else
+  enum { LOCAL_RECORD = RECORD };
+#endif
+  real record[NUM_SHAPES * LOCAL_RECORD + 1];
 
-  KFN bool is_active(int i) const {
-    int slot = Slot::of(i);
-    return (active[slot / 32] >> (slot % 32) & 1u) != 0u;
+  KFN real& at(int i, int word) {
+#if defined(__CUDA_ARCH__)
+    __shared__ real shared[NUM_SHAPES * SHARED_RECORD * WP_TILE_BLOCK_DIM + 1];
+    if (word < SHARED_RECORD) return shared[(i * SHARED_RECORD + word) * WP_TILE_BLOCK_DIM + threadIdx.x];
+#endif
+    return record[i * LOCAL_RECORD + word - (RECORD - LOCAL_RECORD)];
   }
+  KFN real at(int i, int word) const { return const_cast<Bodies*>(this)->at(i, word); }
+  KFN Vec2 velocity(int i) const { return {at(i, VELOCITY), at(i, VELOCITY + 1)}; }
+  KFN real omega(int i) const { return at(i, OMEGA); }
+  KFN real inverse_mass(int i) const { return at(i, INVERSE_MASS); }
+  KFN real inverse_inertia(int i) const { return at(i, INVERSE_INERTIA); }
+  KFN Vec2 delta(int i) const { return {at(i, DELTA), at(i, DELTA + 1)}; }  // moved since the start of the step
+  KFN real turn(int i) const { return at(i, TURN); }                        // turned since the start of the step
+  KFN void set_velocity(int i, Vec2 v) { at(i, VELOCITY) = v.x; at(i, VELOCITY + 1) = v.y; }
+  KFN void set_omega(int i, real v) { at(i, OMEGA) = v; }
+  KFN void set_delta(int i, Vec2 v) { at(i, DELTA) = v.x; at(i, DELTA + 1) = v.y; }
+
+  // The shapes of a set, a bit each, one after another.
+  struct Each {
+    const unsigned int* words;
+    int word;
+    unsigned int left;
+    int shape;
+    KFN static Each of(const unsigned int* words) { return {words, 0, words[0], -1}; }
+    KFN bool next() {
+      while (left == 0u) {
+        if (++word >= SHAPE_WORDS) return false;
+        left = words[word];
+      }
+      shape = word * 32 + Math::lowest_bit(left);
+      left &= left - 1u;
+      return true;
+    }
+  };
+
+  KFN static bool has(const unsigned int* shapes, int i) { return (shapes[i / 32] >> (i % 32) & 1u) != 0u; }
+  KFN bool is_active(int i) const { return has(present, i); }
+  KFN bool is_dynamic(int i) const { return has(moving, i); }
 
   KFN void load(const Column& scene, const IntColumn& ints, const Column& state) {
     limited = 0;
-    num_moving = 0;
+    for (int word = 0; word < SHAPE_WORDS; ++word) present[word] = moving[word] = 0u;
+    unsigned int active[TOUCH_WORDS];  // a bit a slot
     for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
-      if (!is_active(i)) {
-        inverse_mass[i] = inverse_inertia[i] = real(0);
+      int slot = Slot::of(i);
+      if ((active[slot / 32] >> (slot % 32) & 1u) == 0u) {
+        at(i, INVERSE_MASS) = at(i, INVERSE_INERTIA) = real(0);
         continue;
       }
-      int slot = Slot::of(i);
       position[i] = state.get2(STATE_POSITION + 2 * slot);
       angle[i] = state.get(STATE_ANGLE + slot);
-      velocity[i] = state.get2(STATE_VELOCITY + 2 * slot);
-      omega[i] = state.get(STATE_OMEGA + slot);
-      inverse_mass[i] = scene.get(SCENE_INVERSE_MASS + slot);
-      inverse_inertia[i] = scene.get(SCENE_INVERSE_INERTIA + slot);
-      if (is_dynamic(i)) moving[num_moving++] = i;
+      set_velocity(i, state.get2(STATE_VELOCITY + 2 * slot));
+      set_omega(i, state.get(STATE_OMEGA + slot));
+      at(i, INVERSE_MASS) = scene.get(SCENE_INVERSE_MASS + slot);
+      at(i, INVERSE_INERTIA) = scene.get(SCENE_INVERSE_INERTIA + slot);
+      present[i / 32] |= 1u << (i % 32);
+      if (inverse_mass(i) > real(0) || inverse_inertia(i) > real(0)) moving[i / 32] |= 1u << (i % 32);
     }
   }
 
   KFN void store(const Column& state) const {
-    for (int k = 0; k < num_moving; ++k) {
-      int i = moving[k];
+    for (Each each = Each::of(moving); each.next();) {
+      int i = each.shape;
       int slot = Slot::of(i);
       state.set2(STATE_POSITION + 2 * slot, position[i]);
       state.set(STATE_ANGLE + slot, angle[i]);
-      state.set2(STATE_VELOCITY + 2 * slot, velocity[i]);
-      state.set(STATE_OMEGA + slot, omega[i]);
+      state.set2(STATE_VELOCITY + 2 * slot, velocity(i));
+      state.set(STATE_OMEGA + slot, omega(i));
     }
   }
 
@@ -58,61 +96,61 @@ struct Bodies {
   KFN void begin_step(bool fixed_too) {
     for (int i = 0; i < NUM_SHAPES; ++i) {
       if (!is_active(i) || (!fixed_too && !is_dynamic(i))) continue;
-      delta[i] = {real(0), real(0)};
-      turn[i] = real(0);
+      set_delta(i, {real(0), real(0)});
+      at(i, TURN) = real(0);
       rotation[i] = {cosf(angle[i]), sinf(angle[i])};
     }
   }
 
   KFN void end_step() {
-    for (int k = 0; k < num_moving; ++k) {
-      int i = moving[k];
-      position[i] = position[i] + delta[i];
-      angle[i] += turn[i];
+    for (Each each = Each::of(moving); each.next();) {
+      int i = each.shape;
+      position[i] = position[i] + delta(i);
+      angle[i] += turn(i);
     }
   }
 
   // Semi-implicit Euler: velocity from gravity.
   KFN void apply_gravity(Vec2 gravity, real dt) {
     if (!HAS_GRAVITY || (gravity.x == real(0) && gravity.y == real(0))) return;
-    for (int k = 0; k < num_moving; ++k) {
-      int i = moving[k];
-      if (inverse_mass[i] > real(0)) velocity[i] = velocity[i] + gravity * dt;
+    for (Each each = Each::of(moving); each.next();) {
+      int i = each.shape;
+      if (inverse_mass(i) > real(0)) set_velocity(i, velocity(i) + gravity * dt);
     }
   }
 
   // No state that a call returns moves faster than the limits: what the last relax pass and bounces gave counts too.
   KFN void limit_speeds(real max_speed, real max_omega) {
-    for (int k = 0; k < num_moving; ++k) limit_speed(moving[k], max_speed, max_omega);
+    for (Each each = Each::of(moving); each.next();) limit_speed(each.shape, max_speed, max_omega);
   }
 
   KFN void limit_speed(int i, real max_speed, real max_omega) {
-    real speed_squared = velocity[i].dot(velocity[i]);
+    real speed_squared = velocity(i).dot(velocity(i));
     if (speed_squared > max_speed * max_speed) {
-      velocity[i] = velocity[i] * (max_speed / sqrtf(speed_squared));
+      set_velocity(i, velocity(i) * (max_speed / sqrtf(speed_squared)));
       ++limited;
     }
-    if (omega[i] > max_omega || omega[i] < -max_omega) {
-      omega[i] = Math::clamp(omega[i], -max_omega, max_omega);
+    if (omega(i) > max_omega || omega(i) < -max_omega) {
+      set_omega(i, Math::clamp(omega(i), -max_omega, max_omega));
       ++limited;
     }
   }
 
   // Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted.
   KFN void move(real dt, real max_speed, real max_omega) {
-    for (int k = 0; k < num_moving; ++k) {
-      int i = moving[k];
+    for (Each each = Each::of(moving); each.next();) {
+      int i = each.shape;
       limit_speed(i, max_speed, max_omega);
-      delta[i] = delta[i] + velocity[i] * dt;
-      real angle_step = omega[i] * dt;
-      turn[i] += angle_step;
+      set_delta(i, delta(i) + velocity(i) * dt);
+      real angle_step = omega(i) * dt;
+      at(i, TURN) += angle_step;
       rotation[i] = rotation[i].turned(angle_step);
     }
   }
 
   KFN void push(int i, Vec2 arm, Vec2 impulse) {
-    velocity[i] = velocity[i] + impulse * inverse_mass[i];
-    omega[i] += inverse_inertia[i] * arm.cross(impulse);
+    set_velocity(i, velocity(i) + impulse * inverse_mass(i));
+    at(i, OMEGA) += inverse_inertia(i) * arm.cross(impulse);
   }
 };
 
@@ -127,21 +165,21 @@ struct Pair {
   KFN static Pair of(const Bodies& bodies, int a, int b) {
     return {a,
             b,
-            bodies.velocity[a],
-            bodies.velocity[b],
-            bodies.omega[a],
-            bodies.omega[b],
-            bodies.inverse_mass[a],
-            bodies.inverse_mass[b],
-            bodies.inverse_inertia[a],
-            bodies.inverse_inertia[b]};
+            bodies.velocity(a),
+            bodies.velocity(b),
+            bodies.omega(a),
+            bodies.omega(b),
+            bodies.inverse_mass(a),
+            bodies.inverse_mass(b),
+            bodies.inverse_inertia(a),
+            bodies.inverse_inertia(b)};
   }
 
   KFN void give_back(Bodies& bodies) const {
-    bodies.velocity[a] = velocity_a;
-    bodies.omega[a] = omega_a;
-    bodies.velocity[b] = velocity_b;
-    bodies.omega[b] = omega_b;
+    bodies.set_velocity(a, velocity_a);
+    bodies.set_omega(a, omega_a);
+    bodies.set_velocity(b, velocity_b);
+    bodies.set_omega(b, omega_b);
   }
 
   // Velocity of b at the end of its arm, seen from a at the end of its own.

@@ -11,32 +11,32 @@ struct Bounces {
 
   KFN void begin(const Bodies& bodies, Vec2 gravity, real h) {
     most = real(0);
-    for (int k = 0; k < bodies.num_moving; ++k) {
-      int i = bodies.moving[k];
-      Vec2 v = midway(bodies, i, bodies.velocity[i], gravity, h);
-      most += real(0.5) * (Math::inverse_or_zero(bodies.inverse_mass[i]) * v.dot(v) +
-                           Math::inverse_or_zero(bodies.inverse_inertia[i]) * bodies.omega[i] * bodies.omega[i]);
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
+      Vec2 v = midway(bodies, i, bodies.velocity(i), gravity, h);
+      most += real(0.5) * (Math::inverse_or_zero(bodies.inverse_mass(i)) * v.dot(v) +
+                           Math::inverse_or_zero(bodies.inverse_inertia(i)) * bodies.omega(i) * bodies.omega(i));
     }
   }
 
   KFN void keep_velocities(const Bodies& bodies) {
-    for (int k = 0; k < bodies.num_moving; ++k) {
-      int i = bodies.moving[k];
-      velocity[i] = bodies.velocity[i];
-      omega[i] = bodies.omega[i];
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
+      velocity[i] = bodies.velocity(i);
+      omega[i] = bodies.omega(i);
     }
   }
 
   KFN void limit(Bodies& bodies, Vec2 gravity, real h) const {
     // With a share s of the change: before + linear s + quadratic s^2.
     real before = real(0), linear = real(0), quadratic = real(0);
-    for (int k = 0; k < bodies.num_moving; ++k) {
-      int i = bodies.moving[k];
-      real mass = Math::inverse_or_zero(bodies.inverse_mass[i]);
-      real inertia = Math::inverse_or_zero(bodies.inverse_inertia[i]);
-      Vec2 v = midway(bodies, i, velocity[i], gravity, h), dv = bodies.velocity[i] - velocity[i];
-      real dw = bodies.omega[i] - omega[i];
-      before += real(0.5) * (mass * v.dot(v) + inertia * omega[i] * omega[i]) - mass * gravity.dot(bodies.delta[i]);
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
+      real mass = Math::inverse_or_zero(bodies.inverse_mass(i));
+      real inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
+      Vec2 v = midway(bodies, i, velocity[i], gravity, h), dv = bodies.velocity(i) - velocity[i];
+      real dw = bodies.omega(i) - omega[i];
+      before += real(0.5) * (mass * v.dot(v) + inertia * omega[i] * omega[i]) - mass * gravity.dot(bodies.delta(i));
       linear += mass * v.dot(dv) + inertia * omega[i] * dw;
       quadratic += real(0.5) * (mass * dv.dot(dv) + inertia * dw * dw);
     }
@@ -45,15 +45,15 @@ struct Bounces {
     real room = Math::max(most - before, real(0));
     real root = sqrtf(linear * linear + real(4) * quadratic * room);
     real share = quadratic > real(0) ? Math::clamp((root - linear) / (real(2) * quadratic), real(0), real(1)) : real(1);
-    for (int k = 0; k < bodies.num_moving; ++k) {
-      int i = bodies.moving[k];
-      bodies.velocity[i] = velocity[i] + (bodies.velocity[i] - velocity[i]) * share;
-      bodies.omega[i] = omega[i] + (bodies.omega[i] - omega[i]) * share;
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
+      bodies.set_velocity(i, velocity[i] + (bodies.velocity(i) - velocity[i]) * share);
+      bodies.set_omega(i, omega[i] + (bodies.omega(i) - omega[i]) * share);
     }
   }
 
   KFN static Vec2 midway(const Bodies& bodies, int i, Vec2 velocity, Vec2 gravity, real h) {
-    return bodies.inverse_mass[i] > real(0) ? velocity + gravity * (real(0.5) * h) : velocity;
+    return bodies.inverse_mass(i) > real(0) ? velocity + gravity * (real(0.5) * h) : velocity;
   }
 
   // Share of the energy that float32 sums may be wrong by.

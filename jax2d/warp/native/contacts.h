@@ -47,7 +47,7 @@ struct Contacts {
       int a = walk.a, b = Slot::shape(slot_b), slot_a = Slot::of(a);
       Vec2 d = bodies.position[b] - bodies.position[a];
       real margin = Pairs::margin(geometry, a, b, reach, ahead);
-      Manifold m = geometry.collide(a, b, d, bodies.velocity[b] - bodies.velocity[a], bodies.omega[a], margin);
+      Manifold m = geometry.collide(a, b, d, bodies.velocity(b) - bodies.velocity(a), bodies.omega(a), margin);
       if (m.count == 0) continue;
       if (ahead) swinging |= swings(bodies, geometry, a, reach, dt) || swings(bodies, geometry, b, reach, dt);
       real friction = real(0), restitution = real(0);
@@ -104,40 +104,37 @@ struct Contacts {
   // they go farther than was foreseen: every margin has `reach` to spare.
   KFN bool strays(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real left) {
     if (!HAS_CONTINUOUS_COLLISION || NUM_CONTACTS == 0) return false;
-    for (int k = 0; k < bodies.num_moving; ++k) hurried |= geometry.hurries(bodies, bodies.moving[k], reach);
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();)
+      hurried |= geometry.hurries(bodies, each.shape, reach);
     if (!hurried) return false;
     real travel[NUM_SHAPES], most = real(0), second = real(0);
-    unsigned int far_slots[TOUCH_WORDS];  // one body of such a pair goes at least half of `reach` farther
-    for (int word = 0; word < TOUCH_WORDS; ++word) far_slots[word] = 0u;
-    for (int k = 0; k < bodies.num_moving; ++k) {
-      int i = bodies.moving[k], slot = Slot::of(i);
+    unsigned int far_shapes[SHAPE_WORDS];  // one body of such a pair goes at least half of `reach` farther
+    for (int word = 0; word < SHAPE_WORDS; ++word) far_shapes[word] = 0u;
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
       travel[i] = geometry.travel(bodies, i, left);
       real farther = travel[i] - geometry.foreseen[i];
-      if (farther > real(0.5) * reach) far_slots[slot / 32] |= 1u << (slot % 32);
+      if (farther > real(0.5) * reach) far_shapes[i / 32] |= 1u << (i % 32);
       second = Math::max(second, Math::min(farther, most));
       most = Math::max(most, farther);
     }
     if (most + second <= reach) return false;
-    for (int a = 0; a < NUM_SHAPES; ++a) {
-      int slot_a = Slot::of(a);
-      if (!bodies.is_active(a)) continue;
-      bool is_far = (far_slots[slot_a / 32] >> (slot_a % 32) & 1u) != 0u;
-      for (int word = slot_a / 32; word < TOUCH_WORDS; ++word) {
-        if (!is_far && far_slots[word] == 0u) continue;
-        unsigned int partners = (unsigned int)(ints.get(INTS_PARTNERS + slot_a * TOUCH_WORDS + word));
-        if (!is_far) partners &= far_slots[word];
-        for (; partners != 0u; partners &= partners - 1u) {
-          int slot_b = word * 32 + Math::lowest_bit(partners);
-          if (!Slot::in_use(slot_b)) continue;
-          int b = Slot::shape(slot_b);
-          real both = (bodies.is_dynamic(a) ? travel[a] : real(0)) + (bodies.is_dynamic(b) ? travel[b] : real(0));
-          if (both - geometry.foreseen[a] - geometry.foreseen[b] <= reach) continue;
-          Vec2 d = bodies.position[b] - bodies.position[a];
-          if (geometry.bounds_overlap(a, b, d, both) && !has_contact(a, b)) return true;
-        }
+    for (Bodies::Each one = Bodies::Each::of(far_shapes); one.next();) {
+      for (Bodies::Each other = Bodies::Each::of(bodies.present); other.next();) {
+        int a = Math::least(one.shape, other.shape), b = Math::most(one.shape, other.shape);
+        real both = (bodies.is_dynamic(a) ? travel[a] : real(0)) + (bodies.is_dynamic(b) ? travel[b] : real(0));
+        if (both - geometry.foreseen[a] - geometry.foreseen[b] <= reach) continue;
+        Vec2 d = bodies.position[b] - bodies.position[a];
+        if (geometry.bounds_overlap(a, b, d, both) && can_touch(ints, a, b) && !has_contact(a, b)) return true;
       }
     }
     return false;
+  }
+
+  KFN static bool can_touch(const IntColumn& ints, int a, int b) {
+    int slot_a = Slot::of(a), slot_b = Slot::of(b);
+    int partners = ints.get(INTS_PARTNERS + slot_a * TOUCH_WORDS + slot_b / 32);
+    return ((unsigned int)(partners) >> (slot_b % 32) & 1u) != 0u;
   }
 
   KFN bool has_contact(int a, int b) const {
@@ -148,7 +145,7 @@ struct Contacts {
 
   // Contact points and normals of a step hold for small turns only: a rod that spins fast sweeps over what they say.
   KFN static bool swings(const Bodies& bodies, const Geometry& geometry, int i, real reach, real dt) {
-    real turn = bodies.omega[i] * dt;
+    real turn = bodies.omega(i) * dt;
     return (geometry.extent[i] - geometry.core[i]) * turn * turn > reach;
   }
 
@@ -159,8 +156,8 @@ struct Contacts {
 
   KFN static real pair_mass(const Bodies& bodies, const Contact& c, Vec2 direction) {
     real ra = c.arm_a.cross(direction), rb = c.arm_b.cross(direction);
-    return Math::inverse_or_zero(bodies.inverse_mass[c.a] + bodies.inverse_mass[c.b] +
-                                 bodies.inverse_inertia[c.a] * ra * ra + bodies.inverse_inertia[c.b] * rb * rb);
+    return Math::inverse_or_zero(bodies.inverse_mass(c.a) + bodies.inverse_mass(c.b) +
+                                 bodies.inverse_inertia(c.a) * ra * ra + bodies.inverse_inertia(c.b) * rb * rb);
   }
 
   KFN void warm_start(Bodies& bodies) {
@@ -174,8 +171,8 @@ struct Contacts {
 
   KFN static real current_separation(const Bodies& bodies, const Contact& c) {
     // Anchors move and turn with their bodies; the normal stays as it was at the start of the step.
-    Vec2 moved = bodies.delta[c.b] - bodies.delta[c.a];
-    real ta = bodies.turn[c.a], tb = bodies.turn[c.b];
+    Vec2 moved = bodies.delta(c.b) - bodies.delta(c.a);
+    real ta = bodies.turn(c.a), tb = bodies.turn(c.b);
     Vec2 arm_a = c.arm_a.left() * sinf_small(ta) - c.arm_a * one_minus_cos_small(ta);
     Vec2 arm_b = c.arm_b.left() * sinf_small(tb) - c.arm_b * one_minus_cos_small(tb);
     return c.separation + (moved + arm_b - arm_a).dot(c.normal);
@@ -271,8 +268,8 @@ struct Contacts {
   // semi-implicit Euler keeps u^2/2 + a h u/2 + a s (u approach speed, s separation) exactly, so a bounce that
   // leaves from where the body now is with the same value neither gains nor loses energy, wherever in the step it falls.
   KFN static real impact_speed(const Bodies& bodies, const Contact& c, Vec2 gravity, real h) {
-    Vec2 pull = gravity * ((bodies.inverse_mass[c.a] > real(0) ? real(1) : real(0)) -
-                           (bodies.inverse_mass[c.b] > real(0) ? real(1) : real(0)));
+    Vec2 pull = gravity * ((bodies.inverse_mass(c.a) > real(0) ? real(1) : real(0)) -
+                           (bodies.inverse_mass(c.b) > real(0) ? real(1) : real(0)));
     real a = pull.dot(c.normal), u = -c.approach;
     real half = real(0.5) * a * h;
     real fallen = c.separation - current_separation(bodies, c);

@@ -33,7 +33,7 @@ struct Thrusters {
     for (int k = 0; k < count; ++k) {
       int i = body[k];
       Rotation q = bodies.rotation[i];
-      Vec2 at = bodies.velocity[i] + q.apply(local_position[k]).left() * bodies.omega[i];
+      Vec2 at = bodies.velocity(i) + q.apply(local_position[k]).left() * bodies.omega(i);
       sum += Math::max(q.apply(local_force[k]).dot(at) * dt, real(0));
     }
     return sum;

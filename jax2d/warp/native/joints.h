@@ -52,7 +52,7 @@ struct Joints {
         joint.twist = joint.impulse_lower = joint.impulse_upper = real(0);
       }
       joint.axial_mass =
-          Math::inverse_or_zero(bodies.inverse_inertia[joint.a] + bodies.inverse_inertia[joint.b]);
+          Math::inverse_or_zero(bodies.inverse_inertia(joint.a) + bodies.inverse_inertia(joint.b));
     }
   }
 
@@ -113,7 +113,7 @@ struct Joints {
   }
 
   KFN static real current_angle(const Bodies& bodies, const Joint& joint) {
-    return joint.start_angle + bodies.turn[joint.b] - bodies.turn[joint.a];
+    return joint.start_angle + bodies.turn(joint.b) - bodies.turn(joint.a);
   }
 
   // Without `motors` in a bounce: a torque does nothing in an instant.
@@ -149,7 +149,7 @@ struct Joints {
     for (int k = 0; k < count && HAS_MOTORS; ++k) {
       const Joint& joint = list[k];
       if ((joint.flags & JOINT_MOTOR) == 0) continue;
-      work += Math::max(joint.twist * (bodies.omega[joint.b] - bodies.omega[joint.a]), real(0));
+      work += Math::max(joint.twist * (bodies.omega(joint.b) - bodies.omega(joint.a)), real(0));
     }
     return work;
   }
@@ -196,7 +196,7 @@ struct Joints {
     Vec2 wrong = pair.relative(joint.arm_a, joint.arm_b);
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
-      Vec2 gap = joint.centre_gap + (bodies.delta[joint.b] - bodies.delta[joint.a]) + (joint.arm_b - joint.arm_a);
+      Vec2 gap = joint.centre_gap + (bodies.delta(joint.b) - bodies.delta(joint.a)) + (joint.arm_b - joint.arm_a);
       wrong = wrong + no_longer(gap * soft.joint.bias_rate, soft.pull_speed);
       mass_scale = soft.joint.mass_scale;
       impulse_scale = soft.joint.impulse_scale;

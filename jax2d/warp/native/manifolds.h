@@ -82,23 +82,23 @@ struct Geometry {
 
   KFN void foresee(const Bodies& bodies, real seconds) {
     ahead = seconds;
-    for (int k = 0; k < bodies.num_moving; ++k) {
-      int i = bodies.moving[k];
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
       foreseen[i] = travel(bodies, i, seconds);
     }
   }
 
   // A body that never did since `foresee` gets by less than half of `reach` farther. Spares two roots a body.
   KFN bool hurries(const Bodies& bodies, int i, real reach) const {
-    real most = foreseen[i] + real(0.5) * reach - (extent[i] - core[i]) * Math::abs(bodies.omega[i]) * ahead;
-    return most < real(0) || bodies.velocity[i].dot(bodies.velocity[i]) * ahead * ahead > most * most;
+    real most = foreseen[i] + real(0.5) * reach - (extent[i] - core[i]) * Math::abs(bodies.omega(i)) * ahead;
+    return most < real(0) || bodies.velocity(i).dot(bodies.velocity(i)) * ahead * ahead > most * most;
   }
 
   // How far a surface gets by the end of the step, at most: a disc's does not leave its place by turning.
   KFN real travel(const Bodies& bodies, int i, real left) const {
     real arm = extent[i] - core[i];
-    return bodies.delta[i].length() + arm * Math::abs(bodies.turn[i]) +
-           (bodies.velocity[i].length() + arm * Math::abs(bodies.omega[i])) * left;
+    return bodies.delta(i).length() + arm * Math::abs(bodies.turn(i)) +
+           (bodies.velocity(i).length() + arm * Math::abs(bodies.omega(i))) * left;
   }
 
   KFN bool bounds_overlap(int a, int b, Vec2 d, real margin) const {

@@ -18,7 +18,7 @@ struct PaperJoints {
         bool into_limit = beyond * controls.get(joint.index) > real(0);
         if (into_limit) power *= Math::max(real(0), real(1) - fabsf(beyond) / fade);
       }
-      real excess = bodies.omega[joint.b] - bodies.omega[joint.a] - joint.motor_target;
+      real excess = bodies.omega(joint.b) - bodies.omega(joint.a) - joint.motor_target;
       twist[k] = -power * tanhf(excess * params.get(PARAM_MOTOR_DECAY));
     }
     for (int k = 0; k < joints.count; ++k) {
@@ -47,8 +47,8 @@ struct PaperJoints {
     for (int k = 0; k < joints.count; ++k) {
       Joint& joint = joints.list[k];
       int a = joint.a, b = joint.b;
-      Vec2 gap = joint.centre_gap + (bodies.delta[b] - bodies.delta[a]) + (joint.arm_b - joint.arm_a);
-      real ma = bodies.inverse_mass[a], mb = bodies.inverse_mass[b];
+      Vec2 gap = joint.centre_gap + (bodies.delta(b) - bodies.delta(a)) + (joint.arm_b - joint.arm_a);
+      real ma = bodies.inverse_mass(a), mb = bodies.inverse_mass(b);
       // The joint sits between the anchors, nearer to the heavier body's.
       Vec2 at_a = ma == real(0) ? joint.arm_a : joint.arm_a + gap * (ma / (ma + mb));
       Vec2 at_b = ma == real(0) ? joint.arm_b - gap : joint.arm_b - gap * (mb / (ma + mb));
@@ -57,7 +57,7 @@ struct PaperJoints {
       real speed = relative.length();
       Vec2 direction = speed > real(0) ? relative * (real(1) / speed) : Vec2{real(0), real(0)};
       real ca = joint.arm_a.cross(direction), cb = joint.arm_b.cross(direction);
-      real effective = ma + mb + ca * ca * bodies.inverse_inertia[a] + cb * cb * bodies.inverse_inertia[b];
+      real effective = ma + mb + ca * ca * bodies.inverse_inertia(a) + cb * cb * bodies.inverse_inertia(b);
       Vec2 impulse = (relative + gap * params.get(PARAM_JOINT_VELOCITY_CORRECTION)) *
                      (-params.get(PARAM_JOINT_STIFFNESS) * Math::inverse_or_zero(effective));
       pair.push(joint.arm_a, joint.arm_b, impulse);
@@ -67,8 +67,8 @@ struct PaperJoints {
       pair.give_back(bodies);
 
       Vec2 correction = gap * (params.get(PARAM_JOINT_POSITION_CORRECTION) / (ma + mb));
-      bodies.delta[a] = bodies.delta[a] + correction * ma;
-      bodies.delta[b] = bodies.delta[b] - correction * mb;
+      bodies.set_delta(a, bodies.delta(a) + correction * ma);
+      bodies.set_delta(b, bodies.delta(b) - correction * mb);
     }
   }
 

@@ -56,6 +56,8 @@ struct Math {
   static KFN real abs(real v) { return v < real(0) ? -v : v; }
   static KFN real clamp(real v, real lo, real hi) { return v < lo ? lo : (v > hi ? hi : v); }
   static KFN real inverse_or_zero(real v) { return v > real(0) ? real(1) / v : real(0); }
+  static KFN int least(int a, int b) { return a < b ? a : b; }
+  static KFN int most(int a, int b) { return a < b ? b : a; }
   static KFN int lowest_bit(unsigned int word) {
 #if defined(__CUDA_ARCH__)
     return __ffs((int)word) - 1;
@@ -73,6 +75,11 @@ struct Column {
   KFN Vec2 get2(int field) const { return {get(field), get(field + 1)}; }
   KFN void set(int field, real value) const { data[size_t(field) * stride] = value; }
   KFN void set2(int field, Vec2 value) const { set(field, value.x); set(field + 1, value.y); }
+  // Copies what stands elsewhere, if it is elsewhere.
+  KFN void take(const float* from, int fields) const {
+    if (from == data) return;
+    for (int i = 0; i < fields; ++i) set(i, from[size_t(i) * stride]);
+  }
 };
 
 struct IntColumn {
@@ -80,4 +87,8 @@ struct IntColumn {
   size_t stride;
   KFN int get(int field) const { return data[size_t(field) * stride]; }
   KFN void set(int field, int value) const { data[size_t(field) * stride] = value; }
+  KFN void take(const int* from, int fields) const {
+    if (from == data) return;
+    for (int i = 0; i < fields; ++i) set(i, from[size_t(i) * stride]);
+  }
 };
