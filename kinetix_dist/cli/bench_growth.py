@@ -44,9 +44,9 @@ MOMENTS = 16  # of an episode of 512 physics steps
 STEPS_BETWEEN_MOMENTS = 32
 SETTLING_STEPS = 180  # 3 s
 FITTED_FROM_SHAPES = 64  # small heaps have fewer contacts a shape
-WORLDS_CPU = 64  # of the sweep over shapes: a core is as fast with more
-SHAPES_GPU = 2**20  # of all worlds together: 16,384 worlds of 64 shapes, which fill a GPU
-MOST_WORLDS_GPU = 16384
+# Of the sweep over shapes, whatever their number, since a GPU takes longer for each of few worlds. A core is as fast
+# with more.
+WORLDS_CPU, WORLDS_GPU = 64, 8192
 COPIES = {"scene": 1, "controls": 1, "state": 3, "out": 1}  # of tables, while a run makes a state from another
 
 
@@ -115,7 +115,7 @@ def _all_points(args: Args, device: Any) -> Iterator[Record]:
     for name in SCENES:
         microseconds = None  # what a step of fewer shapes took
         for shapes in args.shapes:
-            worlds = WORLDS_CPU if device.platform != "gpu" else min(MOST_WORLDS_GPU, SHAPES_GPU // shapes)
+            worlds = WORLDS_GPU if device.platform == "gpu" else WORLDS_CPU
             with user_errors(ValueError):
                 start = _settled(args, name, shapes)
             for record in _points(
