@@ -41,7 +41,7 @@ import warp as wp
 from jax2d import Controls, Engine, preset
 from jax2d.scene import stack_worlds
 from jax2d.warp.kernel import make_kernel
-from jax2d.warp.source import BLOCK
+from jax2d.warp.source import BLOCK, shared_record
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import load_kinetix
@@ -89,14 +89,15 @@ def tool_output(*command: str) -> str:
     return done.stdout + done.stderr
 
 
-def kernel_of(engine: Engine) -> wp.Kernel:
+def kernel_of(engine: Engine, worlds: int) -> wp.Kernel:
     settings = engine.settings
-    return make_kernel(engine.capacity, settings.solver, settings.friction_mixing, engine.effects)
+    in_shared = shared_record(engine.capacity.shapes, worlds)
+    return make_kernel(engine.capacity, settings.solver, settings.friction_mixing, engine.effects, in_shared)
 
 
-def compile_kernel(engine: Engine, folder: Path) -> tuple[Path, Path, Path]:
-    """(C++ source, machine code, PTX) of an engine's kernel, with line numbers."""
-    kernel = kernel_of(engine)
+def compile_kernel(engine: Engine, worlds: int, folder: Path) -> tuple[Path, Path, Path]:
+    """(C++ source, machine code, PTX) of an engine's kernel for so many worlds, with line numbers."""
+    kernel = kernel_of(engine, worlds)
     kernel.module.options |= {"lineinfo": True, "block_dim": BLOCK}
     for use_ptx in (False, True):
         wp.compile_aot_module(kernel.module, arch=ARCH, module_dir=folder, use_ptx=use_ptx)
@@ -298,7 +299,7 @@ def main() -> None:
         engine = Engine(SIZES[size], settings=preset(args.preset))
         if "code" in chosen:
             with tempfile.TemporaryDirectory() as folder:
-                source, cubin, ptx = compile_kernel(engine, Path(folder))
+                source, cubin, ptx = compile_kernel(engine, args.worlds, Path(folder))
                 instructions = disassemble(source, cubin)
                 results["code"].append(code_record(size, ptx, instructions))
                 results["phases"] += phase_records(size, source, instructions)

@@ -22,7 +22,7 @@ from jax2d.scene import Array, Capacity, Controls, Noted, Scene, State, only_wha
 from jax2d.settings import Settings, softness
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
-from jax2d.warp.source import BLOCK
+from jax2d.warp.source import BLOCK, shared_record
 
 # The kernel's tables of the state, which come after four others.
 STATE_ARGUMENT = 4
@@ -103,8 +103,13 @@ class WarpBackend:
         self.rows = Layout(capacity).rows()
         self.parameters = solver_parameters(settings)
         wp.init()
-        call = _jax_call(capacity, settings.solver, settings.friction_mixing, effects)
-        self._launch = functools.cache(lambda num_steps: _launch(call, self.rows["OUT"]["ROWS"], num_steps))
+
+        def call_for(worlds: int) -> Any:
+            shapes = effects.polygon_slots + effects.circle_slots
+            in_shared = shared_record(shapes, worlds) if jax.default_backend() == "gpu" else 0
+            return _jax_call(capacity, settings.solver, settings.friction_mixing, effects, in_shared)
+
+        self._launch = functools.cache(lambda num_steps: _launch(call_for, self.rows["OUT"]["ROWS"], num_steps))
 
     def pack_scene(self, scene: Scene) -> SceneTables:
         """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
@@ -214,7 +219,7 @@ class WarpBackend:
         return StateTables(bodies=bodies, impulses=impulses, keys=keys), noted
 
 
-def _launch(call: Any, out_rows: int, num_steps: int) -> Callable[..., tuple[Array, ...]]:
+def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Callable[..., tuple[Array, ...]]:
     """(floats, ints, controls, parameters, bodies, impulses, keys) -> (bodies, impulses, keys, out), tables of
     [rows, num_worlds] but for the parameters."""
 
@@ -224,6 +229,7 @@ def _launch(call: Any, out_rows: int, num_steps: int) -> Callable[..., tuple[Arr
         worlds = state[0].shape[1]
         if worlds == 0:  # the kernel cannot be launched for nobody
             return *state, jnp.zeros((out_rows, 0), jnp.int32)
+        call = call_for(worlds)
         # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by what
         # it says instead, equal programs are equal in every process and found in the compile cache.
         call.launch_id = (num_steps << 32) | worlds
@@ -259,8 +265,9 @@ def _launch(call: Any, out_rows: int, num_steps: int) -> Callable[..., tuple[Arr
 
 
 @functools.cache
-def _jax_call(capacity: Capacity, solver: str, friction_mixing: str, effects: Effects) -> Any:
-    call = wp.jax_kernel(make_kernel(capacity, solver, friction_mixing, effects), num_outputs=4, block_dim=BLOCK)
+def _jax_call(capacity: Capacity, solver: str, friction_mixing: str, effects: Effects, in_shared: int) -> Any:
+    kernel = make_kernel(capacity, solver, friction_mixing, effects, in_shared)
+    call = wp.jax_kernel(kernel, num_outputs=4, block_dim=BLOCK)
     # The state is stepped where it stands, which saves a copy in every pass of a loop. XLA does not always keep to it:
     # on a GPU it may let a call write straight into the stacked results of a scan, with other memory for the input. So
     # the kernel takes both, and copies where they differ; with `in_out_argnames` it would read what was never written.

@@ -16,11 +16,13 @@ MODULE_OPTIONS = {"max_unroll": 0, "enable_backward": False}
 
 
 @functools.cache
-def make_kernel(capacity: Capacity, solver: str, friction_mixing: str, effects: Effects) -> wp.Kernel:
+def make_kernel(
+    capacity: Capacity, solver: str, friction_mixing: str, effects: Effects, in_shared: int = 0
+) -> wp.Kernel:
     """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time."""
     settings = Settings(solver=solver, friction_mixing=friction_mixing)  # type: ignore[arg-type]
 
-    @wp.func_native(kernel_source(capacity, settings, effects))
+    @wp.func_native(kernel_source(capacity, settings, effects, in_shared))
     def step_world(
         world: int,
         num_worlds: int,

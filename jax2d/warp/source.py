@@ -37,12 +37,17 @@ SWEEP_ABOVE_SHAPES = 32
 BLOCK = 64
 # Of shared memory for a block: with more, fewer blocks run at a time than registers leave room for.
 SHARED_BYTES = 20480
+# How many numbers of a body a GPU keeps in shared memory (all that solving uses; all but what it has moved), and from
+# how many worlds on that is faster: what is shared is taken from the cache, which few worlds make better use of.
+SHARED_RECORDS = ((8, 65536), (5, 131072))
 
 
-def shared_record(shapes: int) -> int:
-    """How many numbers of a body a GPU keeps in shared memory: all that solving uses, all but its motion since the
-    start of the step, or none."""
-    return next((n for n in (8, 5) if 4 * n * shapes * BLOCK <= SHARED_BYTES), 0)
+def shared_record(shapes: int, worlds: int) -> int:
+    """How many numbers of a body a kernel for so many shapes keeps in a GPU's shared memory."""
+    for numbers, least_worlds in SHARED_RECORDS:
+        if 4 * numbers * shapes * BLOCK <= SHARED_BYTES:
+            return numbers if worlds >= least_worlds else 0
+    return 0
 
 
 @functools.cache
@@ -50,7 +55,7 @@ def _read(name: str) -> str:
     return (Path(__file__).parent / "native" / name).read_text()
 
 
-def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[str, int]:
+def constants(capacity: Capacity, settings: Settings, effects: Effects, in_shared: int) -> dict[str, int]:
     """Everything that is compiled in."""
     polygons, circles = effects.polygon_slots, effects.circle_slots
     if polygons + circles == 0:  # arrays need a length: a shape that is never active
@@ -72,7 +77,7 @@ def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[
         "ALL_SHAPES": int(polygons + circles == capacity.shapes),
         "MAX_VERTICES": capacity.vertices,
         "NUM_CORNERS": max(1, polygons * capacity.vertices),
-        "SHARED_RECORD": shared_record(polygons + circles),
+        "SHARED_RECORD": in_shared,
         "SHAPE_WORDS": -(-(polygons + circles) // 32),
         "BOUNCE_SHAPES": polygons + circles if effects.restitution and settings.solver == "soft_step" else 1,
         "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
@@ -91,9 +96,12 @@ def constants(capacity: Capacity, settings: Settings, effects: Effects) -> dict[
     return values
 
 
-def kernel_source(capacity: Capacity, settings: Settings, effects: Effects) -> str:
-    """Body of the native function; its arguments are named in kernel.py."""
-    enum = ",\n  ".join(f"{name} = {value}" for name, value in constants(capacity, settings, effects).items())
+def kernel_source(capacity: Capacity, settings: Settings, effects: Effects, in_shared: int) -> str:
+    """Body of the native function, with so many numbers of a body in shared memory; its arguments are named in
+    kernel.py."""
+    enum = ",\n  ".join(
+        f"{name} = {value}" for name, value in constants(capacity, settings, effects, in_shared).items()
+    )
     call = """
 size_t stride = size_t(num_worlds);
 Column scene = {scene_table.data + world, stride};

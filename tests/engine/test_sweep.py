@@ -24,7 +24,7 @@ def engine_of(preset_name: str, *, sweeps: bool, effects: Effects | None = None)
     effects = effects or Effects.full(CAPACITY)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(source, "SWEEP_ABOVE_SHAPES", 0 if sweeps else CAPACITY.shapes)
-        assert source.constants(CAPACITY, settings, effects)["SWEEP"] == sweeps
+        assert source.constants(CAPACITY, settings, effects, 0)["SWEEP"] == sweeps
         for cached in (kernel.make_kernel, ffi._jax_call):
             cached.cache_clear()
         engine = Engine(CAPACITY, settings=settings, effects=effects)
