@@ -67,7 +67,7 @@ def _mean_panel(panel: Any, records: Sequence[Record], title: str) -> None:
         zorder=0,
         label=f"Pareto set, slope {steepness:.2f}: twice the time leaves {2**steepness:.2f} of the error",
     )
-    named = {key for key, itself in own.items() if itself}
+    named = {key for key, itself in own.items() if itself and key[2] == "float32"}  # float64 lies beside it
     for peer in PEER_NAMES:  # a peer is named at its first setting
         named |= set([point[:4] for point in points if point.preset == peer][:1])
     dearest = max(point.cost for point in points)
@@ -78,7 +78,7 @@ def _mean_panel(panel: Any, records: Sequence[Record], title: str) -> None:
     panel.set_xlabel("microseconds per simulated world-second (geometric mean over scenes)")
     panel.set_ylabel("error (geometric mean over scenes)")
     panel.grid(True, which="both", alpha=0.2)
-    panel.legend(loc="lower left", fontsize=9)
+    panel.legend(loc="best", fontsize=9)
 
 
 def _name(panel: Any, point: Point, *, in_full: bool, to_the_left: bool) -> None:
