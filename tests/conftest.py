@@ -40,8 +40,14 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # test processes share the GPU
 
 
+# Begun last, one of these would keep one of two processes busy for minutes after the other has nothing left to do.
+LONGEST_FILES = ("test_ray_run.py", "test_reference.py", "test_local_run.py")
+
+
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    place = {name: number for number, name in enumerate(LONGEST_FILES)}
+    items.sort(key=lambda item: place.get(item.path.name, len(place)))
     if _asks_for_gpu_tests(config):
         for item in items:
             if item.get_closest_marker("also_gpu") and not item.get_closest_marker("slow"):
