@@ -71,7 +71,6 @@ def first_part(mini: bool) -> list[Step]:
         tests += [*parallel, "--continue-on-collection-errors", *files_with_gpu_tests()]
     # While tests run nothing is timed: what later steps compile is compiled then.
     warm = {} if mini else {f"compile peer {size}": python(__file__, "--compile-peer", size) for size in PEER_WORLDS}
-    warm |= {} if mini else {f"compile effects {size}": untimed_effects(size) for size in PEER_WORLDS}
 
     def beside(size: str) -> Step:
         worlds, steps = ((4, 8), 2) if mini else (PEER_WORLDS[size], PEER_STEPS)
@@ -99,8 +98,14 @@ def second_part(mini: bool) -> list[Step]:
             "bench/soak.py", "--sizes", size, *amount, "--episodes-a-draw", 8, "--seed", 11, "--json", "{json}"
         )
 
+    def effects(size: str, *amount: Any) -> list[str]:
+        tiny = ("--worlds", 4) if mini else ()
+        return bench(
+            "--effects", "--presets", "standard", "--sizes", size, "--steps", 2 if mini else 32, *tiny, *amount
+        )
+
     # Nor does the soak time anything: the engines of the last steps are compiled beside it.
-    warm = {} if mini else {f"compile effects {size}": untimed_effects(size) for size in sizes}
+    warm = {} if mini else {f"compile effects {size}": effects(size)[:-2] for size in sizes}  # without --json FILE
     accuracy = python("-m", "jax2d.fidelity", "--backends", "warp", "--peers", "--json", "{json}")
     accuracy += ["--worlds", "65536"]
     if mini:
@@ -108,19 +113,8 @@ def second_part(mini: bool) -> list[Step]:
     return [
         Step("soak", {size: soak(size) for size in sizes} | warm, 310),
         Step("accuracy", {"": accuracy}, 420, draws=(".csv", ".png")),
-        *(Step(f"effects, {size.upper()}", {"": effects(size, mini, "--repeats", 15)}, 90) for size in sizes),
+        *(Step(f"effects, {size.upper()}", {"": effects(size, "--repeats", 15)}, 90) for size in sizes),
     ]
-
-
-def effects(size: str, mini: bool, *amount: Any) -> list[str]:
-    tiny = ("--worlds", 4) if mini else ()
-    steps = 2 if mini else 32
-    return bench("--effects", "--presets", "standard", "--sizes", size, "--steps", steps, *tiny, *amount)
-
-
-def untimed_effects(size: str) -> list[str]:
-    """For the compile caches: its figures go nowhere."""
-    return effects(size, mini=False)[:-2]
 
 
 def third_part(mini: bool) -> list[Step]:

@@ -52,14 +52,10 @@ def compile_with(variant: dict[str, Any]) -> None:
         return make_call(*arguments, block_dim=variant.get("block_dim", block_dim), **options)
 
     wp.kernel, wp.jax_kernel = kernel, call
-    if "sweep_above_shapes" in variant:
+    for name in {"sweep_above_shapes", "shared_bytes"} & variant.keys():
         from jax2d.warp import source
 
-        source.SWEEP_ABOVE_SHAPES = variant["sweep_above_shapes"]
-    if "shared_bytes" in variant:
-        from jax2d.warp import source
-
-        source.SHARED_BYTES = variant["shared_bytes"]
+        setattr(source, name.upper(), variant[name])
 
 
 class Bench:

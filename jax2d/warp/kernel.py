@@ -19,7 +19,9 @@ MODULE_OPTIONS = {"max_unroll": 0, "enable_backward": False}
 def make_kernel(
     capacity: Capacity, solver: str, friction_mixing: str, effects: Effects, in_shared: int = 0
 ) -> wp.Kernel:
-    """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time."""
+    """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time.
+
+    `in_shared`: how many numbers of a body a GPU keeps in shared memory, as source.shared_record says."""
     settings = Settings(solver=solver, friction_mixing=friction_mixing)  # type: ignore[arg-type]
 
     @wp.func_native(kernel_source(capacity, settings, effects, in_shared))

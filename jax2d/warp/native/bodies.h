@@ -66,7 +66,7 @@ struct Bodies {
     for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
       int slot = Slot::of(i);
-      if ((active[slot / 32] >> (slot % 32) & 1u) == 0u) {
+      if (!has(active, slot)) {
         at(i, INVERSE_MASS) = at(i, INVERSE_INERTIA) = real(0);
         continue;
       }
@@ -154,8 +154,8 @@ struct Bodies {
   }
 };
 
-// Two bodies held in registers while constraints between them are solved: bodies stand in local memory, where each
-// use of one is a load and each push a store and a wait.
+// Two bodies held in registers while constraints between them are solved: bodies stand in local or shared
+// memory, where each use of one is a load and each push a store and a wait.
 struct Pair {
   int a, b;
   Vec2 velocity_a, velocity_b;
