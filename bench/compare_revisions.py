@@ -35,6 +35,7 @@ import jax
 import numpy as np
 
 from bench.revision_runner import STARTS
+from jax2d.fields import as_dict
 from jax2d.scene import Capacity, stack_worlds
 from kinetix_dist.cli.bench import Args
 from kinetix_dist.cli.bench_engine import level_files, load_levels
@@ -62,18 +63,18 @@ REVISIONS = {
     "afbda07": "pushes and twists written once, in Pair",
     "1a08b34": "bounces in rounds, sub-steps stopped for what strays",
 }
-VARIANTS: dict[str, dict[str, Any]] = {
+VARIANTS: dict[str, dict[str, Any]] = {  # fields of `jax2d.warp.variant.CompileOptions`
     "blocks of 32": {"block_dim": 32},
     "blocks of 128": {"block_dim": 128},
     "no shared memory": {"shared_bytes": 0},
     "all that solving uses of a body in shared memory": {"shared_bytes": 49152},
-    "at most 80 registers": {"kernel": {"cuda_max_registers": 80}},
-    "at most 64 registers": {"kernel": {"cuda_max_registers": 64}},
-    "12 blocks a multiprocessor": {"kernel": {"launch_bounds": [64, 12]}},
-    "16 blocks a multiprocessor": {"kernel": {"launch_bounds": [64, 16]}},
-    "16 blocks, spills in shared memory": {"kernel": {"launch_bounds": [64, 16], "enable_cuda_smem_spilling": True}},
-    "fast_math": {"module": {"fast_math": True}},
-    "no fused multiply-add": {"module": {"fuse_fp": False}},
+    "at most 80 registers": {"max_registers": 80},
+    "at most 64 registers": {"max_registers": 64},
+    "12 blocks a multiprocessor": {"min_blocks": 12},
+    "16 blocks a multiprocessor": {"min_blocks": 16},
+    "16 blocks, spills in shared memory": {"min_blocks": 16, "spills_in_shared": True},
+    "fast_math": {"fast_math": True},
+    "no fused multiply-add": {"fuse_fp": False},
     "sweep at any size": {"sweep_above_shapes": 0},
     "every pair tested": {"sweep_above_shapes": 512},
 }
@@ -148,7 +149,7 @@ def write_worlds(size: str, levels: Path | None, file: Path) -> tuple[Capacity, 
         heaps = [SCENES["heap"](int(size), seed=seed) for seed in range(4)]
         scene = stack_worlds([world.scene for world in heaps])
         starts = [np.stack([getattr(world, name) for world in heaps]) for name in STARTS]
-    fields = {field.name: np.asarray(getattr(scene, field.name)) for field in dataclasses.fields(scene)}
+    fields = {name: np.asarray(values) for name, values in as_dict(scene).items()}
     np.savez(file, **fields, **{name: np.asarray(x) for name, x in zip(STARTS, starts)})
     return capacity, source
 

@@ -41,12 +41,13 @@ import warp as wp
 from jax2d import Controls, Engine, preset
 from jax2d.scene import stack_worlds
 from jax2d.warp.kernel import make_kernel
-from jax2d.warp.source import BLOCK, shared_record
+from jax2d.warp.variant import CompileOptions, KernelVariant
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import load_kinetix
 from kinetix_dist.level.level import SIZES, Level
 
+BLOCK = CompileOptions().block_dim
 ARCH = 90  # H100 and H200
 WARP = 32  # lanes that run in lockstep
 REGISTERS_PER_SM, WARPS_PER_SM, REGISTER_UNIT = 65536, 64, 256  # sm_90; registers are given to a warp in units of 256
@@ -90,9 +91,7 @@ def tool_output(*command: str) -> str:
 
 
 def kernel_of(engine: Engine, worlds: int) -> wp.Kernel:
-    settings = engine.settings
-    in_shared = shared_record(engine.capacity.shapes, worlds)
-    return make_kernel(engine.capacity, settings.solver, settings.friction_mixing, engine.effects, in_shared)
+    return make_kernel(KernelVariant.of(engine.capacity, engine.settings, engine.effects).for_worlds(worlds))
 
 
 def compile_kernel(engine: Engine, worlds: int, folder: Path) -> tuple[Path, Path, Path]:
@@ -239,8 +238,8 @@ def divergence_record(size: str, engine: Engine, levels: Level, runs: int) -> Re
 def grouped(levels: Level) -> Level:
     """The same worlds with those of like work side by side: a warp then waits less for its fullest world."""
     scene = levels.scene
-    shapes, joints = (np.asarray(x).sum(-1) for x in (scene.shape_active, scene.joint_active))
-    pairs = np.asarray(scene.can_touch).sum((-1, -2))
+    shapes, joints = (np.asarray(x).sum(-1) for x in (scene.shapes.active, scene.joints.active))
+    pairs = np.asarray(scene.shapes.can_touch).sum((-1, -2))
     order = np.lexsort((pairs, shapes, joints))
     return jax.tree.map(lambda x: jnp.take(jnp.asarray(x), order, axis=0), levels)
 

@@ -140,7 +140,7 @@ def step(steps: Steps, settings: Settings, dtype: str, start: str) -> State:
 
 def agreement(after: State, steps: Steps, dtype: str, start: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Whether each state agrees, [S], and by how much its fields differ."""
-    apart = differences(after, steps.after[dtype, start], steps.scene.shape_active)
+    apart = differences(after, steps.after[dtype, start], steps.scene.shapes.active)
     return np.all([apart[field] <= most for field, most in TOLERANCE[dtype].items()], axis=0), apart
 
 

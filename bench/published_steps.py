@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from jax2d import Capacity, Controls, Scene, State
-from jax2d.engine import JOINT_IMPULSES
+from jax2d import Capacity, Controls, JointKind, Joints, Scene, Shapes, State, Thrusters
 from jax2d.fidelity.arguments import OneLineParser
+from jax2d.scene import JOINT_IMPULSES
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PROGRAM = CHECKOUT / "bench" / "peers" / "jax2d_published_steps.py"
@@ -89,34 +89,40 @@ def load(file: Path) -> Steps:
         return np.concatenate([d[f"polygon.{name}"], d[f"circle.{name}"]], axis=1)
 
     scene = Scene(
-        shape_active=shapes("active"),
-        inverse_mass=shapes("inverse_mass"),
-        inverse_inertia=shapes("inverse_inertia"),
-        density=np.ones_like(shapes("friction")),
-        friction=shapes("friction"),
-        restitution=shapes("restitution"),
-        vertices=counter_clockwise(d["polygon.vertices"], d["polygon.n_vertices"]),
-        num_vertices=d["polygon.n_vertices"],
-        radius=d["circle.radius"],
-        can_touch=d["can_touch"],
-        joint_active=d["joint.active"],
-        joint_a=d["joint.a_index"],
-        joint_b=d["joint.b_index"],
-        joint_anchor_a=d["joint.a_relative_pos"],
-        joint_anchor_b=d["joint.b_relative_pos"],
-        joint_is_fixed=d["joint.is_fixed_joint"],
-        joint_rest_angle=d["joint.rotation"],
-        motor_on=d["joint.motor_on"],
-        motor_speed=d["joint.motor_speed"],
-        motor_power=d["joint.motor_power"],
-        has_limits=d["joint.motor_has_joint_limits"],
-        lower_limit=d["joint.min_rotation"],
-        upper_limit=d["joint.max_rotation"],
-        thruster_active=d["thruster.active"],
-        thruster_body=d["thruster.object_index"],
-        thruster_position=d["thruster.relative_position"],
-        thruster_angle=d["thruster.rotation"],
-        thruster_power=d["thruster.power"],
+        shapes=Shapes(
+            active=shapes("active"),
+            inverse_mass=shapes("inverse_mass"),
+            inverse_inertia=shapes("inverse_inertia"),
+            density=np.ones_like(shapes("friction")),
+            friction=shapes("friction"),
+            restitution=shapes("restitution"),
+            vertices=counter_clockwise(d["polygon.vertices"], d["polygon.n_vertices"]),
+            num_vertices=d["polygon.n_vertices"],
+            radius=d["circle.radius"],
+            can_touch=d["can_touch"],
+        ),
+        joints=Joints(
+            active=d["joint.active"],
+            a=d["joint.a_index"],
+            b=d["joint.b_index"],
+            anchor_a=d["joint.a_relative_pos"],
+            anchor_b=d["joint.b_relative_pos"],
+            kind=np.where(d["joint.is_fixed_joint"], JointKind.FIXED, JointKind.REVOLUTE).astype(np.int32),
+            rest_angle=d["joint.rotation"],
+            motor_on=d["joint.motor_on"],
+            motor_speed=d["joint.motor_speed"],
+            motor_power=d["joint.motor_power"],
+            has_limits=d["joint.motor_has_joint_limits"],
+            lower_limit=d["joint.min_rotation"],
+            upper_limit=d["joint.max_rotation"],
+        ),
+        thrusters=Thrusters(
+            active=d["thruster.active"],
+            body=d["thruster.object_index"],
+            position=d["thruster.relative_position"],
+            angle=d["thruster.rotation"],
+            power=d["thruster.power"],
+        ),
         gravity=d["gravity"],
     )
     joint_impulse = np.zeros((*d["joint.active"].shape, JOINT_IMPULSES), np.float32)

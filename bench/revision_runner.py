@@ -2,13 +2,7 @@
 
     PYTHONPATH=FOLDER_WITH_JAX2D python bench/revision_runner.py '{"block_dim": 64, ...}'
 
-The argument changes how the kernel is compiled and launched, for variants that are no setting of the engine:
-
-    block_dim           threads a block
-    kernel              options of `warp.kernel`: cuda_max_registers, launch_bounds, enable_cuda_smem_spilling
-    module              options of its module: fast_math, fuse_fp
-    shared_bytes        of a block's bodies in shared memory, at most
-    sweep_above_shapes  from how many shapes on pairs are found by sort and sweep
+The argument holds fields of `jax2d.warp.variant.CompileOptions`, for variants of today's kernel.
 
 Reads one JSON request a line from stdin and answers each with one line on stdout:
 
@@ -18,7 +12,7 @@ Reads one JSON request a line from stdin and answers each with one line on stdou
     {"do": "run"}           -> {"ok": true, "seconds": for N physics steps of W worlds}
 
 A failure answers {"ok": false, "error": one line}. World i plays world i of the file modulo their number. Runs go on
-from where the one before ended; actions are drawn anew for every two steps. On a CPU seconds are processor time. This
+from where the one before ended; new actions are drawn for every two steps. On a CPU seconds are processor time. This
 file uses nothing of the project but the `jax2d` on its path, in ways that every revision since 1df39d4 understands.
 """
 
@@ -40,22 +34,35 @@ FRAME_SKIP = 2  # physics steps that an action is held for
 STARTS = ("position", "angle", "velocity", "angular_velocity")
 
 
-def compile_with(variant: dict[str, Any]) -> None:
-    """Makes the engine ask Warp for a kernel with these options. Before its modules are imported."""
-    make_kernel, make_call = wp.kernel, wp.jax_kernel
+# Names of fields where a scene was flat: revisions before nested scenes.
+FLAT_NAMES = {
+    "shapes.active": "shape_active",
+    **{f"joints.{name}": f"joint_{name}" for name in ("active", "a", "b", "anchor_a", "anchor_b", "rest_angle")},
+    **{f"thrusters.{name}": f"thruster_{name}" for name in ("active", "body", "position", "angle", "power")},
+}
 
-    def kernel(*arguments: Any, module_options: dict[str, Any] | None = None, **options: Any) -> Any:
-        module_options = (module_options or {}) | variant.get("module", {})
-        return make_kernel(*arguments, module_options=module_options, **options, **variant.get("kernel", {}))
 
-    def call(*arguments: Any, block_dim: int, **options: Any) -> Any:
-        return make_call(*arguments, block_dim=variant.get("block_dim", block_dim), **options)
+def scene_of(arrays: dict[str, np.ndarray]) -> Any:
+    """The scene of this revision from arrays by the dotted names of today."""
+    import jax2d
 
-    wp.kernel, wp.jax_kernel = kernel, call
-    for name in {"sweep_above_shapes", "shared_bytes"} & variant.keys():
-        from jax2d.warp import source
+    try:
+        from jax2d.fields import from_dict
+    except ImportError:
+        kind = arrays.pop("joints.kind")
+        flat = {FLAT_NAMES.get(name, name.split(".")[-1]): values for name, values in arrays.items()}
+        return jax2d.Scene(**(flat | {"joint_is_fixed": kind == 1}))
+    return from_dict(jax2d.Scene, arrays)
 
-        setattr(source, name.upper(), variant[name])
+
+def backend_of(options: dict[str, Any]) -> Any:
+    """The kernel compiled with other options; only today's engine has them."""
+    if not options:
+        return "warp"
+    from jax2d.warp.ffi import WarpBackend
+    from jax2d.warp.variant import CompileOptions
+
+    return partial(WarpBackend, options=CompileOptions(**options))
 
 
 class Bench:
@@ -64,11 +71,13 @@ class Bench:
     def __init__(self, worlds: str, capacity: dict[str, int], preset: str, count: int, steps: int, seed: int) -> None:
         import jax2d
 
-        engine = jax2d.Engine(jax2d.Capacity(**capacity), settings=jax2d.preset(preset))
+        options = json.loads(sys.argv[1]) if len(sys.argv) > 1 else {}
+        settings = jax2d.preset(preset)
+        engine = jax2d.Engine(jax2d.Capacity(**capacity), settings=settings, backend=backend_of(options))
         with np.load(worlds) as file:
             fields = dict(file)
         starts = [fields.pop(name) for name in STARTS]
-        scene = jax2d.Scene(**fields)
+        scene = scene_of(fields)
         order = jnp.arange(count) % len(starts[0])
         repeat = partial(jax.tree.map, lambda x: jnp.take(x, order, axis=-1))  # worlds are the last axis of tables
         self._scene = jax.jit(repeat)(engine.pack_scene(scene))
@@ -108,8 +117,6 @@ class Bench:
 
 
 def main() -> None:
-    if len(sys.argv) > 1:
-        compile_with(json.loads(sys.argv[1]))
     bench: Bench | None = None
     for line in sys.stdin:
         request = json.loads(line)

@@ -113,7 +113,9 @@ class Soak:
             earlier = earlier + most  # [GAIN_WINDOW, W]: what each would be now, had nothing been lost since
             gain = jnp.where(finite, (energy_after - jnp.max(earlier, axis=0)) / mass, 0.0)
             earlier = jnp.concatenate([earlier[1:], energy_after[None]])
-            movable = finite[:, None] & (jnp.asarray(scene.inverse_mass) + jnp.asarray(scene.inverse_inertia) > 0)
+            movable = finite[:, None] & (
+                jnp.asarray(scene.shapes.inverse_mass) + jnp.asarray(scene.shapes.inverse_inertia) > 0
+            )
             speed = jnp.linalg.norm(after.velocity, axis=-1)
             noted = (
                 jnp.max(jnp.where(movable, speed, 0.0)),
@@ -147,7 +149,7 @@ class Soak:
 
 
 def _movable_mass(scene: Scene) -> jax.Array:
-    inverse = jnp.where(scene.shape_active, scene.inverse_mass, 0.0)
+    inverse = jnp.where(scene.shapes.active, scene.shapes.inverse_mass, 0.0)
     return jnp.sum(jnp.where(inverse > 0, 1.0 / jnp.where(inverse > 0, inverse, 1.0), 0.0), axis=-1)
 
 

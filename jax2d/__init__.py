@@ -3,7 +3,20 @@
 from jax2d.builder import BuiltWorld, SceneBuilder, SceneError, SceneFullError
 from jax2d.effects import EFFECTS, Effects, EffectTable, MissingEffectError, called_for, effects_of
 from jax2d.engine import Engine
-from jax2d.scene import Capacity, Controls, Scene, State, Touching, index_worlds, stack_worlds, touch_matrix
+from jax2d.scene import (
+    Capacity,
+    Controls,
+    JointKind,
+    Joints,
+    Scene,
+    Shapes,
+    State,
+    Thrusters,
+    Touching,
+    index_worlds,
+    stack_worlds,
+    touch_matrix,
+)
 from jax2d.settings import PRESETS, Settings, preset
 from jax2d.shapes import circle_mass_properties, polygon_mass_properties
 
@@ -16,13 +29,17 @@ __all__ = [
     "EffectTable",
     "Effects",
     "Engine",
+    "JointKind",
+    "Joints",
     "MissingEffectError",
     "Scene",
     "SceneBuilder",
     "SceneError",
     "SceneFullError",
     "Settings",
+    "Shapes",
     "State",
+    "Thrusters",
     "Touching",
     "called_for",
     "circle_mass_properties",

@@ -17,9 +17,11 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
-from jax2d.scene import Capacity, Scene
+from jax2d.fields import empty
+from jax2d.scene import Capacity, JointKind, Scene
 from jax2d.shapes import polygon_integrals
 from jax2d.whole_numbers import whole_number
 
@@ -27,7 +29,6 @@ Point = Sequence[float]
 SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
 SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
 LARGEST = 1e18  # any number given, masses and inertias and their inverses too: the square must fit float32
-NO_LIMIT_RAD = 0.0  # limits of joints without limits are stored as zero and never read
 
 
 class SceneError(ValueError):
@@ -51,7 +52,7 @@ class BuiltWorld(NamedTuple):
 class _Body(NamedTuple):
     """What shapes of both kinds have, checked."""
 
-    scene: dict[str, float]  # fields of Scene
+    shape: dict[str, float]  # fields of `Shapes`
     angle: float
     velocity: list[float]
     angular_velocity: float
@@ -63,44 +64,14 @@ class SceneBuilder:
     def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81)):
         self.capacity = capacity
         self._gravity = np.asarray(_finite("gravity", gravity, 2), np.float32)
-        n, p, j, t = capacity.shapes, capacity.polygons, capacity.joints, capacity.thrusters
-        unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5]], np.float32)
-        padded = np.concatenate([unit, np.repeat(unit[-1:], capacity.vertices - 3, 0)])
+        n = capacity.shapes
         self._polygons = self._circles = self._joints = self._thrusters = 0
         self._apart: set[tuple[int, int]] = set()
         self._position = np.zeros((n, 2), np.float32)
         self._angle = np.zeros(n, np.float32)
         self._velocity = np.zeros((n, 2), np.float32)
         self._angular_velocity = np.zeros(n, np.float32)
-        self._scene = {
-            "shape_active": np.zeros(n, bool),
-            "inverse_mass": np.zeros(n, np.float32),
-            "inverse_inertia": np.zeros(n, np.float32),
-            "density": np.ones(n, np.float32),
-            "friction": np.zeros(n, np.float32),
-            "restitution": np.zeros(n, np.float32),
-            "vertices": np.tile(padded, (p, 1, 1)).astype(np.float32),
-            "num_vertices": np.full(p, 3, np.int32),
-            "radius": np.full(capacity.circles, 0.5, np.float32),
-            "joint_active": np.zeros(j, bool),
-            "joint_a": np.zeros(j, np.int32),
-            "joint_b": np.zeros(j, np.int32),
-            "joint_anchor_a": np.zeros((j, 2), np.float32),
-            "joint_anchor_b": np.zeros((j, 2), np.float32),
-            "joint_is_fixed": np.zeros(j, bool),
-            "joint_rest_angle": np.zeros(j, np.float32),
-            "motor_on": np.zeros(j, bool),
-            "motor_speed": np.zeros(j, np.float32),
-            "motor_power": np.zeros(j, np.float32),
-            "has_limits": np.zeros(j, bool),
-            "lower_limit": np.full(j, NO_LIMIT_RAD, np.float32),
-            "upper_limit": np.full(j, NO_LIMIT_RAD, np.float32),
-            "thruster_active": np.zeros(t, bool),
-            "thruster_body": np.zeros(t, np.int32),
-            "thruster_position": np.zeros((t, 2), np.float32),
-            "thruster_angle": np.zeros(t, np.float32),
-            "thruster_power": np.zeros(t, np.float32),
-        }
+        self._scene = empty(Scene, capacity.sizes)
 
     # Shapes
 
@@ -126,8 +97,8 @@ class SceneBuilder:
         index = self._take("polygons", self._polygons)
         self._polygons += 1
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
-        self._scene["vertices"][index] = padded - centroid
-        self._scene["num_vertices"][index] = len(corners)
+        self._scene.shapes.vertices[index] = padded - centroid
+        self._scene.shapes.num_vertices[index] = len(corners)
         self._set_shape(index, at, body)  # the given velocity is that of the centre of mass
         return index
 
@@ -159,7 +130,7 @@ class SceneBuilder:
         at = np.asarray(_finite("position", position, 2))
         slot = self._take("circles", self._circles)
         self._circles += 1
-        self._scene["radius"][slot] = radius
+        self._scene.shapes.radius[slot] = radius
         index = self.capacity.polygons + slot
         self._set_shape(index, at, body)
         return index
@@ -204,7 +175,7 @@ class SceneBuilder:
 
     def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
         """Welds a and b together as they stand."""
-        return self._add_joint(a, b, at, {"joint_is_fixed": True})
+        return self._add_joint(a, b, at, {"kind": JointKind.FIXED})
 
     def add_thruster(self, body: int, *, at: Point, angle: float, power: float = 1.0) -> int:
         """A thruster at the world point `at` that pushes its body towards the world angle `angle`."""
@@ -215,29 +186,23 @@ class SceneBuilder:
         local_angle, power = _number("angle", angle) - self._angle[body], _positive("power", power)
         index = self._take("thrusters", self._thrusters)
         self._thrusters += 1
-        self._scene["thruster_active"][index] = True
-        self._scene["thruster_body"][index] = body
-        self._scene["thruster_position"][index] = position
-        self._scene["thruster_angle"][index] = local_angle
-        self._scene["thruster_power"][index] = power
+        thrusters = self._scene.thrusters
+        thrusters.active[index] = True
+        thrusters.body[index] = body
+        thrusters.position[index] = position
+        thrusters.angle[index] = local_angle
+        thrusters.power[index] = power
         return index
 
     def build(self) -> BuiltWorld:
         """The scene and how it starts. The builder can be added to and built again."""
         n = self.capacity.shapes
         can_touch = ~np.eye(n, dtype=bool)
-        joined = [
-            (int(a), int(b))
-            for a, b, active in zip(
-                self._scene["joint_a"], self._scene["joint_b"], self._scene["joint_active"], strict=True
-            )
-            if active
-        ]
+        joints = self._scene.joints
+        joined = list(zip(joints.a[joints.active], joints.b[joints.active], strict=True))
         for a, b in [*joined, *self._apart]:
             can_touch[a, b] = can_touch[b, a] = False
-        scene = Scene(
-            **{name: value.copy() for name, value in self._scene.items()}, can_touch=can_touch, gravity=self._gravity
-        )
+        scene = jax.tree.map(np.copy, self._scene).replace(shapes={"can_touch": can_touch}, gravity=self._gravity)
         starts = (self._position, self._angle, self._velocity, self._angular_velocity)
         return BuiltWorld(scene, *(x.copy() for x in starts))
 
@@ -250,9 +215,10 @@ class SceneBuilder:
         return used
 
     def _set_shape(self, index: int, position: np.ndarray, body: _Body) -> None:
-        self._scene["shape_active"][index] = True
-        for name, value in body.scene.items():
-            self._scene[name][index] = value
+        shapes = self._scene.shapes
+        shapes.active[index] = True
+        for name, value in body.shape.items():
+            getattr(shapes, name)[index] = value
         self._position[index] = position
         self._angle[index] = body.angle
         self._velocity[index] = body.velocity
@@ -267,21 +233,22 @@ class SceneBuilder:
         anchors = self._to_local(a, at), self._to_local(b, at)
         index = self._take("joints", self._joints)
         self._joints += 1
-        self._scene["joint_active"][index] = True
-        self._scene["joint_a"][index], self._scene["joint_b"][index] = a, b
-        self._scene["joint_anchor_a"][index], self._scene["joint_anchor_b"][index] = anchors
-        self._scene["joint_rest_angle"][index] = self._angle[b] - self._angle[a]
+        joints = self._scene.joints
+        joints.active[index] = True
+        joints.a[index], joints.b[index] = a, b
+        joints.anchor_a[index], joints.anchor_b[index] = anchors
+        joints.rest_angle[index] = self._angle[b] - self._angle[a]
         for name, value in values.items():
-            self._scene[name][index] = value
+            getattr(joints, name)[index] = value
         return index
 
     def _is_fixed(self, shape: int) -> bool:
-        return self._scene["inverse_mass"][shape] == 0
+        return self._scene.shapes.inverse_mass[shape] == 0
 
     def _shape(self, name: str, index: int) -> int:
         try:
             number = whole_number(name, index)
-            if 0 <= number < self.capacity.shapes and self._scene["shape_active"][number]:
+            if 0 <= number < self.capacity.shapes and self._scene.shapes.active[number]:
                 return number
         except ValueError:
             pass
@@ -320,17 +287,17 @@ def _body(
             f"the shape has a mass of {mass:g} kg and an inertia of {inertia:g} kg m^2; both must be from "
             f"{1 / LARGEST:g} to {LARGEST:g}: change its size or density"
         )
-    scene = {
+    shape = {
         "inverse_mass": 0.0 if fixed else 1.0 / mass,
         "inverse_inertia": 0.0 if fixed else 1.0 / inertia,
         "density": density,
         "friction": friction,
         "restitution": restitution,
     }
-    return _Body(scene, _number("angle", angle), speed, spin)
+    return _Body(shape, _number("angle", angle), speed, spin)
 
 
-def check_polygon(vertices: Sequence[Point], most: int) -> np.ndarray:
+def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
     """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
     try:
         corners = np.asarray(vertices, np.float64)
@@ -340,9 +307,10 @@ def check_polygon(vertices: Sequence[Point], most: int) -> np.ndarray:
         raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
     if not (np.abs(corners) <= LARGEST).all():
         raise SceneError(f"vertices hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
-    if not 3 <= len(corners) <= most:
+    if not 3 <= len(corners) <= max_vertices:
         raise SceneError(
-            f"{len(corners)} vertices; this capacity takes 3 to {most}, so split the shape or raise Capacity.vertices"
+            f"{len(corners)} vertices; this capacity takes 3 to {max_vertices}, so split the shape or raise "
+            "Capacity.vertices"
         )
     edges = np.roll(corners, -1, 0) - corners
     lengths = np.hypot(edges[:, 0], edges[:, 1])

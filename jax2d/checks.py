@@ -1,98 +1,51 @@
-"""What an engine takes: shapes, kinds and values of scenes, states and controls. One line an error.
+"""What an engine takes: shapes, types and values of scenes, states and controls. One line an error.
 
-Shapes and kinds are checked always; values only where they are known, that is outside of jit.
+Shapes and types are checked always; values only where they are known, that is outside of jit. What is checked follows
+from the declarations of the fields (`scene.py`, `scene_rules.py`).
 """
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity, Controls, Scene, State
+from jax2d.fields import Array, Field, fields_of, make, tree_like
+from jax2d.scene import Capacity, Controls, Scene, State
 from jax2d.scene_rules import SCENE_RULES
 
-# Dimensions by letter, as in the comments of `scene.Scene`; F floating, I integer, B bool.
-SCENE_FIELDS = {
-    "shape_active": "B n",
-    "inverse_mass": "F n",
-    "inverse_inertia": "F n",
-    "density": "F n",
-    "friction": "F n",
-    "restitution": "F n",
-    "vertices": "F P V 2",
-    "num_vertices": "I P",
-    "radius": "F C",
-    "can_touch": "B n n",
-    "joint_active": "B J",
-    "joint_a": "I J",
-    "joint_b": "I J",
-    "joint_anchor_a": "F J 2",
-    "joint_anchor_b": "F J 2",
-    "joint_is_fixed": "B J",
-    "joint_rest_angle": "F J",
-    "motor_on": "B J",
-    "motor_speed": "F J",
-    "motor_power": "F J",
-    "has_limits": "B J",
-    "lower_limit": "F J",
-    "upper_limit": "F J",
-    "thruster_active": "B T",
-    "thruster_body": "I T",
-    "thruster_position": "F T 2",
-    "thruster_angle": "F T",
-    "thruster_power": "F T",
-    "gravity": "F 2",
-}
-STATE_FIELDS = {
-    "position": "F n 2",
-    "angle": "F n",
-    "velocity": "F n 2",
-    "angular_velocity": "F n",
-    "joint_impulse": "F J 5",
-    "contact_key": "I K",
-    "contact_impulse": "F K 2",
-}
-CONTROL_FIELDS = {"motor": "F J", "thruster": "F T"}
-_FIELDS = {Scene: SCENE_FIELDS, State: STATE_FIELDS, Controls: CONTROL_FIELDS}
-CONTROL_RANGES = {"motor": (-1.0, 1.0), "thruster": (0.0, 1.0)}
-
-_KINDS = {"F": ("floating-point", np.floating), "I": ("integer", np.integer), "B": ("bool", np.bool_)}
+_RECORDS = {"scene": Scene, "state": State, "controls": Controls}
+_KINDS = {float: ("floating-point", np.floating), int: ("integer", np.integer), bool: ("bool", np.bool_)}
 
 
 def check_scene(scene: Scene, capacity: Capacity, dtype: np.dtype, *, batch: tuple[int, ...]) -> None:
     check_layout("scene", scene, capacity, dtype, batch)
-    for name, declared in SCENE_FIELDS.items():
-        if declared.startswith("F"):
-            _check_finite(f"scene.{name}", getattr(scene, name))
-    for fields, holds, must in SCENE_RULES:
-        given = [getattr(scene, name) for name in fields]
-        if all(map(is_known, given)) and not (fine := holds(*map(np.asarray, given))).all():
+    _check_finite("scene", scene)
+    for rule in SCENE_RULES:
+        given = [field.get(scene) for field in rule.fields]
+        if all(map(is_known, given)) and not (fine := rule.holds(*map(np.asarray, given))).all():
             value = np.asarray(given[0])[~fine][0].tolist()
-            raise ValueError(f"scene.{fields[0]}{_first(~fine)} is {value}; it must {must}")
+            raise ValueError(f"scene.{rule.fields[0].name}{_first(~fine)} is {value}; it must {rule.must}")
 
 
 def check_state(state: State, capacity: Capacity, dtype: np.dtype, *, batch: tuple[int, ...]) -> None:
     check_layout("state", state, capacity, dtype, batch)
-    for name, declared in STATE_FIELDS.items():
-        if declared.startswith("F") and name != "contact_impulse":
-            _check_finite(f"state.{name}", getattr(state, name))
-    if is_known(state.contact_key):  # slots without a key are never read
-        _check_finite("state.contact_impulse", state.contact_impulse, np.asarray(state.contact_key)[..., None] >= 0)
+    in_use = np.asarray(state.contact_key)[..., None] >= 0 if is_known(state.contact_key) else None
+    _check_finite("state", state, {"contact_impulse": in_use})  # slots without a key are never read
 
 
 def check_controls(controls: Controls, capacity: Capacity, dtype: np.dtype, *, batch: tuple[int, ...]) -> None:
     check_layout("controls", controls, capacity, dtype, batch)
-    for name, (low, high) in CONTROL_RANGES.items():
-        if is_known(values := getattr(controls, name)):
-            outside = ~((np.asarray(values) >= low) & (np.asarray(values) <= high))
+    for field in fields_of(Controls):
+        if is_known(values := field.get(controls)):
+            outside = ~_in_range(field, np.asarray(values))
             if outside.any():
                 raise ValueError(
-                    f"controls.{name}{_first(outside)} is {np.asarray(values)[outside][0]}; it must be from {low:g} to "
-                    f"{high:g} (inside jit it is clamped and counted in Touching.invalid_controls)"
+                    f"controls.{field.name}{_first(outside)} is {np.asarray(values)[outside][0]}; it must be from "
+                    f"{field.at_least:g} to {field.at_most:g} (inside jit it is clamped and counted in "
+                    "Touching.invalid_controls)"
                 )
 
 
@@ -136,26 +89,22 @@ def check_packed(name: str, tables: Any, expected: Any, num_worlds: int) -> None
             )
 
 
-def like(tree: type, capacity: Capacity, dtype: np.dtype, num_worlds: int) -> Any:
-    """A batch of Scene or State as shapes and kinds alone."""
-    sizes, kinds = _sizes(capacity), {"F": dtype, "I": np.int32, "B": np.bool_}
-    fields = {name: declared.split() for name, declared in _FIELDS[tree].items()}
-    return tree(
-        **{
-            name: jax.ShapeDtypeStruct((num_worlds, *(sizes[letter] for letter in dimensions)), kinds[kind])
-            for name, (kind, *dimensions) in fields.items()
-        }
-    )
+def like(kind: type, capacity: Capacity, dtype: np.dtype, num_worlds: int) -> Any:
+    """A batch of Scene or State as shapes and types alone."""
+    return tree_like(kind, capacity.sizes, dtype, (num_worlds,))
 
 
 def clamped_controls(controls: Controls) -> tuple[Controls, jax.Array]:
     """Controls within their ranges, NaN as 0, and how many were not, [W] int32."""
-    clamped, invalid = {}, []
-    for name, (low, high) in CONTROL_RANGES.items():
-        values = jnp.asarray(getattr(controls, name))
-        clamped[name] = jnp.where(jnp.isnan(values), 0, jnp.clip(values, low, high))
-        invalid.append(jnp.sum(~((values >= low) & (values <= high)), axis=-1, dtype=jnp.int32))
-    return Controls(**clamped), sum(invalid[1:], invalid[0])
+    invalid = []
+
+    def clamped(field: Field) -> jax.Array:
+        values = jnp.asarray(field.get(controls))
+        invalid.append(jnp.sum(~_in_range(field, values), axis=-1, dtype=jnp.int32))
+        return jnp.where(jnp.isnan(values), 0, jnp.clip(values, field.at_least, field.at_most))
+
+    within = make(Controls, clamped)
+    return within, sum(invalid[1:], invalid[0])
 
 
 def is_known(x: Array) -> bool:
@@ -164,44 +113,36 @@ def is_known(x: Array) -> bool:
 
 def check_layout(of: str, tree: Any, capacity: Capacity, dtype: np.dtype, batch: tuple[int, ...]) -> None:
     """Types, shapes and kinds, which are known inside jit too."""
-    check_type(of, tree, {"scene": Scene, "state": State, "controls": Controls}[of])
-    fields, sizes = _FIELDS[type(tree)], _sizes(capacity)
-    assert set(fields) == {field.name for field in dataclasses.fields(tree)}
-    for name, declared in fields.items():
-        kind, *dimensions = declared.split()
-        x = getattr(tree, name)
+    check_type(of, tree, _RECORDS[of])
+    for field in fields_of(_RECORDS[of]):
+        name, x = f"{of}.{field.name}", field.get(tree)
         if not hasattr(x, "dtype"):
-            raise TypeError(f"{of}.{name} is of type {type(x).__name__}; it must be a numpy or JAX array")
-        shape = (*batch, *(sizes[letter] for letter in dimensions))
+            raise TypeError(f"{name} is of type {type(x).__name__}; it must be a numpy or JAX array")
+        shape = (*batch, *field.shape(capacity.sizes))
         if x.shape != shape:
-            raise ValueError(f"{of}.{name} has shape {x.shape}; this engine ({capacity}) needs {shape}")
-        known_as, of_kind = _KINDS[kind]
+            raise ValueError(f"{name} has shape {x.shape}; this engine ({capacity}) needs {shape}")
+        known_as, of_kind = _KINDS[field.kind]
         if not jnp.issubdtype(x.dtype, of_kind):
-            raise ValueError(f"{of}.{name} is {x.dtype}; it must be {known_as}")
-        if kind == "F" and x.dtype.itemsize > dtype.itemsize:
+            raise ValueError(f"{name} is {x.dtype}; it must be {known_as}")
+        if field.kind is float and x.dtype.itemsize > dtype.itemsize:
             raise ValueError(
-                f"{of}.{name} is {x.dtype}, but this engine computes in {dtype}; cast it, or build the engine with "
+                f"{name} is {x.dtype}, but this engine computes in {dtype}; cast it, or build the engine with "
                 f"backend='xla', dtype={x.dtype}"
             )
 
 
-def _sizes(capacity: Capacity) -> dict[str, int]:
-    return {
-        "n": capacity.shapes,
-        "P": capacity.polygons,
-        "V": capacity.vertices,
-        "C": capacity.circles,
-        "J": capacity.joints,
-        "T": capacity.thrusters,
-        "K": capacity.contact_slots,
-        "2": 2,
-        "5": 5,
-    }
+def _in_range(field: Field, values: Array) -> Array:
+    """NaN is not."""
+    return (values >= field.at_least) & (values <= field.at_most)
 
 
-def _check_finite(name: str, x: Array, where: Any = True) -> None:
-    if is_known(x) and (wrong := ~np.isfinite(x) & where).any():
-        raise ValueError(f"{name}{_first(wrong)} is {np.asarray(x)[wrong][0]}; it must be finite")
+def _check_finite(of: str, tree: Any, where: dict[str, Any] | None = None) -> None:
+    """Every float of a record, or those that `where` marks for some fields (None: unknown, not checked)."""
+    marked = where or {}
+    for field in fields_of(_RECORDS[of]):
+        x, mask = field.get(tree), marked.get(field.name, True)
+        if field.kind is float and mask is not None and is_known(x) and (wrong := ~np.isfinite(x) & mask).any():
+            raise ValueError(f"{of}.{field.name}{_first(wrong)} is {np.asarray(x)[wrong][0]}; it must be finite")
 
 
 def _first(mask: np.ndarray) -> str:

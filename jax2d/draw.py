@@ -18,9 +18,10 @@ import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
-from jax2d.scene import Scene
+from jax2d.scene import JointKind, Scene
 
 Colour = tuple[int, int, int]
 Box = tuple[float, float, float, float]  # lowest x, lowest y, highest x, highest y, in m
@@ -46,14 +47,14 @@ JOINT_RADIUS_M = 0.06
 
 def shape_colours(scene: Scene, roles: Any = None, palette: Sequence[Colour] = ROLE_PALETTE) -> np.ndarray:
     """Colour of every shape: that of its role, darker when the shape is fixed. [n, 3] uint8."""
-    num_shapes = np.asarray(scene.shape_active).shape[0]
+    num_shapes = np.asarray(scene.shapes.active).shape[0]
     roles = np.zeros(num_shapes, int) if roles is None else np.asarray(roles).astype(int)
     if roles.shape != (num_shapes,) or roles.min() < 0 or roles.max() >= len(palette):
         raise ValueError(
             f"roles has shape {roles.shape} and values {roles.min()}..{roles.max()}; "
             f"give one role in 0..{len(palette) - 1} for each of the {num_shapes} shapes"
         )
-    is_fixed = np.asarray(scene.inverse_mass) == 0
+    is_fixed = np.asarray(scene.shapes.inverse_mass) == 0
     shade = np.where(is_fixed, FIXED_SHADE, 1.0)[:, None]
     return (np.asarray(palette, float)[roles] * shade).astype(np.uint8)
 
@@ -67,8 +68,8 @@ def rotate(vector: np.ndarray, angle: Any) -> np.ndarray:
 
 def joint_positions(scene: Scene, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Where each joint holds its body a, world frame. position [..., n, 2], angle [..., n] -> [..., J, 2] m."""
-    body = np.asarray(scene.joint_a)
-    return position[..., body, :] + rotate(np.asarray(scene.joint_anchor_a), angle[..., body])
+    body = np.asarray(scene.joints.a)
+    return position[..., body, :] + rotate(np.asarray(scene.joints.anchor_a), angle[..., body])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,20 +193,19 @@ def draw(
 
 
 def _as_numpy(scene: Scene) -> Scene:
-    fields = {f.name: np.asarray(getattr(scene, f.name)) for f in dataclasses.fields(scene)}
-    return dataclasses.replace(scene, **fields)
+    return jax.tree.map(np.asarray, scene)
 
 
 def _draw_shapes(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray, colours: np.ndarray) -> None:
-    num_polygons = scene.vertices.shape[0]
+    num_polygons = scene.shapes.vertices.shape[0]
     # Fixed shapes first: what moves stays visible where a wall and a body overlap.
-    for i in sorted(np.flatnonzero(scene.shape_active), key=lambda i: scene.inverse_mass[i] > 0):
+    for i in sorted(np.flatnonzero(scene.shapes.active), key=lambda i: scene.shapes.inverse_mass[i] > 0):
         outline = colours[i] * OUTLINE_SHADE
         if i < num_polygons:
-            body = scene.vertices[i, : scene.num_vertices[i]]
+            body = scene.shapes.vertices[i, : scene.shapes.num_vertices[i]]
             canvas.polygon(position[i] + rotate(body, angle[i]), colours[i], outline=outline)
         else:
-            radius = float(scene.radius[i - num_polygons])
+            radius = float(scene.shapes.radius[i - num_polygons])
             canvas.disc(position[i], radius, colours[i], outline=outline)
             rim = position[i] + rotate(np.array([radius * 0.9, 0.0]), angle[i])
             canvas.line(position[i], rim, outline, 1.6)  # a spoke: how far it has rolled
@@ -213,7 +213,7 @@ def _draw_shapes(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.
 
 def thruster_outline(scene: Scene, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Nozzle [3, 2] and flame [3, 2] of thruster k in the frame of its body, m: the push is from base to tip."""
-    at, angle = np.asarray(scene.thruster_position, float)[k], float(np.asarray(scene.thruster_angle)[k])
+    at, angle = np.asarray(scene.thrusters.position, float)[k], float(np.asarray(scene.thrusters.angle)[k])
     half = 0.35 * THRUSTER_LENGTH_M
     nozzle = np.array([[0.0, -half], [THRUSTER_LENGTH_M, 0.0], [0.0, half]])
     flame = np.array([[0.0, half], [-1.7 * THRUSTER_LENGTH_M, 0.0], [0.0, -half]])
@@ -221,8 +221,8 @@ def thruster_outline(scene: Scene, k: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _draw_thrusters(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray, thrust: Any) -> None:
-    for k in np.flatnonzero(scene.thruster_active):
-        body = scene.thruster_body[k]
+    for k in np.flatnonzero(scene.thrusters.active):
+        body = scene.thrusters.body[k]
         nozzle, flame = (position[body] + rotate(part, angle[body]) for part in thruster_outline(scene, k))
         fire = 0.0 if thrust is None else float(np.asarray(thrust)[k])
         if fire > 0:
@@ -234,14 +234,14 @@ def _draw_thrusters(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: 
 
 def _draw_joints(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray) -> None:
     places = joint_positions(scene, position, angle)
-    for k in np.flatnonzero(scene.joint_active):
-        if scene.joint_is_fixed[k]:  # a weld: a small cross
+    for k in np.flatnonzero(scene.joints.active):
+        if scene.joints.is_kind(JointKind.FIXED)[k]:  # a weld: a small cross
             for turn in (0.25 * np.pi, 0.75 * np.pi):
                 arm = rotate(np.array([JOINT_RADIUS_M, 0.0]), turn)
                 canvas.line(places[k] - arm, places[k] + arm, INK, 2.4)
         else:  # a hinge: a disc, coloured at the middle when a motor drives it
             canvas.disc(places[k], JOINT_RADIUS_M, (255, 255, 255), outline=INK)
-            if scene.motor_on[k]:
+            if scene.joints.motor_on[k]:
                 canvas.disc(places[k], JOINT_RADIUS_M * 0.5, MOTOR_PALETTE[0])
 
 

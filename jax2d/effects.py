@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity, Scene, only_what_acts
+from jax2d.fields import Array
+from jax2d.scene import Capacity, JointKind, Scene, capacity_of, only_what_acts
 
 # Bit i of `Touching.missing` is EFFECTS[i], bit len(EFFECTS) + j is a slot of SLOTS[j] beyond those compiled for.
 EFFECTS = (
@@ -131,40 +132,35 @@ def called_for(scenes: Scene) -> EffectTable:
     """What each scene calls for; batched as the scenes are. May say too much (friction of a shape that is never
     touched), never too little."""
     scenes = only_what_acts(scenes)
-    polygons, circles = scenes.vertices.shape[-3], scenes.radius.shape[-1]
-    capacity = Capacity(
-        polygons=polygons,
-        circles=circles,
-        joints=scenes.joint_a.shape[-1],
-        thrusters=scenes.thruster_body.shape[-1],
-        vertices=scenes.vertices.shape[-2],
-    )
-    meets = scenes.can_touch  # each pair once
+    capacity = capacity_of(scenes)
+    polygons = capacity.polygons
+    meets = scenes.shapes.can_touch  # each pair once
     between = {
         "polygon_pairs": meets[..., :polygons, :polygons],
         "polygon_circle_pairs": meets[..., :polygons, polygons:],
         "circle_pairs": meets[..., polygons:, polygons:],
     }
-    revolute = jnp.asarray(scenes.joint_active) & ~jnp.asarray(scenes.joint_is_fixed)
+    active_joints = jnp.asarray(scenes.joints.active)
+    has_kind = {kind: active_joints & scenes.joints.is_kind(kind) for kind in JointKind}
+    is_driven = active_joints & ~has_kind[JointKind.FIXED]
     flags: dict[str, Array] = {name: pairs.any((-2, -1)) for name, pairs in between.items()}
-    flags["friction"] = (meets & _of_pair(jnp.logical_or, scenes.friction)).any((-2, -1))
-    flags["restitution"] = (meets & _of_pair(jnp.logical_and, scenes.restitution)).any((-2, -1))
+    flags["friction"] = (meets & _of_pair(jnp.logical_or, scenes.shapes.friction)).any((-2, -1))
+    flags["restitution"] = (meets & _of_pair(jnp.logical_and, scenes.shapes.restitution)).any((-2, -1))
     flags["continuous_collision"] = meets.any((-2, -1))
-    flags["revolute_joints"] = revolute.any(-1)
-    flags["fixed_joints"] = (jnp.asarray(scenes.joint_active) & scenes.joint_is_fixed).any(-1)
-    flags["joint_limits"] = (revolute & scenes.has_limits).any(-1)
-    flags["motors"] = (revolute & scenes.motor_on).any(-1)
-    flags["thrusters"] = jnp.asarray(scenes.thruster_active).any(-1)
+    flags |= {f"{kind.name.lower()}_joints": joints.any(-1) for kind, joints in has_kind.items()}
+    flags["joint_limits"] = (is_driven & scenes.joints.has_limits).any(-1)
+    flags["motors"] = (is_driven & scenes.joints.motor_on).any(-1)
+    flags["thrusters"] = jnp.asarray(scenes.thrusters.active).any(-1)
     has_gravity = (jnp.asarray(scenes.gravity) != 0).any(-1)
-    flags["gravity"] = has_gravity & (scenes.inverse_mass > 0).any(-1)
+    flags["gravity"] = has_gravity & (scenes.shapes.inverse_mass > 0).any(-1)
 
     points = {name: pairs.sum((-2, -1), dtype=jnp.int32) for name, pairs in between.items()}
     contacts = 2 * points["polygon_pairs"] + points["polygon_circle_pairs"] + points["circle_pairs"]
     slots = {
-        "polygon_slots": _slots_in_use(scenes.shape_active[..., :polygons]),
-        "circle_slots": _slots_in_use(scenes.shape_active[..., polygons:]),
-        "joint_slots": _slots_in_use(scenes.joint_active),
-        "thruster_slots": _slots_in_use(scenes.thruster_active),
+        "polygon_slots": _slots_in_use(scenes.shapes.active[..., :polygons]),
+        "circle_slots": _slots_in_use(scenes.shapes.active[..., polygons:]),
+        "joint_slots": _slots_in_use(scenes.joints.active),
+        "thruster_slots": _slots_in_use(scenes.thrusters.active),
         "contact_slots": jnp.minimum(contacts, capacity.contact_slots),
     }
     return EffectTable(

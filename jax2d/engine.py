@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d.backend import Backend, BackendFactory
 from jax2d.checks import (
     check_batches,
     check_controls,
@@ -33,34 +34,27 @@ from jax2d.checks import (
     like,
 )
 from jax2d.effects import Effects, MissingEffectError, called_for, check_effects, names_of_bits
-from jax2d.scene import Array, Capacity, Controls, Scene, State, Touching, num_invalid
+from jax2d.fields import Array, Field, broadcast, empty, make
+from jax2d.scene import Capacity, Controls, Scene, State, Touching, num_invalid
 from jax2d.settings import Settings, preset
 from jax2d.whole_numbers import whole_number
 
-JOINT_IMPULSES = 5  # point x, point y, angle or motor, lower limit, upper limit
-MOST_STEPS = 2**31 - 1  # an int32 of the kernel
+MAX_STEPS = 2**31 - 1  # an int32 of the kernel
 
 
-def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Any:
+def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Backend:
     from jax2d.warp.ffi import WarpBackend
 
-    if dtype != np.float32:
-        raise ValueError(f"backend 'warp' computes in float32, not {dtype}; use backend='xla'")
-    return WarpBackend(capacity, settings, effects)
+    return WarpBackend(capacity, settings, dtype, effects)
 
 
-def _xla_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Any:
+def _xla_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Backend:
     from jax2d.xla.backend import XlaBackend
 
-    if dtype not in (np.float32, np.float64):
-        raise ValueError(f"backend 'xla' computes in float32 or float64, not {dtype}")
-    if jax.dtypes.canonicalize_dtype(dtype) != dtype:
-        raise ValueError("dtype float64 needs JAX's 64-bit mode: jax.config.update('jax_enable_x64', True)")
-    del effects  # the reference computes every pair and slot, in use or not
-    return XlaBackend(capacity, settings, dtype)
+    return XlaBackend(capacity, settings, dtype, effects)
 
 
-BACKENDS = {"warp": _warp_backend, "xla": _xla_backend}
+BACKENDS: dict[str, BackendFactory] = {"warp": _warp_backend, "xla": _xla_backend}
 
 
 @jax.tree_util.register_dataclass
@@ -82,20 +76,21 @@ class Engine:
         *,
         settings: Settings | None = None,
         effects: Effects | None = None,
-        backend: str = "warp",
+        backend: str | BackendFactory = "warp",
         dtype: Any = jnp.float32,
     ):
         """`effects`: what the kernel is compiled for, `effects_of(scenes)`; everything by default. `backend`: "warp",
-        the fused kernel, or "xla", the reference in plain JAX (slow, differentiable, also in float64). `dtype` is that
-        of states and of the arithmetic."""
-        if backend not in BACKENDS:
+        the fused kernel, or "xla", the reference in plain JAX (slow, differentiable, also in float64), or what makes
+        another. `dtype` is that of states and of the arithmetic."""
+        if isinstance(backend, str) and backend not in BACKENDS:
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity
         self.settings = settings if settings is not None else preset("standard")
         self.effects = effects if effects is not None else Effects.full(capacity)
         check_effects(self.effects, capacity)
         self.dtype = np.dtype(dtype)
-        self.backend = BACKENDS[backend](capacity, self.settings, self.dtype, self.effects)
+        factory = BACKENDS[backend] if isinstance(backend, str) else backend
+        self.backend = factory(capacity, self.settings, self.dtype, self.effects)
         self._packed_shapes = functools.cache(self._shapes_of_packed)
         self._last_checked: weakref.ref[Scene] | None = None
 
@@ -112,32 +107,27 @@ class Engine:
         """A state without remembered impulses, for one world or a batch. Omitted parts are zero. Numbers of any kind
         come out in the engine's dtype. Raises ValueError for shapes that are not the scene's."""
         check_type("scene", scene, Scene)
-        batch, n = np.shape(scene.gravity)[:-1], self.capacity.shapes
+        batch = np.shape(scene.gravity)[:-1]
         check_layout("scene", scene, self.capacity, self.dtype, batch)
 
-        def given(name: str, x: Array | None, *shape: int) -> jax.Array:
-            array = jnp.zeros((*batch, *shape), self.dtype) if x is None else jnp.asarray(x, self.dtype)
-            if array.shape != (*batch, *shape):
-                raise ValueError(f"{name} has shape {array.shape}; a state of this scene needs {(*batch, *shape)}")
-            return array
+        given = {"position": position, "angle": angle, "velocity": velocity, "angular_velocity": angular_velocity}
+        state = broadcast(empty(State, self.capacity.sizes), batch)
 
-        slots = self.backend.num_contact_slots
-        return State(
-            position=given("position", position, n, 2),
-            angle=given("angle", angle, n),
-            velocity=given("velocity", velocity, n, 2),
-            angular_velocity=given("angular_velocity", angular_velocity, n),
-            joint_impulse=jnp.zeros((*batch, self.capacity.joints, JOINT_IMPULSES), self.dtype),
-            contact_key=jnp.full((*batch, slots), -1, jnp.int32),
-            contact_impulse=jnp.zeros((*batch, slots, 2), self.dtype),
-        )
+        def start(field: Field) -> jax.Array:
+            x = given.get(field.name)
+            if x is None:
+                return jnp.asarray(field.get(state), field.dtype(self.dtype))
+            x, shape = jnp.asarray(x, self.dtype), (*batch, *field.shape(self.capacity.sizes))
+            if x.shape != shape:
+                raise ValueError(f"{field.name} has shape {x.shape}; a state of this scene needs {shape}")
+            return x
+
+        return make(State, start)
 
     def no_controls(self, *batch: int) -> Controls:
         """Controls that do nothing, for a batch of the given shape."""
-        return Controls(
-            motor=jnp.zeros((*batch, self.capacity.joints), self.dtype),
-            thruster=jnp.zeros((*batch, self.capacity.thrusters), self.dtype),
-        )
+        sizes = self.capacity.sizes
+        return make(Controls, lambda field: jnp.zeros((*batch, *field.shape(sizes)), self.dtype))
 
     def step(
         self, scene: Scene, state: State, controls: Controls | None = None, num_steps: int = 1
@@ -226,12 +216,12 @@ class Engine:
     def _step_packed(self, scene: PackedScene, state: Any, controls: Controls, num_steps: int) -> tuple[Any, Touching]:
         if not is_known(num_steps):
             raise ValueError("num_steps is known inside jit only; give a whole number known when a step is compiled")
-        if not 1 <= whole_number("num_steps", num_steps) <= MOST_STEPS:
-            raise ValueError(f"num_steps is {num_steps}; a call takes 1 to {MOST_STEPS} steps")
+        if not 1 <= whole_number("num_steps", num_steps) <= MAX_STEPS:
+            raise ValueError(f"num_steps is {num_steps}; a call takes 1 to {MAX_STEPS} steps")
         controls, invalid = clamped_controls(controls)
-        state, noted = self.backend.step_packed(scene.tables, state, controls, num_steps)
+        state, report = self.backend.step_packed(scene.tables, state, controls, num_steps)
         return state, Touching(
-            **noted._asdict(), invalid_controls=invalid, invalid_scene=scene.invalid, missing=scene.missing
+            **report._asdict(), invalid_controls=invalid, invalid_scene=scene.invalid, missing=scene.missing
         )
 
 

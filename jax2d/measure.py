@@ -5,14 +5,15 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Array, Controls, Scene, State
+from jax2d.fields import Array
+from jax2d.scene import Controls, JointKind, Scene, State
 from jax2d.settings import Settings
 
 
 def _masses(scene: Scene) -> tuple[jax.Array, jax.Array]:
     """(mass [n] kg, inertia [n] kg m^2) of movable shapes, zero for fixed and inactive ones."""
-    inverse_mass = jnp.where(scene.shape_active, scene.inverse_mass, 0.0)
-    inverse_inertia = jnp.where(scene.shape_active, scene.inverse_inertia, 0.0)
+    inverse_mass = jnp.where(scene.shapes.active, scene.shapes.inverse_mass, 0.0)
+    inverse_inertia = jnp.where(scene.shapes.active, scene.shapes.inverse_inertia, 0.0)
     mass = jnp.where(inverse_mass > 0, 1.0 / jnp.where(inverse_mass > 0, inverse_mass, 1.0), 0.0)
     inertia = jnp.where(inverse_inertia > 0, 1.0 / jnp.where(inverse_inertia > 0, inverse_inertia, 1.0), 0.0)
     return mass, inertia
@@ -58,17 +59,19 @@ def work_at_most(
     A motor does at most torque x target x time, a thruster force x speed at its place x time: the faster of before and
     after, and what it adds itself.
     """
-    inverse_mass, inverse_inertia = jnp.asarray(scene.inverse_mass), jnp.asarray(scene.inverse_inertia)
-    yielding = inverse_inertia[scene.joint_a] + inverse_inertia[scene.joint_b]
+    inverse_mass, inverse_inertia = jnp.asarray(scene.shapes.inverse_mass), jnp.asarray(scene.shapes.inverse_inertia)
+    yielding = inverse_inertia[scene.joints.a] + inverse_inertia[scene.joints.b]
     inertia = jnp.where(yielding > 0, 1.0 / jnp.where(yielding > 0, yielding, 1.0), 0.0)
-    driven = jnp.asarray(scene.joint_active) & scene.motor_on & ~jnp.asarray(scene.joint_is_fixed)
-    torque = settings.base_motor_power * jnp.asarray(scene.motor_power) * inertia
-    target = settings.base_motor_speed * jnp.abs(controls.motor * scene.motor_speed)
+    driven = (
+        jnp.asarray(scene.joints.active) & scene.joints.motor_on & ~jnp.asarray(scene.joints.is_kind(JointKind.FIXED))
+    )
+    torque = settings.base_motor_power * jnp.asarray(scene.joints.motor_power) * inertia
+    target = settings.base_motor_speed * jnp.abs(controls.motor * scene.joints.motor_speed)
     motors = jnp.where(driven, torque * target * seconds, 0.0)
 
-    body = scene.thruster_body
-    force = settings.base_thruster_power * jnp.asarray(scene.thruster_power) * controls.thruster
-    arm = jnp.linalg.norm(scene.thruster_position, axis=-1)
+    body = scene.thrusters.body
+    force = settings.base_thruster_power * jnp.asarray(scene.thrusters.power) * controls.thruster
+    arm = jnp.linalg.norm(scene.thrusters.position, axis=-1)
 
     def speed_there(state: State) -> jax.Array:
         spin = jnp.asarray(state.angular_velocity)
@@ -76,7 +79,7 @@ def work_at_most(
 
     yields = inverse_mass[body] + arm**2 * inverse_inertia[body]
     speed = jnp.maximum(speed_there(before), speed_there(after)) + force * yields * seconds
-    thrusters = jnp.where(scene.thruster_active, force * speed * seconds, 0.0)
+    thrusters = jnp.where(scene.thrusters.active, force * speed * seconds, 0.0)
     return jnp.sum(motors) + jnp.sum(thrusters)
 
 
@@ -88,8 +91,8 @@ def joint_gaps(scene: Scene, state: State) -> jax.Array:
         turned = jnp.stack([c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], -1)
         return state.position[body] + turned
 
-    gap = anchor(scene.joint_b, scene.joint_anchor_b) - anchor(scene.joint_a, scene.joint_anchor_a)
-    return jnp.where(scene.joint_active, jnp.linalg.norm(gap, axis=-1), 0.0)
+    gap = anchor(scene.joints.b, scene.joints.anchor_b) - anchor(scene.joints.a, scene.joints.anchor_a)
+    return jnp.where(scene.joints.active, jnp.linalg.norm(gap, axis=-1), 0.0)
 
 
 def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:
@@ -97,15 +100,15 @@ def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:
 
     By separating axes, as contacts are found: the least distance by which moving along one normal frees the pair.
     """
-    polygons = scene.vertices.shape[0]
+    polygons = scene.shapes.vertices.shape[0]
     x = jnp.asarray(position, jnp.float32)
     c, s = jnp.cos(angle[:polygons])[:, None], jnp.sin(angle[:polygons])[:, None]
-    local = jnp.asarray(scene.vertices)
+    local = jnp.asarray(scene.shapes.vertices)
     # Corners relative to the own centre, so that places far from the origin keep their precision.
     corner = jnp.stack([c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], -1)
     slot = jnp.arange(corner.shape[1])
-    used = slot < scene.num_vertices[:, None]
-    following = jnp.where(slot + 1 < scene.num_vertices[:, None], slot + 1, 0)
+    used = slot < scene.shapes.num_vertices[:, None]
+    following = jnp.where(slot + 1 < scene.shapes.num_vertices[:, None], slot + 1, 0)
     edge = jnp.take_along_axis(corner, following[..., None], 1) - corner
     length = jnp.linalg.norm(edge, axis=-1, keepdims=True)
     normal = jnp.stack([edge[..., 1], -edge[..., 0]], -1) / jnp.where(length > 0, length, 1.0)
@@ -119,7 +122,7 @@ def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:
     nearest = along(between[:polygons, :polygons]) + jnp.min(jnp.where(used[None, :, None], reach, jnp.inf), -1)
     polygon_polygon = jnp.max(jnp.where(used[:, None], nearest, -jnp.inf), -1)
     polygon_polygon = jnp.maximum(polygon_polygon, polygon_polygon.T)
-    radius = jnp.asarray(scene.radius)
+    radius = jnp.asarray(scene.shapes.radius)
     centres = jnp.where(used[:, None], along(between[:polygons, polygons:]), -jnp.inf)
     to_corner = jnp.linalg.norm(between[:polygons, polygons:, None] - corner[:, None], axis=-1)
     inside = jnp.max(centres, -1)
@@ -131,9 +134,9 @@ def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:
     upper = jnp.concatenate([polygon_polygon, polygon_circle], 1)
     lower = jnp.concatenate([polygon_circle.T, circle_circle], 1)
     separation = jnp.concatenate([upper, lower], 0)
-    active = jnp.asarray(scene.shape_active)
-    meets = jnp.asarray(scene.can_touch) & active[:, None] & active[None]
-    movable = active & (jnp.asarray(scene.inverse_mass) + jnp.asarray(scene.inverse_inertia) > 0)
+    active = jnp.asarray(scene.shapes.active)
+    meets = jnp.asarray(scene.shapes.can_touch) & active[:, None] & active[None]
+    movable = active & (jnp.asarray(scene.shapes.inverse_mass) + jnp.asarray(scene.shapes.inverse_inertia) > 0)
     meets &= movable[:, None] | movable[None]
     return jnp.where(meets, jnp.maximum(-separation, 0.0), 0.0)
 

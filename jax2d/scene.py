@@ -1,28 +1,39 @@
 """What exists in a world and how it moves: Capacity, Scene, State, Controls, Touching.
 
-Kept apart on purpose. A `Scene` holds what cannot change during a step (shapes, masses, joints,
-thrusters, who may touch whom) and is replaced only at a reset. A `State` holds what a step changes.
+Kept apart on purpose. A `Scene` holds what cannot change during a step (shapes, masses, joints, thrusters, who may
+touch whom) and is replaced only at a reset. A `State` holds what a step changes.
 
 Shapes are indexed polygons first, then circles: shape `i < capacity.polygons` is polygon `i`, shape
-`capacity.polygons + j` is circle `j`. Every field below is given for one world; a batch of worlds
-has one leading axis more, `[num_worlds, ...]`, on every field. Units: m, kg, s, rad. Vertices run
+`capacity.polygons + j` is circle `j`. Every field below is declared for one world (`fields.py` says how); a batch of
+worlds has one leading axis more, `[num_worlds, ...]`, on every field. Units: m, kg, s, rad. Vertices run
 counter-clockwise about the centre of mass, which is the origin of the body frame.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import enum
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d import fields
+from jax2d.fields import Array, array, part
 from jax2d.whole_numbers import whole_number
 
 MAX_SHAPES = 512  # an int32 contact key has 9 bits for each of two shapes, and 12 for the feature
+SHAPE_INDEX_BITS = 10  # of a shape's number in a packed word
+JOINT_IMPULSES = 5  # numbers that warm starting keeps of a joint
+EMPTY_POLYGON_M = ((0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1))  # corners of unused slots: never degenerate, never seen
 
-Array = Any  # jax.Array or numpy.ndarray: fields are traced, stored and compared alike
+
+class JointKind(enum.IntEnum):
+    """What a joint leaves free."""
+
+    REVOLUTE = 0  # turning about the common point; may have a motor and limits
+    FIXED = 1  # nothing: a weld
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -33,7 +44,7 @@ class Capacity:
     circles: int
     joints: int
     thrusters: int
-    vertices: int = 4  # most vertices of a polygon
+    vertices: int = 4  # a polygon has at most
 
     def __post_init__(self) -> None:
         for name in ("polygons", "circles", "joints", "thrusters", "vertices"):
@@ -54,6 +65,13 @@ class Capacity:
         return self.polygons + self.circles
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """Lengths of the dimensions that fields are declared with."""
+        letters = {"n": self.shapes, "P": self.polygons, "V": self.vertices, "C": self.circles, "J": self.joints}
+        letters |= {"T": self.thrusters, "K": self.contact_slots}
+        return letters | {str(number): number for number in range(1, 10)}
+
+    @property
     def touch_words(self) -> int:
         """Number of 32-bit words that hold one bit per shape."""
         return (self.shapes + 31) // 32
@@ -70,42 +88,81 @@ class Capacity:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Scene:
-    """What exists. `n` shapes, `P` polygons, `V` vertices, `C` circles, `J` joints, `T` thrusters."""
+class Shapes:
+    """`n` shapes, polygons first: `P` polygons of at most `V` vertices and `C` circles."""
 
-    # Shapes
-    shape_active: Array  # [n] bool, padded slots are False
-    inverse_mass: Array  # [n] 1/kg, 0 for fixed shapes
-    inverse_inertia: Array  # [n] 1/(kg m^2), 0 for fixed shapes
-    density: Array  # [n] kg/m^2 (area density); not used by a step, kept for observations and editing
-    friction: Array  # [n] coefficient
-    restitution: Array  # [n] 0..1
-    vertices: Array  # [P, V, 2] m, body frame, counter-clockwise; unused slots repeat the last vertex
-    num_vertices: Array  # [P] int32
-    radius: Array  # [C] m
-    can_touch: Array  # [n, n] bool, symmetric, False on the diagonal; collision modes and joints applied
-    # Joints: body b is held to body a
-    joint_active: Array  # [J] bool; a joint of a shape that is not active does nothing
-    joint_a: Array  # [J] int32 shape index
-    joint_b: Array  # [J] int32 shape index
-    joint_anchor_a: Array  # [J, 2] m, frame of a
-    joint_anchor_b: Array  # [J, 2] m, frame of b
-    joint_is_fixed: Array  # [J] bool, True: also holds the relative angle (a weld)
-    joint_rest_angle: Array  # [J] rad, angle_b - angle_a at which a fixed joint rests, zero of limits
-    motor_on: Array  # [J] bool
-    motor_speed: Array  # [J] target of (angular_velocity_b - angular_velocity_a), in units of settings.base_motor_speed
-    motor_power: Array  # [J] in units of settings.base_motor_power
-    has_limits: Array  # [J] bool
-    lower_limit: Array  # [J] rad, of angle_b - angle_a - rest_angle
-    upper_limit: Array  # [J] rad
-    # Thrusters
-    thruster_active: Array  # [T] bool; one on a shape that is not active does nothing
-    thruster_body: Array  # [T] int32 shape index
-    thruster_position: Array  # [T, 2] m, body frame
-    thruster_angle: Array  # [T] rad, body frame, direction in which the body is pushed
-    thruster_power: Array  # [T] in units of settings.base_thruster_power
-    # World
-    gravity: Array  # [2] m/s^2
+    active: Array = array("n", bool, "padded slots are False", empty=False)
+    inverse_mass: Array = array("n", float, "0: does not move", unit="1/kg", at_least=0)
+    inverse_inertia: Array = array("n", float, "0: does not turn", unit="1/(kg m^2)", at_least=0)
+    density: Array = array("n", float, "for observations and editing", unit="kg/m^2", empty=1, stepped=False)
+    friction: Array = array("n", float, "coefficient", empty=1, at_least=0)
+    restitution: Array = array("n", float, "share of the speed kept", at_least=0, at_most=1)
+    vertices: Array = array(
+        "P V 2",
+        float,
+        "body frame, counter-clockwise; unused slots repeat the last vertex",
+        unit="m",
+        empty=EMPTY_POLYGON_M,
+    )
+    num_vertices: Array = array("P", int, "of each polygon", empty=len(EMPTY_POLYGON_M))
+    radius: Array = array("C", float, "of each circle", unit="m", empty=0.1, above=0)
+    can_touch: Array = array("n n", bool, "symmetric, False on the diagonal; collision modes and joints applied")
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Joints:
+    """`J` joints: body b is held to body a. A joint of a shape that is not active does nothing.
+
+    Limits and rest are of angle_b - angle_a - rest_angle. A motor drives that angle forward at positive speed.
+    """
+
+    active: Array = array("J", bool, "padded slots are False", empty=False, bits=1)
+    kind: Array = array("J", int, "JointKind", bits=2, at_least=0, at_most=max(JointKind))
+    a: Array = array("J", int, "shape index", refers_to="n", bits=SHAPE_INDEX_BITS)
+    b: Array = array("J", int, "shape index", refers_to="n", bits=SHAPE_INDEX_BITS)
+    anchor_a: Array = array("J 2", float, "frame of a", unit="m")
+    anchor_b: Array = array("J 2", float, "frame of b", unit="m")
+    rest_angle: Array = array("J", float, "angle_b - angle_a at which a weld rests; zero of limits", unit="rad")
+    motor_on: Array = array("J", bool, "it has a motor", empty=False, bits=1)
+    motor_speed: Array = array("J", float, "target", unit="settings.base_motor_speed", empty=1)
+    motor_power: Array = array(
+        "J", float, "strength", unit="settings.base_motor_power", empty=1, at_least=0, only_where="motor_on"
+    )
+    has_limits: Array = array("J", bool, "it has limits", empty=False, bits=1)
+    lower_limit: Array = array("J", float, "at most upper_limit", unit="rad")
+    upper_limit: Array = array("J", float, "at least lower_limit", unit="rad")
+
+    def is_kind(self, kind: JointKind) -> Array:
+        """[..., J] bool, joints of this kind, active or not."""
+        return self.kind == kind
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Thrusters:
+    """`T` thrusters. One on a shape that is not active does nothing."""
+
+    active: Array = array("T", bool, "padded slots are False", empty=False, bits=1)
+    body: Array = array("T", int, "shape index", refers_to="n", bits=SHAPE_INDEX_BITS)
+    position: Array = array("T 2", float, "body frame", unit="m")
+    angle: Array = array("T", float, "body frame, direction in which the body is pushed", unit="rad")
+    power: Array = array("T", float, "force", unit="settings.base_thruster_power", empty=1)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What exists."""
+
+    shapes: Shapes = part(Shapes)
+    joints: Joints = part(Joints)
+    thrusters: Thrusters = part(Thrusters)
+    gravity: Array = array("2", float, "acceleration", unit="m/s^2", empty=0)
+
+    def replace(self, **changes: Any) -> Scene:
+        """A scene in which some fields are others: scene.replace(joints={"active": x}, gravity=g)."""
+        return fields.replace(self, **changes)
 
 
 @jax.tree_util.register_dataclass
@@ -113,13 +170,15 @@ class Scene:
 class State:
     """How it moves. `K` is the number of contact slots an engine keeps for warm starting."""
 
-    position: Array  # [n, 2] m, world frame, centre of mass
-    angle: Array  # [n] rad, not wrapped
-    velocity: Array  # [n, 2] m/s
-    angular_velocity: Array  # [n] rad/s
-    joint_impulse: Array  # [J, 5] N s and N m s: point x, point y, angle or motor, lower limit, upper limit
-    contact_key: Array  # [K] int32, which pair and feature a slot belongs to; -1 for an unused slot
-    contact_impulse: Array  # [K, 2] N s: normal, tangent
+    position: Array = array("n 2", float, "world frame, centre of mass", unit="m")
+    angle: Array = array("n", float, "not wrapped", unit="rad")
+    velocity: Array = array("n 2", float, "of the centre of mass", unit="m/s")
+    angular_velocity: Array = array("n", float, "counter-clockwise", unit="rad/s")
+    joint_impulse: Array = array(
+        "J 5", float, "point x, point y, angle or motor, lower limit, upper limit", unit="N s and N m s"
+    )
+    contact_key: Array = array("K", int, "which pair and feature a slot belongs to; -1 for an unused slot", empty=-1)
+    contact_impulse: Array = array("K 2", float, "normal, tangent", unit="N s")
 
 
 @jax.tree_util.register_dataclass
@@ -127,8 +186,10 @@ class State:
 class Controls:
     """What an agent does in one step."""
 
-    motor: Array  # [J] -1..1, share of the motor's target speed (0: motor exerts nothing)
-    thruster: Array  # [T] 0..1, share of the thruster's power
+    motor: Array = array(
+        "J", float, "share of the motor's target speed (0: motor exerts nothing)", at_least=-1, at_most=1
+    )
+    thruster: Array = array("T", float, "share of the thruster's power", at_least=0, at_most=1)
 
 
 @jax.tree_util.register_dataclass
@@ -145,8 +206,8 @@ class Touching:
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without
 
 
-class Noted(NamedTuple):
-    """What a backend notes of a call; fields as in `Touching`."""
+class BackendReport(NamedTuple):
+    """What a backend says of a call; fields as in `Touching`."""
 
     at_end: Array
     during: Array
@@ -161,54 +222,68 @@ def touch_matrix(bits: Array, num_shapes: int) -> Array:
     return ((words >> (columns % 32).astype(np.uint32)) & 1).astype(bool)
 
 
-def touch_bits(matrix: Array) -> jax.Array:
-    """Packs `[..., n, n]` bool into `[..., n, words]` uint32; the inverse of `touch_matrix`."""
-    num_shapes = matrix.shape[-1]
+def pack_bits(mask: Array) -> jax.Array:
+    """[..., n] bool to [..., words] uint32: bit `i % 32` of word `i // 32` is mask i; the inverse of `touch_matrix`."""
+    num_shapes = mask.shape[-1]
     words = (num_shapes + 31) // 32
-    padded = jnp.zeros((*matrix.shape[:-1], words * 32), bool).at[..., :num_shapes].set(matrix)
+    padded = jnp.zeros((*mask.shape[:-1], words * 32), bool).at[..., :num_shapes].set(mask)
     weights = np.uint32(1) << np.arange(32, dtype=np.uint32)
-    return (padded.reshape(*matrix.shape[:-1], words, 32).astype(jnp.uint32) * weights).sum(-1, dtype=jnp.uint32)
+    return (padded.reshape(*mask.shape[:-1], words, 32).astype(jnp.uint32) * weights).sum(-1, dtype=jnp.uint32)
+
+
+def capacity_of(scene: Scene) -> Capacity:
+    """The capacity that the arrays of a scene (or of a batch) have."""
+    return Capacity(
+        polygons=scene.shapes.num_vertices.shape[-1],
+        circles=scene.shapes.radius.shape[-1],
+        joints=scene.joints.active.shape[-1],
+        thrusters=scene.thrusters.active.shape[-1],
+        vertices=scene.shapes.vertices.shape[-2],
+    )
 
 
 def only_what_acts(scene: Scene) -> Scene:
     """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, joints and
     thrusters that are not on active shapes are off, and `can_touch` holds each pair once, at [lower, higher], and only
     where both are active and one of the two can move. No index is out of range."""
-    active = jnp.asarray(scene.shape_active)
-    inverse_mass = jnp.where(active, scene.inverse_mass, 0)
-    inverse_inertia = jnp.where(active, scene.inverse_inertia, 0)
+    shapes = scene.shapes
+    active = jnp.asarray(shapes.active)
+    inverse_mass = jnp.where(active, shapes.inverse_mass, 0)
+    inverse_inertia = jnp.where(active, shapes.inverse_inertia, 0)
     movable = (inverse_mass > 0) | (inverse_inertia > 0)
-    meets = jnp.asarray(scene.can_touch) & active[..., :, None] & active[..., None, :]
+    meets = jnp.asarray(shapes.can_touch) & active[..., :, None] & active[..., None, :]
     meets &= movable[..., :, None] | movable[..., None, :]
     meets &= np.triu(np.ones(meets.shape[-2:], bool), 1)
-    joints, thrusters = _names_shapes(scene)
-    on_active = [_of_shape(active, index) for index in (scene.joint_a, scene.joint_b, scene.thruster_body)]
-    return dataclasses.replace(
-        scene,
-        inverse_mass=inverse_mass,
-        inverse_inertia=inverse_inertia,
-        num_vertices=jnp.clip(jnp.asarray(scene.num_vertices), 3, scene.vertices.shape[-2]),
-        can_touch=meets,
-        joint_active=scene.joint_active & joints & on_active[0] & on_active[1],
-        thruster_active=scene.thruster_active & thrusters & on_active[2],
+    joints, thrusters = _has_shapes(scene)
+    ends = (scene.joints.a, scene.joints.b, scene.thrusters.body)
+    is_a, is_b, is_body = (_of_shape(active, index) for index in ends)
+    return scene.replace(
+        shapes={
+            "inverse_mass": inverse_mass,
+            "inverse_inertia": inverse_inertia,
+            "num_vertices": jnp.clip(jnp.asarray(shapes.num_vertices), 3, shapes.vertices.shape[-2]),
+            "can_touch": meets,
+        },
+        joints={"active": scene.joints.active & joints & is_a & is_b},
+        thrusters={"active": scene.thrusters.active & thrusters & is_body},
     )
 
 
 def num_invalid(scene: Scene) -> jax.Array:
     """[...] int32, what `only_what_acts` must mend: active joints and thrusters whose indices name no (two) shapes, and
     active polygons whose number of vertices is none."""
-    joints, thrusters = _names_shapes(scene)
-    number = jnp.asarray(scene.num_vertices)
-    polygons = (number >= 3) & (number <= scene.vertices.shape[-2])
-    active_polygons = scene.shape_active[..., : number.shape[-1]]
-    wrong = [scene.joint_active & ~joints, scene.thruster_active & ~thrusters, active_polygons & ~polygons]
+    joints, thrusters = _has_shapes(scene)
+    number = jnp.asarray(scene.shapes.num_vertices)
+    polygons = (number >= 3) & (number <= scene.shapes.vertices.shape[-2])
+    active_polygons = scene.shapes.active[..., : number.shape[-1]]
+    wrong = [scene.joints.active & ~joints, scene.thrusters.active & ~thrusters, active_polygons & ~polygons]
     return jnp.sum(jnp.concatenate(wrong, axis=-1), axis=-1, dtype=jnp.int32)
 
 
-def _names_shapes(scene: Scene) -> tuple[jax.Array, jax.Array]:
+def _has_shapes(scene: Scene) -> tuple[jax.Array, jax.Array]:
     """(joints [..., J], thrusters [..., T]) bool, those whose indices are of shapes, two different ones for a joint."""
-    num_shapes = scene.shape_active.shape[-1]
-    a, b, body = (jnp.asarray(x) for x in (scene.joint_a, scene.joint_b, scene.thruster_body))
+    num_shapes = scene.shapes.active.shape[-1]
+    a, b, body = (jnp.asarray(x) for x in (scene.joints.a, scene.joints.b, scene.thrusters.body))
     is_a, is_b, is_body = ((x >= 0) & (x < num_shapes) for x in (a, b, body))
     return is_a & is_b & (a != b), is_body
 

@@ -1,15 +1,20 @@
-"""What holds for the values of every scene, beyond shapes, kinds and being finite: one table of rules.
+"""What holds for the values of every scene, beyond shapes, types and being finite.
 
-Rules speak of what is active; slots that are not may hold anything finite. Plain numpy over whole batches.
+Limits of single numbers follow from the declarations of the fields; rules about several fields stand here. Rules speak
+of what is active; slots that are not may hold anything finite. Plain numpy over whole batches.
 """
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+
+from jax2d.fields import Field, field_of, fields_of
+from jax2d.scene import Scene
 
 # Of a polygon's extent: what vertices may be off by, from rounding and from the public levels' own centres of mass.
 OFF_CENTRE = 1e-3
@@ -19,17 +24,53 @@ ROUNDING = 1e-5
 class Rule(NamedTuple):
     """`holds` of the arrays of `fields` is False where the first field is wrong."""
 
-    fields: tuple[str, ...]
+    fields: tuple[Field, ...]
     holds: Callable[..., np.ndarray]
     must: str
 
 
-def _not_negative(number: np.ndarray, is_on: np.ndarray) -> np.ndarray:
-    return ~is_on | (number >= 0)
+def _rule(names: str, holds: Callable[..., np.ndarray], must: str) -> Rule:
+    return Rule(tuple(field_of(Scene, name) for name in names.split()), holds, must)
 
 
-def _is_share(number: np.ndarray, is_on: np.ndarray) -> np.ndarray:
-    return ~is_on | ((number >= 0) & (number <= 1))
+def _declared() -> Iterator[Rule]:
+    """Limits that fields are declared with."""
+    for field in fields_of(Scene):
+        has_range = (field.at_least, field.at_most, field.above) != (None, None, None)
+        if not has_range and field.refers_to is None:
+            continue
+        owner = "shapes.active" if field.path[0] == "shapes" else f"{field.path[0]}.active"
+        needed = [field.name, owner, "shapes.active"]
+        if field.only_where is not None:
+            needed.append(".".join((*field.path[:-1], field.only_where)))
+        if field.refers_to is not None:
+            yield _rule(" ".join(needed), _is_shape, "be the index of a shape")
+        else:
+            yield _rule(" ".join(needed), functools.partial(_within, field), _range_text(field))
+
+
+def _range_text(field: Field) -> str:
+    if field.above is not None:
+        return "be positive" if field.above == 0 else f"be above {field.above:g}"
+    if field.at_most is None:
+        return f"be {field.at_least:g} or more" + (f" ({field.meaning})" if field.meaning.startswith("0:") else "")
+    return f"be from {field.at_least:g} to {field.at_most:g}"
+
+
+def _within(field: Field, number: np.ndarray, is_on: np.ndarray, shape_active: np.ndarray, *only: np.ndarray):
+    del shape_active
+    if field.dims[0] == "C":
+        is_on = is_on[..., is_on.shape[-1] - number.shape[-1] :]
+    for also in only:
+        is_on = is_on & also
+    fine = np.ones(number.shape, bool)
+    if field.at_least is not None:
+        fine &= number >= field.at_least
+    if field.at_most is not None:
+        fine &= number <= field.at_most
+    if field.above is not None:
+        fine &= number > field.above
+    return ~is_on | fine
 
 
 def _is_shape(index: np.ndarray, is_on: np.ndarray, shape_active: np.ndarray) -> np.ndarray:
@@ -40,20 +81,12 @@ def _is_count(number: np.ndarray, shape_active: np.ndarray, vertices: np.ndarray
     return ~_polygons(shape_active, number) | ((number >= 3) & (number <= vertices.shape[-2]))
 
 
-def _has_radius(radius: np.ndarray, shape_active: np.ndarray) -> np.ndarray:
-    return ~shape_active[..., shape_active.shape[-1] - radius.shape[-1] :] | (radius > 0)
-
-
 def _same_both_ways(can_touch: np.ndarray) -> np.ndarray:
     return can_touch == np.swapaxes(can_touch, -1, -2)
 
 
 def _differs(b: np.ndarray, a: np.ndarray, is_on: np.ndarray) -> np.ndarray:
     return ~is_on | (a != b)
-
-
-def _motor_has_power(power: np.ndarray, motor_on: np.ndarray, is_on: np.ndarray) -> np.ndarray:
-    return ~(is_on & motor_on) | (power >= 0)
 
 
 def _in_order(lower: np.ndarray, upper: np.ndarray, has_limits: np.ndarray, is_on: np.ndarray) -> np.ndarray:
@@ -125,25 +158,16 @@ def _twice_area(corner: np.ndarray) -> np.ndarray:
     return _cross(local, np.roll(local, -1, 1)).sum(-1)
 
 
-_INDEX = "be the index of a shape"
 SCENE_RULES = (
-    Rule(("inverse_mass", "shape_active"), _not_negative, "be 0 (fixed) or more"),
-    Rule(("inverse_inertia", "shape_active"), _not_negative, "be 0 (does not turn) or more"),
-    Rule(("friction", "shape_active"), _not_negative, "be 0 or more"),
-    Rule(("restitution", "shape_active"), _is_share, "be from 0 to 1"),
-    Rule(("num_vertices", "shape_active", "vertices"), _is_count, "be from 3 to Capacity.vertices"),
-    Rule(("vertices", "num_vertices", "shape_active"), _convex, "be convex, counter-clockwise"),
-    Rule(
-        ("vertices", "num_vertices", "shape_active", "inverse_mass", "inverse_inertia"),
+    *_declared(),
+    _rule("shapes.num_vertices shapes.active shapes.vertices", _is_count, "be from 3 to Capacity.vertices"),
+    _rule("shapes.vertices shapes.num_vertices shapes.active", _convex, "be convex, counter-clockwise"),
+    _rule(
+        "shapes.vertices shapes.num_vertices shapes.active shapes.inverse_mass shapes.inverse_inertia",
         _centred,
         "have its centre of mass at (0, 0)",
     ),
-    Rule(("radius", "shape_active"), _has_radius, "be positive"),
-    Rule(("can_touch",), _same_both_ways, "be the same for [i, j] and [j, i]"),
-    Rule(("joint_a", "joint_active", "shape_active"), _is_shape, _INDEX),
-    Rule(("joint_b", "joint_active", "shape_active"), _is_shape, _INDEX),
-    Rule(("joint_b", "joint_a", "joint_active"), _differs, "be another shape than joint_a"),
-    Rule(("motor_power", "motor_on", "joint_active"), _motor_has_power, "be 0 or more"),
-    Rule(("lower_limit", "upper_limit", "has_limits", "joint_active"), _in_order, "be at most upper_limit"),
-    Rule(("thruster_body", "thruster_active", "shape_active"), _is_shape, _INDEX),
+    _rule("shapes.can_touch", _same_both_ways, "be the same for [i, j] and [j, i]"),
+    _rule("joints.b joints.a joints.active", _differs, "be another shape than joints.a"),
+    _rule("joints.lower_limit joints.upper_limit joints.has_limits joints.active", _in_order, "be at most upper_limit"),
 )

@@ -14,9 +14,6 @@ from typing import Literal
 from jax2d.published_details import PUBLISHED_DETAILS
 from jax2d.whole_numbers import whole_number
 
-# Times in a step that a sub-step is stopped and contacts found anew because a body goes farther than was foreseen.
-MOST_STOPS = 8
-
 Solver = Literal["soft_step", "sequential_impulses"]
 
 
@@ -30,7 +27,9 @@ class Settings:
     substeps: int = 4  # soft_step: sub-steps of dt / substeps; sequential_impulses: solver iterations
 
     # What the units of a level mean
-    base_friction: float = 0.4 * math.sqrt(2.0)  # times the mixed coefficient; equal bodies rub as in `paper`
+    base_friction: float = 0.4 * math.sqrt(
+        2.0
+    )  # times the mixed coefficient; equal bodies have the friction of `paper`
     friction_mixing: Literal["geometric_mean", "root_sum_square"] = "geometric_mean"
     base_motor_speed: float = 6.0  # rad/s at motor_speed 1
     base_motor_power: float = 900.0  # rad/s^2 that a motor of power 1 gives to its two bodies alone
@@ -54,7 +53,7 @@ class Settings:
     joint_turn_speed: float = 4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld
     speculative_distance: float = 0.02  # m, contacts are prepared from here on (4 x Box2D's linear slop)
     restitution_threshold: float = 1.0  # m/s, slower impacts do not bounce, so that stacks come to rest
-    bounce_rounds: int = 16  # most rounds in which joints and other contacts share in a bounce
+    bounce_rounds: int = 16  # at most, in which joints and other contacts share in a bounce
 
     # sequential_impulses (published constants)
     slop: float = 0.01  # m, penetration left alone
@@ -130,19 +129,6 @@ class Settings:
 
     def replace(self, **changes: object) -> Settings:
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
-
-
-def softness(hertz: float, damping_ratio: float, h: float) -> tuple[float, float, float]:
-    """(bias rate 1/s, mass scale, impulse scale) of a soft constraint solved over h seconds.
-
-    omega = 2 pi f, a1 = 2 zeta + h omega, a2 = h omega a1: omega / a1, a2 / (1 + a2), 1 / (1 + a2).
-    """
-    if hertz == 0.0:
-        return 0.0, 1.0, 0.0
-    omega = 2.0 * math.pi * hertz
-    a1 = 2.0 * damping_ratio + h * omega
-    a2 = h * omega * a1
-    return omega / a1, a2 / (1.0 + a2), 1.0 / (1.0 + a2)
 
 
 PRESETS: dict[str, Settings] = {

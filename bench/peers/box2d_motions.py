@@ -20,6 +20,8 @@ from typing import Any
 import Box2D
 import numpy as np
 
+FIXED = 1  # `JointKind` of a weld
+
 
 class AllowedPairs(Box2D.b2ContactFilter):
     """Who may touch whom, by the index kept with each body."""
@@ -38,42 +40,42 @@ class Motion:
     def __init__(self, request: dict[str, np.ndarray], i: int, constants: dict[str, float]) -> None:
         scene = {name.removeprefix("scene."): value[i] for name, value in request.items() if name.startswith("scene.")}
         self.scene = scene
-        self.num_shapes = len(scene["shape_active"])
+        self.num_shapes = len(scene["shapes.active"])
         control = float(request["control"][i])
-        self.filter = AllowedPairs(scene["can_touch"])
+        self.filter = AllowedPairs(scene["shapes.can_touch"])
         self.world = Box2D.b2World(gravity=tuple(map(float, scene["gravity"])), contactFilter=self.filter)
         self.world.allowSleeping = False  # a sleeping body costs nothing and errs by nothing
         start = (request[name][i] for name in ("position", "angle", "velocity", "angular_velocity"))
         self.bodies = [self._body(shape, *values) for shape, *values in zip(range(self.num_shapes), *start)]
-        self.joints = [self._joint(j, control, constants) for j in np.flatnonzero(scene["joint_active"])]
+        self.joints = [self._joint(j, control, constants) for j in np.flatnonzero(scene["joints.active"])]
         self.thrusts = [
             (
-                self.bodies[int(scene["thruster_body"][t])],
-                tuple(map(float, scene["thruster_position"][t])),
-                float(scene["thruster_angle"][t]),
-                control * float(scene["thruster_power"][t]) * constants["thruster_power"],
+                self.bodies[int(scene["thrusters.body"][t])],
+                tuple(map(float, scene["thrusters.position"][t])),
+                float(scene["thrusters.angle"][t]),
+                control * float(scene["thrusters.power"][t]) * constants["thruster_power"],
             )
-            for t in np.flatnonzero(scene["thruster_active"])
+            for t in np.flatnonzero(scene["thrusters.active"])
         ]
 
     def _body(self, shape: int, position: Any, angle: Any, velocity: Any, angular_velocity: Any) -> Any:
-        scene, polygons = self.scene, len(self.scene["num_vertices"])
-        if not scene["shape_active"][shape]:
+        scene, polygons = self.scene, len(self.scene["shapes.num_vertices"])
+        if not scene["shapes.active"][shape]:
             return None
         if shape < polygons:
-            corners = scene["vertices"][shape][: scene["num_vertices"][shape]]
+            corners = scene["shapes.vertices"][shape][: scene["shapes.num_vertices"][shape]]
             geometry = Box2D.b2PolygonShape(vertices=[tuple(map(float, corner)) for corner in corners])
         else:
-            geometry = Box2D.b2CircleShape(radius=float(scene["radius"][shape - polygons]))
-        movable = scene["inverse_mass"][shape] > 0
+            geometry = Box2D.b2CircleShape(radius=float(scene["shapes.radius"][shape - polygons]))
+        movable = scene["shapes.inverse_mass"][shape] > 0
         body = (self.world.CreateDynamicBody if movable else self.world.CreateStaticBody)(
             position=tuple(map(float, position)), angle=float(angle), userData=shape
         )
         body.CreateFixture(
             shape=geometry,
-            density=float(scene["density"][shape]),
-            friction=float(scene["friction"][shape]),
-            restitution=float(scene["restitution"][shape]),
+            density=float(scene["shapes.density"][shape]),
+            friction=float(scene["shapes.friction"][shape]),
+            restitution=float(scene["shapes.restitution"][shape]),
         )
         if movable:
             body.linearVelocity = tuple(map(float, velocity))
@@ -82,26 +84,26 @@ class Motion:
 
     def _joint(self, j: int, control: float, constants: dict[str, float]) -> Any:
         scene = self.scene
-        a, b = int(scene["joint_a"][j]), int(scene["joint_b"][j])
+        a, b = int(scene["joints.a"][j]), int(scene["joints.b"][j])
         common = {
             "bodyA": self.bodies[a],
             "bodyB": self.bodies[b],
-            "localAnchorA": tuple(map(float, scene["joint_anchor_a"][j])),
-            "localAnchorB": tuple(map(float, scene["joint_anchor_b"][j])),
-            "referenceAngle": float(scene["joint_rest_angle"][j]),
-            "collideConnected": bool(scene["can_touch"][a, b]),
+            "localAnchorA": tuple(map(float, scene["joints.anchor_a"][j])),
+            "localAnchorB": tuple(map(float, scene["joints.anchor_b"][j])),
+            "referenceAngle": float(scene["joints.rest_angle"][j]),
+            "collideConnected": bool(scene["shapes.can_touch"][a, b]),
         }
-        if scene["joint_is_fixed"][j]:
+        if scene["joints.kind"][j] == FIXED:
             return self.world.CreateWeldJoint(**common)
-        inertia = 1.0 / float(scene["inverse_inertia"][a] + scene["inverse_inertia"][b])
+        inertia = 1.0 / float(scene["shapes.inverse_inertia"][a] + scene["shapes.inverse_inertia"][b])
         return self.world.CreateRevoluteJoint(
             **common,
-            enableMotor=bool(scene["motor_on"][j]) and control != 0.0,
-            motorSpeed=control * float(scene["motor_speed"][j]) * constants["motor_speed"],
-            maxMotorTorque=float(scene["motor_power"][j]) * constants["motor_acceleration"] * inertia,
-            enableLimit=bool(scene["has_limits"][j]),
-            lowerAngle=float(scene["lower_limit"][j]),
-            upperAngle=float(scene["upper_limit"][j]),
+            enableMotor=bool(scene["joints.motor_on"][j]) and control != 0.0,
+            motorSpeed=control * float(scene["joints.motor_speed"][j]) * constants["motor_speed"],
+            maxMotorTorque=float(scene["joints.motor_power"][j]) * constants["motor_acceleration"] * inertia,
+            enableLimit=bool(scene["joints.has_limits"][j]),
+            lowerAngle=float(scene["joints.lower_limit"][j]),
+            upperAngle=float(scene["joints.upper_limit"][j]),
         )
 
     def step(self, dt: float, velocity_iterations: int, position_iterations: int) -> None:

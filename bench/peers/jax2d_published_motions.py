@@ -27,6 +27,7 @@ import numpy as np
 from jax2d.engine import PhysicsEngine, create_empty_sim
 from jax2d.sim_state import SimParams, StaticSimParams
 
+FIXED = 1  # `JointKind` of a weld
 RESERVED = 4  # polygon slots of floor, walls and ceiling
 CHUNK_STEPS = 4
 ITERATIONS = 10
@@ -37,13 +38,13 @@ def main() -> int:
     asked = json.loads(str(request["asked"]))
     constants = asked["constants"]
     scene = {name.removeprefix("scene."): value for name, value in request.items() if name.startswith("scene.")}
-    count, polygons = scene["num_vertices"].shape
+    count, polygons = scene["shapes.num_vertices"].shape
     static = StaticSimParams(
         num_polygons=RESERVED + polygons,
-        num_circles=scene["radius"].shape[1],
-        num_joints=scene["joint_active"].shape[1],
-        num_thrusters=scene["thruster_active"].shape[1],
-        max_polygon_vertices=scene["vertices"].shape[2],
+        num_circles=scene["shapes.radius"].shape[1],
+        num_joints=scene["joints.active"].shape[1],
+        num_thrusters=scene["thrusters.active"].shape[1],
+        max_polygon_vertices=scene["shapes.vertices"].shape[2],
         num_solver_iterations=ITERATIONS,
     )
     states = [world(static, request, scene, i) for i in range(count)]
@@ -115,7 +116,7 @@ def visible(state: Any) -> jax.Array:
 def world(static: Any, request: dict[str, np.ndarray], scene: dict[str, np.ndarray], i: int) -> Any:
     """World i of the request as the published package's state."""
     empty = create_empty_sim(static, add_floor=False, add_walls_and_ceiling=False)
-    polygons = scene["num_vertices"].shape[1]
+    polygons = scene["shapes.num_vertices"].shape[1]
     one = {name: value[i] for name, value in scene.items()}
     start = {name: request[name][i] for name in ("position", "angle", "velocity", "angular_velocity")}
     shapes = {
@@ -123,11 +124,11 @@ def world(static: Any, request: dict[str, np.ndarray], scene: dict[str, np.ndarr
         "rotation": start["angle"],
         "velocity": start["velocity"],
         "angular_velocity": start["angular_velocity"],
-        "inverse_mass": one["inverse_mass"],
-        "inverse_inertia": one["inverse_inertia"],
-        "friction": one["friction"],
-        "restitution": one["restitution"],
-        "active": one["shape_active"],
+        "inverse_mass": one["shapes.inverse_mass"],
+        "inverse_inertia": one["shapes.inverse_inertia"],
+        "friction": one["shapes.friction"],
+        "restitution": one["shapes.restitution"],
+        "active": one["shapes.active"],
     }
 
     def put(field: jax.Array, values: np.ndarray, first: int) -> jax.Array:
@@ -137,36 +138,36 @@ def world(static: Any, request: dict[str, np.ndarray], scene: dict[str, np.ndarr
         values = {name: value[part] for name, value in shapes.items()} | geometry
         return template.replace(**{name: put(getattr(template, name), value, first) for name, value in values.items()})
 
-    corners, counts = one["vertices"].copy(), one["num_vertices"]
+    corners, counts = one["shapes.vertices"].copy(), one["shapes.num_vertices"]
     for p, n in enumerate(counts):  # its polygons run clockwise
         corners[p, :n] = corners[p, :n][::-1]
-    total = RESERVED + polygons + len(one["radius"])
+    total = RESERVED + polygons + len(one["shapes.radius"])
     can_touch = np.zeros((total, total), bool)
-    can_touch[RESERVED:, RESERVED:] = one["can_touch"]
+    can_touch[RESERVED:, RESERVED:] = one["shapes.can_touch"]
     return empty.replace(
         polygon=bodies(empty.polygon, slice(0, polygons), RESERVED, vertices=corners, n_vertices=counts),
-        circle=bodies(empty.circle, slice(polygons, None), 0, radius=one["radius"]),
+        circle=bodies(empty.circle, slice(polygons, None), 0, radius=one["shapes.radius"]),
         joint=empty.joint.replace(
-            a_index=jnp.asarray(one["joint_a"] + RESERVED),
-            b_index=jnp.asarray(one["joint_b"] + RESERVED),
-            a_relative_pos=jnp.asarray(one["joint_anchor_a"]),
-            b_relative_pos=jnp.asarray(one["joint_anchor_b"]),
-            active=jnp.asarray(one["joint_active"]),
-            motor_speed=jnp.asarray(one["motor_speed"]),
-            motor_power=jnp.asarray(one["motor_power"]),
-            motor_on=jnp.asarray(one["motor_on"]),
-            motor_has_joint_limits=jnp.asarray(one["has_limits"]),
-            min_rotation=jnp.asarray(one["lower_limit"]),
-            max_rotation=jnp.asarray(one["upper_limit"]),
-            is_fixed_joint=jnp.asarray(one["joint_is_fixed"]),
-            rotation=jnp.asarray(one["joint_rest_angle"]),
+            a_index=jnp.asarray(one["joints.a"] + RESERVED),
+            b_index=jnp.asarray(one["joints.b"] + RESERVED),
+            a_relative_pos=jnp.asarray(one["joints.anchor_a"]),
+            b_relative_pos=jnp.asarray(one["joints.anchor_b"]),
+            active=jnp.asarray(one["joints.active"]),
+            motor_speed=jnp.asarray(one["joints.motor_speed"]),
+            motor_power=jnp.asarray(one["joints.motor_power"]),
+            motor_on=jnp.asarray(one["joints.motor_on"]),
+            motor_has_joint_limits=jnp.asarray(one["joints.has_limits"]),
+            min_rotation=jnp.asarray(one["joints.lower_limit"]),
+            max_rotation=jnp.asarray(one["joints.upper_limit"]),
+            is_fixed_joint=jnp.asarray(one["joints.kind"] == FIXED),
+            rotation=jnp.asarray(one["joints.rest_angle"]),
         ),
         thruster=empty.thruster.replace(
-            object_index=jnp.asarray(one["thruster_body"] + RESERVED),
-            relative_position=jnp.asarray(one["thruster_position"]),
-            rotation=jnp.asarray(one["thruster_angle"]),
-            power=jnp.asarray(one["thruster_power"]),
-            active=jnp.asarray(one["thruster_active"]),
+            object_index=jnp.asarray(one["thrusters.body"] + RESERVED),
+            relative_position=jnp.asarray(one["thrusters.position"]),
+            rotation=jnp.asarray(one["thrusters.angle"]),
+            power=jnp.asarray(one["thrusters.power"]),
+            active=jnp.asarray(one["thrusters.active"]),
         ),
         collision_matrix=jnp.asarray(can_touch),
         gravity=jnp.asarray(one["gravity"]),

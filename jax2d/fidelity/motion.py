@@ -38,7 +38,7 @@ class Motion:
     @property
     def movable(self) -> np.ndarray:
         """[n] bool: bodies that are there and not fixed."""
-        return np.asarray(self.scene.shape_active) & (np.asarray(self.scene.inverse_mass) > 0)
+        return np.asarray(self.scene.shapes.active) & (np.asarray(self.scene.shapes.inverse_mass) > 0)
 
     def after(self, seconds: float) -> int:
         """Index of the first moment at or after the given time."""
@@ -73,10 +73,10 @@ class Motion:
             x, y = np.asarray(local, np.float64).T
             return np.stack([c * x - s * y, s * x + c * y], -1)
 
-        a, b = np.asarray(scene.joint_a), np.asarray(scene.joint_b)
-        arms = anchor(b, scene.joint_anchor_b) - anchor(a, scene.joint_anchor_a)
+        a, b = np.asarray(scene.joints.a), np.asarray(scene.joints.b)
+        arms = anchor(b, scene.joints.anchor_b) - anchor(a, scene.joints.anchor_a)
         gap = np.linalg.norm(self.position[:, b] - self.position[:, a] + arms, axis=-1)
-        return np.where(np.asarray(scene.joint_active), gap, 0.0)
+        return np.where(np.asarray(scene.joints.active), gap, 0.0)
 
     def depth(self, moment: int = -1) -> float:
         """m, deepest overlap of two shapes that may touch, at one moment."""
@@ -87,8 +87,8 @@ class Motion:
         return self.position[moment] - middle
 
     def _masses(self) -> tuple[np.ndarray, np.ndarray]:
-        inverse = np.where(self.movable, self.scene.inverse_mass, 1.0).astype(np.float64)
-        inverse_inertia = np.where(self.movable, self.scene.inverse_inertia, 1.0).astype(np.float64)
+        inverse = np.where(self.movable, self.scene.shapes.inverse_mass, 1.0).astype(np.float64)
+        inverse_inertia = np.where(self.movable, self.scene.shapes.inverse_inertia, 1.0).astype(np.float64)
         return self.movable / inverse, self.movable / inverse_inertia
 
 

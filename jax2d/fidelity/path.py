@@ -42,13 +42,13 @@ class Path:
 
     def masses(self) -> tuple[np.ndarray, np.ndarray]:
         """(mass [n] kg, inertia [n] kg m^2), zero for fixed and inactive shapes."""
-        active = np.asarray(self.scene.shape_active)
+        active = np.asarray(self.scene.shapes.active)
 
         def inverse(x: np.ndarray) -> np.ndarray:
             movable = active & (np.asarray(x) > 0)
             return np.where(movable, 1.0 / np.where(movable, x, 1.0), 0.0)
 
-        return inverse(self.scene.inverse_mass), inverse(self.scene.inverse_inertia)
+        return inverse(self.scene.shapes.inverse_mass), inverse(self.scene.shapes.inverse_inertia)
 
     def energy(self) -> np.ndarray:
         """Kinetic and potential, [num_steps + 1] J; zero of height is the origin."""
@@ -76,8 +76,8 @@ class Path:
             return self.position[:, body] + np.stack([cos * x - sin * y, sin * x + cos * y], -1)
 
         scene = self.scene
-        gap = anchors(scene.joint_b, scene.joint_anchor_b) - anchors(scene.joint_a, scene.joint_anchor_a)
-        return np.where(scene.joint_active, np.linalg.norm(gap, axis=-1), 0.0)
+        gap = anchors(scene.joints.b, scene.joints.anchor_b) - anchors(scene.joints.a, scene.joints.anchor_a)
+        return np.where(scene.joints.active, np.linalg.norm(gap, axis=-1), 0.0)
 
 
 def crossings(values: np.ndarray, dt: float) -> np.ndarray:

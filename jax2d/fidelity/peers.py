@@ -25,6 +25,7 @@ import numpy as np
 from jax2d.builder import BuiltWorld
 from jax2d.fidelity.closed_forms import MOTOR_ACCELERATION, MOTOR_SPEED, THRUST
 from jax2d.fidelity.path import Path
+from jax2d.fields import as_dict
 from jax2d.scene import stack_worlds
 
 CHECKOUT = File(__file__).resolve().parents[2]
@@ -178,7 +179,7 @@ def _write_request(
     **how: int,
 ) -> None:
     scene = stack_worlds([world.scene for world in worlds])
-    arrays = {f"scene.{field.name}": getattr(scene, field.name) for field in dataclasses.fields(scene)}
+    arrays = {f"scene.{name}": values for name, values in as_dict(scene).items()}
     for name in ("position", "angle", "velocity", "angular_velocity"):
         arrays[name] = np.stack([getattr(world, name) for world in worlds])
     asked = how | {

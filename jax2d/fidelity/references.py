@@ -9,7 +9,6 @@ from there. An error is accepted when it is at least TRUST times that distance: 
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import time
 from collections.abc import Sequence
@@ -25,6 +24,7 @@ from jax2d.fidelity.closed_forms import G, with_plain_friction
 from jax2d.fidelity.path import Path
 from jax2d.fidelity.reference_scenes import CAPACITY, REFERENCE_SCENES, ReferenceScene
 from jax2d.fidelity.study_scene import Error, StudyScene
+from jax2d.fields import as_dict
 from jax2d.scene import Capacity
 from jax2d.settings import preset
 
@@ -95,7 +95,7 @@ def moments_of(scene: ReferenceScene) -> np.ndarray:
 
 def movable(world: BuiltWorld) -> np.ndarray:
     """[n] bool"""
-    return np.asarray(world.scene.shape_active) & (np.asarray(world.scene.inverse_mass) > 0)
+    return np.asarray(world.scene.shapes.active) & (np.asarray(world.scene.shapes.inverse_mass) > 0)
 
 
 def signature(scene: ReferenceScene) -> list[float]:
@@ -106,7 +106,7 @@ def signature(scene: ReferenceScene) -> list[float]:
         flat = np.asarray(values, np.float64).ravel()
         return float(flat @ np.cos(np.arange(len(flat))))
 
-    fields = [getattr(world.scene, field.name) for field in dataclasses.fields(world.scene)]
+    fields = list(as_dict(world.scene).values())
     return [
         scene.seconds,
         scene.control,
@@ -121,12 +121,12 @@ def signature(scene: ReferenceScene) -> list[float]:
 def snug(scene: ReferenceScene) -> Capacity:
     """No room to spare: the reference backend pays for every slot, in use or not."""
     used = scene.world().scene
-    shapes = np.asarray(used.shape_active)
+    shapes = np.asarray(used.shapes.active)
     return Capacity(
         polygons=int(shapes[: CAPACITY.polygons].sum()),
         circles=int(shapes[CAPACITY.polygons :].sum()),
-        joints=int(np.asarray(used.joint_active).sum()),
-        thrusters=int(np.asarray(used.thruster_active).sum()),
+        joints=int(np.asarray(used.joints.active).sum()),
+        thrusters=int(np.asarray(used.thrusters.active).sum()),
     )
 
 

@@ -18,11 +18,22 @@ import numpy as np
 import warp as wp
 
 from jax2d.effects import Effects
-from jax2d.scene import Array, Capacity, Controls, Noted, Scene, State, only_what_acts, touch_bits
-from jax2d.settings import Settings, softness
+from jax2d.fields import Array, Field, num_elements
+from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, only_what_acts, pack_bits
+from jax2d.settings import Settings
+from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.kernel import make_kernel
-from jax2d.warp.layout import JOINT_FLAGS, PARAMS, Layout
-from jax2d.warp.source import BLOCK, shared_record
+from jax2d.warp.layout import (
+    Layout,
+    bit_sets,
+    cpp_name,
+    packed_words,
+    scene_floats,
+    state_floats,
+    whole_numbers,
+)
+from jax2d.warp.source import PARAMETERS
+from jax2d.warp.variant import CompileOptions, KernelVariant
 
 # The kernel's tables of the state, which come after four others.
 STATE_ARGUMENT = 4
@@ -49,23 +60,9 @@ class StateTables:
 
 
 def solver_parameters(settings: Settings) -> np.ndarray:
-    """The run-time numbers of a settings object in the order of layout.PARAMS, float32."""
-    h = settings.substep_seconds
-    contact = softness(min(settings.contact_hertz, settings.contact_hertz_share / h), settings.contact_damping_ratio, h)
-    # Fixed bodies do not yield, so contacts with them are twice as stiff.
-    fixed = softness(
-        2 * min(settings.contact_hertz, settings.contact_hertz_share / h), settings.contact_damping_ratio, h
-    )
-    joint = softness(min(settings.joint_hertz, settings.joint_hertz_share / h), settings.joint_damping_ratio, h)
-    values: dict[str, float] = {
-        name.upper(): value
-        for name, value in dataclasses.asdict(settings).items()
-        if name.upper() in PARAMS and not isinstance(value, str)
-    }
-    values |= {"H": h, "MAX_OMEGA": settings.max_angular_speed}
-    for prefix, triple in (("CONTACT", contact), ("FIXED", fixed), ("JOINT", joint)):
-        values |= dict(zip((f"{prefix}_BIAS_RATE", f"{prefix}_MASS_SCALE", f"{prefix}_IMPULSE_SCALE"), triple))
-    return np.array([values[name] for name in PARAMS], np.float32)
+    """The run-time numbers of a settings object in the order of `source.PARAMETERS`, float32."""
+    values = flat(solver_numbers(settings))
+    return np.array([values[name] for name in PARAMETERS], np.float32)
 
 
 def _worlds_last(x: Array, dtype: Any) -> jax.Array:
@@ -76,7 +73,13 @@ def _worlds_last(x: Array, dtype: Any) -> jax.Array:
 
 def _bit_rows(matrix: Array) -> jax.Array:
     """[num_worlds, m, n] bool -> [m * words, num_worlds] int32 with a bit for each of n."""
-    return _worlds_last(jax.lax.bitcast_convert_type(touch_bits(matrix), jnp.int32), jnp.int32)
+    return _worlds_last(jax.lax.bitcast_convert_type(pack_bits(matrix), jnp.int32), jnp.int32)
+
+
+def _packed_word(scene: Scene, word: dict[Field, int]) -> jax.Array:
+    """[num_worlds, slots] int32 of the fields of a part, each at its position."""
+    parts = [jnp.asarray(field.get(scene)).astype(jnp.int32) << shift for field, shift in word.items()]
+    return functools.reduce(jnp.bitwise_or, parts)
 
 
 def _worlds_first(rows: Array, *shape: int) -> jax.Array:
@@ -86,7 +89,17 @@ def _worlds_first(rows: Array, *shape: int) -> jax.Array:
 class WarpBackend:
     """Steps batches of worlds of one capacity with one kernel launch a call."""
 
-    def __init__(self, capacity: Capacity, settings: Settings, effects: Effects):
+    def __init__(
+        self,
+        capacity: Capacity,
+        settings: Settings,
+        dtype: np.dtype,
+        effects: Effects,
+        *,
+        options: CompileOptions | None = None,
+    ):
+        if dtype != np.float32:
+            raise ValueError(f"backend 'warp' computes in float32, not {dtype}; use backend='xla'")
         if settings.solver_batch_size > 1:
             raise ValueError(
                 f"Settings.solver_batch_size is {settings.solver_batch_size}; backend 'warp' solves contacts one after "
@@ -98,103 +111,67 @@ class WarpBackend:
                 "alone: use (), or backend='xla'"
             )
         self.capacity = capacity
-        self.settings = settings
         self.num_contact_slots = capacity.contact_slots
         self.rows = Layout(capacity).rows()
         self.parameters = solver_parameters(settings)
         wp.init()
+        variant = KernelVariant.of(capacity, settings, effects, options)
 
         def call_for(worlds: int) -> Any:
-            shapes = effects.polygon_slots + effects.circle_slots
-            in_shared = shared_record(shapes, worlds) if jax.default_backend() == "gpu" else 0
-            return _jax_call(capacity, settings.solver, settings.friction_mixing, effects, in_shared)
+            return _jax_call(variant.for_worlds(worlds) if jax.default_backend() == "gpu" else variant)
 
         self._launch = functools.cache(lambda num_steps: _launch(call_for, self.rows["OUT"]["ROWS"], num_steps))
 
     def pack_scene(self, scene: Scene) -> SceneTables:
         """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
         scene = only_what_acts(scene)
-        floats = jnp.concatenate(
-            [
-                _worlds_last(field, jnp.float32)
-                for field in (
-                    scene.inverse_mass,
-                    scene.inverse_inertia,
-                    scene.friction,
-                    scene.restitution,
-                    scene.vertices,
-                    scene.radius,
-                    scene.joint_anchor_a,
-                    scene.joint_anchor_b,
-                    scene.joint_rest_angle,
-                    scene.motor_speed,
-                    scene.motor_power,
-                    scene.lower_limit,
-                    scene.upper_limit,
-                    scene.thruster_position,
-                    scene.thruster_angle,
-                    scene.thruster_power,
-                    scene.gravity,
-                )
-            ]
+        words = [_packed_word(scene, word) for word in packed_words().values()]
+        tables = SceneTables(
+            floats=jnp.concatenate([_worlds_last(field.get(scene), jnp.float32) for field in scene_floats()]),
+            ints=jnp.concatenate(
+                [
+                    *(_bit_rows(field.get(scene)) for field in bit_sets()),
+                    *(_worlds_last(field.get(scene), jnp.int32) for field in whole_numbers()),
+                    *(_worlds_last(word, jnp.int32) for word in words),
+                ]
+            ),
         )
-        worlds = scene.can_touch.shape[0]
-        flags = (
-            jnp.asarray(scene.joint_active) * JOINT_FLAGS["JOINT_ACTIVE"]
-            + jnp.asarray(scene.joint_is_fixed) * JOINT_FLAGS["JOINT_FIXED"]
-            + jnp.asarray(scene.motor_on) * JOINT_FLAGS["JOINT_MOTOR"]
-            + jnp.asarray(scene.has_limits) * JOINT_FLAGS["JOINT_LIMITED"]
-        )
-        joints = flags + (jnp.asarray(scene.joint_a) << 8) + (jnp.asarray(scene.joint_b) << 20)
-        owners = jnp.where(jnp.asarray(scene.thruster_active), scene.thruster_body, -1)
-        ints = jnp.concatenate(
-            [
-                _bit_rows(jnp.asarray(scene.shape_active)[:, None, :]),
-                _bit_rows(scene.can_touch),
-                _worlds_last(scene.num_vertices, jnp.int32),
-                _worlds_last(joints, jnp.int32),
-                _worlds_last(owners, jnp.int32),
-            ]
-        )
-        assert floats.shape == (self.rows["SCENE"]["ROWS"], worlds), floats.shape
-        return SceneTables(floats=floats, ints=ints)
+        assert tables.floats.shape[0] == self.rows["SCENE"]["ROWS"], tables.floats.shape
+        assert tables.ints.shape[0] == self.rows["INTS"]["ROWS"], tables.ints.shape
+        return tables
 
     def pack_state(self, state: State) -> StateTables:
-        bodies = [state.position, state.angle, state.velocity, state.angular_velocity]
-        return StateTables(
-            bodies=jnp.concatenate([_worlds_last(x, jnp.float32) for x in bodies]),
-            impulses=jnp.concatenate(
-                [_worlds_last(x, jnp.float32) for x in (state.joint_impulse, state.contact_impulse)]
-            ),
-            keys=_worlds_last(state.contact_key, jnp.int32),
+        bodies, impulses = (
+            jnp.concatenate([_worlds_last(field.get(state), jnp.float32) for field in state_floats(table)])
+            for table in ("STATE", "IMPULSE")
         )
+        return StateTables(bodies=bodies, impulses=impulses, keys=_worlds_last(state.contact_key, jnp.int32))
 
     def bodies(self, packed: StateTables) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n])."""
-        n, rows = self.capacity.shapes, packed.bodies
-        return (
-            _worlds_first(rows[: 2 * n], n, 2),
-            _worlds_first(rows[2 * n : 3 * n], n),
-            _worlds_first(rows[3 * n : 5 * n], n, 2),
-            _worlds_first(rows[5 * n :], n),
-        )
+        position, angle, velocity, angular_velocity = self._worlds_first("STATE", packed.bodies)
+        return position, angle, velocity, angular_velocity
 
     def unpack_state(self, packed: StateTables) -> State:
-        position, angle, velocity, angular_velocity = self.bodies(packed)
-        joint_rows = 5 * self.capacity.joints
-        return State(
-            position=position,
-            angle=angle,
-            velocity=velocity,
-            angular_velocity=angular_velocity,
-            joint_impulse=_worlds_first(packed.impulses[:joint_rows], self.capacity.joints, 5),
-            contact_key=packed.keys.T,
-            contact_impulse=_worlds_first(packed.impulses[joint_rows:], self.num_contact_slots, 2),
-        )
+        floats = {
+            field.name: values
+            for table, rows in (("STATE", packed.bodies), ("IMPULSE", packed.impulses))
+            for field, values in zip(state_floats(table), self._worlds_first(table, rows), strict=True)
+        }
+        return State(contact_key=packed.keys.T, **floats)
+
+    def _worlds_first(self, table: str, rows: Array) -> list[jax.Array]:
+        """[W, ...] of each quantity of a table."""
+        first, sizes = self.rows[table], self.capacity.sizes
+        found = []
+        for field in state_floats(table):
+            start = first[cpp_name(field)]
+            found.append(_worlds_first(rows[start : start + num_elements(field, sizes)], *field.shape(sizes)))
+        return found
 
     def step_packed(
         self, scene: SceneTables, state: StateTables, controls: Controls, num_steps: int
-    ) -> tuple[StateTables, Noted]:
+    ) -> tuple[StateTables, BackendReport]:
         c, rows = self.capacity, self.rows["OUT"]
         worlds = state.bodies.shape[1]
         control_rows = [_worlds_last(x, jnp.float32) for x in (controls.motor, controls.thruster) if x.shape[-1]]
@@ -210,13 +187,13 @@ class WarpBackend:
         )
         bits = jax.lax.bitcast_convert_type(out, jnp.uint32)
         height = c.shapes * c.touch_words
-        noted = Noted(
+        report = BackendReport(
             at_end=_worlds_first(bits[rows["AT_END"] : rows["AT_END"] + height], c.shapes, c.touch_words),
             during=_worlds_first(bits[rows["DURING"] : rows["DURING"] + height], c.shapes, c.touch_words),
             overflow=out[rows["OVERFLOW"]],
             limited=out[rows["LIMITED"]],
         )
-        return StateTables(bodies=bodies, impulses=impulses, keys=keys), noted
+        return StateTables(bodies=bodies, impulses=impulses, keys=keys), report
 
 
 def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Callable[..., tuple[Array, ...]]:
@@ -265,9 +242,8 @@ def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Ca
 
 
 @functools.cache
-def _jax_call(capacity: Capacity, solver: str, friction_mixing: str, effects: Effects, in_shared: int) -> Any:
-    kernel = make_kernel(capacity, solver, friction_mixing, effects, in_shared)
-    call = wp.jax_kernel(kernel, num_outputs=4, block_dim=BLOCK)
+def _jax_call(variant: KernelVariant) -> Any:
+    call = wp.jax_kernel(make_kernel(variant), num_outputs=4, block_dim=variant.options.block_dim)
     # The state is stepped where it stands, which saves a copy in every pass of a loop. XLA does not always keep to it:
     # on a GPU it may let a call write straight into the stacked results of a scan, with other memory for the input. So
     # the kernel takes both, and copies where they differ; with `in_out_argnames` it would read what was never written.

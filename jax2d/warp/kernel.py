@@ -6,25 +6,15 @@ import functools
 
 import warp as wp
 
-from jax2d.effects import Effects
-from jax2d.scene import Capacity
-from jax2d.settings import Settings
 from jax2d.warp.source import kernel_source
-
-# Loops over compile-time constants would be unrolled 86 s deep; gradients are the reference backend's job.
-MODULE_OPTIONS = {"max_unroll": 0, "enable_backward": False}
+from jax2d.warp.variant import KernelVariant
 
 
 @functools.cache
-def make_kernel(
-    capacity: Capacity, solver: str, friction_mixing: str, effects: Effects, in_shared: int = 0
-) -> wp.Kernel:
-    """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time.
+def make_kernel(variant: KernelVariant) -> wp.Kernel:
+    """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time."""
 
-    `in_shared`: how many numbers of a body a GPU keeps in shared memory, as source.shared_record says."""
-    settings = Settings(solver=solver, friction_mixing=friction_mixing)  # type: ignore[arg-type]
-
-    @wp.func_native(kernel_source(capacity, settings, effects, in_shared))
+    @wp.func_native(kernel_source(variant))
     def step_world(
         world: int,
         num_worlds: int,
@@ -45,7 +35,12 @@ def make_kernel(
         out_table: wp.array2d[wp.int32],
     ): ...
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, enable_backward=False)
+    @wp.kernel(
+        module="unique",
+        module_options=variant.options.module_options,
+        enable_backward=False,
+        **variant.options.kernel_options,
+    )
     def step_worlds(
         # Scene:
         scene_table: wp.array2d[wp.float32],

@@ -1,54 +1,58 @@
-"""Where each quantity stands in the kernel's tables: the one place that both sides are generated from.
+"""Where each quantity stands in the kernel's tables, from the declarations of Scene, State and Controls.
 
-Scene, State and the rest are pytrees of small arrays; the kernel reads and writes four tables of
-`[field, world]`, so that neighbouring threads touch neighbouring addresses. `Layout` gives each
-quantity's first row; source.py turns the same numbers into C++ constants.
+Scene, State and the rest are pytrees of small arrays; the kernel reads and writes tables of `[field, world]`, so that
+neighbouring threads touch neighbouring addresses. `Layout` gives each quantity's first row; source.py turns the same
+numbers into C++ constants. A field of `Scene.joints.anchor_a` stands at SCENE_JOINTS_ANCHOR_A.
+
+    SCENE    floats of the scene
+    INTS     bools over shapes as bit sets; whole numbers of polygons; a packed word for each joint and thruster
+    STATE    floats of bodies               IMPULSE  floats kept for warm starting         KEYS  of contacts
+    OUT      what a call reports
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 
-from jax2d.scene import Capacity
+from jax2d.fields import Field, fields_of, num_elements
+from jax2d.scene import Capacity, Scene, State
 
-JOINT_FLAGS = {"JOINT_ACTIVE": 1, "JOINT_FIXED": 2, "JOINT_MOTOR": 4, "JOINT_LIMITED": 8}
+WORD_BITS = 31  # of an int32 that stays positive
 
-PARAMS = (
-    "DT",
-    "H",
-    "SUBSTEPS",
-    "WARM_START",
-    "BASE_FRICTION",
-    "BASE_MOTOR_SPEED",
-    "BASE_MOTOR_POWER",
-    "BASE_THRUSTER_POWER",
-    "MAX_SPEED",
-    "MAX_OMEGA",
-    "CONTACT_BIAS_RATE",
-    "CONTACT_MASS_SCALE",
-    "CONTACT_IMPULSE_SCALE",
-    "FIXED_BIAS_RATE",
-    "FIXED_MASS_SCALE",
-    "FIXED_IMPULSE_SCALE",
-    "JOINT_BIAS_RATE",
-    "JOINT_MASS_SCALE",
-    "JOINT_IMPULSE_SCALE",
-    "PUSH_OUT_SPEED",
-    "JOINT_PULL_SPEED",
-    "JOINT_TURN_SPEED",
-    "SPECULATIVE_DISTANCE",
-    "RESTITUTION_THRESHOLD",
-    "BOUNCE_ROUNDS",
-    "SLOP",
-    "COLLISION_CORRECTION",
-    "JOINT_VELOCITY_CORRECTION",
-    "JOINT_POSITION_CORRECTION",
-    "JOINT_STIFFNESS",
-    "FIXED_ANGLE_RATE",
-    "LIMIT_ANGLE_RATE",
-    "MOTOR_DECAY",
-    "MOTOR_FADE_ANGLE",
-)
+
+def scene_floats() -> list[Field]:
+    """Rows of the SCENE table, in order."""
+    return [field for field in fields_of(Scene) if field.kind is float and field.stepped]
+
+
+def bit_sets() -> list[Field]:
+    """Bools over shapes: rows of bits in the INTS table."""
+    return [field for field in fields_of(Scene) if field.kind is bool and field.dims[-1] == "n"]
+
+
+def whole_numbers() -> list[Field]:
+    """Ints with a row each in the INTS table."""
+    return [field for field in fields_of(Scene) if field.kind is int and field.bits is None]
+
+
+@functools.cache
+def packed_words() -> dict[str, dict[Field, int]]:
+    """Parts of a scene that are packed into one word a slot: part -> {field: position of its lowest bit}."""
+    words: dict[str, dict[Field, int]] = {}
+    for field in fields_of(Scene):
+        if field.bits is not None:
+            word = words.setdefault(field.path[0], {})
+            word[field] = sum(earlier.bits or 0 for earlier in word)
+    for part, word in words.items():
+        assert sum(field.bits or 0 for field in word) <= WORD_BITS, f"{part} does not fit a word"
+    return words
+
+
+def state_floats(table: str) -> list[Field]:
+    """Rows of the STATE table (of bodies) or of the IMPULSE table (of joints and contacts)."""
+    is_body = {"STATE": True, "IMPULSE": False}[table]
+    return [field for field in fields_of(State) if field.kind is float and (field.dims[0] == "n") == is_body]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,41 +64,36 @@ class Layout:
     def rows(self) -> dict[str, dict[str, int]]:
         """First row of each quantity, by table; the key 'ROWS' gives the table's height."""
         c = self.capacity
-        n, joints, thrusters = c.shapes, c.joints, c.thrusters
+        sizes, words = c.sizes, c.touch_words
+        sets = {cpp_name(field): num_elements(field, sizes) // c.shapes * words for field in bit_sets()}
+        numbers = {cpp_name(field): num_elements(field, sizes) for field in whole_numbers()}
+        packed = {part.upper(): next(iter(word)).shape(sizes)[0] for part, word in packed_words().items()}
         return {
-            "SCENE": _stack(
-                INVERSE_MASS=n,
-                INVERSE_INERTIA=n,
-                FRICTION=n,
-                RESTITUTION=n,
-                VERTICES=2 * c.polygons * c.vertices,
-                RADIUS=c.circles,
-                ANCHOR_A=2 * joints,
-                ANCHOR_B=2 * joints,
-                REST_ANGLE=joints,
-                MOTOR_SPEED=joints,
-                MOTOR_POWER=joints,
-                LOWER=joints,
-                UPPER=joints,
-                THRUSTER_POSITION=2 * thrusters,
-                THRUSTER_ANGLE=thrusters,
-                THRUSTER_POWER=thrusters,
-                GRAVITY=2,
-            ),
-            "INTS": _stack(
-                ACTIVE=c.touch_words,
-                PARTNERS=n * c.touch_words,
-                NUM_VERTICES=c.polygons,
-                JOINTS=joints,
-                THRUSTERS=thrusters,
-            ),
-            "STATE": _stack(POSITION=2 * n, ANGLE=n, VELOCITY=2 * n, OMEGA=n),
-            "IMPULSE": _stack(JOINT=5 * joints, CONTACT=2 * c.contact_slots),
-            "OUT": _stack(AT_END=n * c.touch_words, DURING=n * c.touch_words, OVERFLOW=1, LIMITED=1),
+            "SCENE": _stack({cpp_name(field): num_elements(field, sizes) for field in scene_floats()}),
+            "INTS": _stack(sets | numbers | packed),
+            **{
+                table: _stack({cpp_name(field): num_elements(field, sizes) for field in state_floats(table)})
+                for table in ("STATE", "IMPULSE")
+            },
+            "OUT": _stack({"AT_END": c.shapes * words, "DURING": c.shapes * words, "OVERFLOW": 1, "LIMITED": 1}),
         }
 
 
-def _stack(**heights: int) -> dict[str, int]:
+def cpp_name(field: Field) -> str:
+    return "_".join(field.path).upper()
+
+
+def word_constants() -> dict[str, int]:
+    """JOINTS_A_SHIFT, JOINTS_A_MASK and so on: where numbers stand in packed words."""
+    constants = {}
+    for word in packed_words().values():
+        for field, shift in word.items():
+            constants[f"{cpp_name(field)}_SHIFT"] = shift
+            constants[f"{cpp_name(field)}_MASK"] = (1 << (field.bits or 0)) - 1
+    return constants
+
+
+def _stack(heights: dict[str, int]) -> dict[str, int]:
     rows, total = {}, 0
     for name, height in heights.items():
         rows[name] = total

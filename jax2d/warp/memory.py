@@ -14,7 +14,7 @@ from jax2d.scene import Capacity
 from jax2d.settings import Settings
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import Layout
-from jax2d.warp.source import BLOCK
+from jax2d.warp.variant import KernelVariant
 
 FLOAT_BYTES = 4  # as all tables hold
 # Of the ELF files that CUDA calls cubin: a section with one record for each property of a kernel.
@@ -40,8 +40,9 @@ def thread_bytes(capacity: Capacity, settings: Settings, effects: Effects, compu
 
     CUDA sets so much aside for every thread that can be resident at once, used or not. Needs no GPU, but compiles.
     """
-    kernel = make_kernel(capacity, settings.solver, settings.friction_mixing, effects)
-    kernel.module.options |= {"block_dim": BLOCK}
+    variant = KernelVariant.of(capacity, settings, effects)
+    kernel = make_kernel(variant)
+    kernel.module.options |= {"block_dim": variant.options.block_dim}
     with tempfile.TemporaryDirectory() as folder:
         wp.compile_aot_module(
             kernel.module, arch=int(compute_capability.replace(".", "")), module_dir=folder, use_ptx=False

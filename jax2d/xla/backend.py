@@ -6,26 +6,34 @@ Packed scenes and states are `Scene` and `State` themselves, in the engine's pre
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from jax2d.scene import Array, Capacity, Controls, Noted, Scene, State, only_what_acts
+from jax2d.effects import Effects
+from jax2d.fields import Array
+from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, only_what_acts
 from jax2d.settings import Settings
+from jax2d.solver_numbers import SolverNumbers, solver_numbers
 from jax2d.xla import step
-from jax2d.xla.parameters import Parameters, Rules, parameters_of, rules_of
+from jax2d.xla.rules import Rules, rules_of
 
 
 class XlaBackend:
     """Steps batches of worlds of one capacity by a compiled JAX program, on any device, with gradients."""
 
-    def __init__(self, capacity: Capacity, settings: Settings, dtype: Any):
+    def __init__(self, capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects):
+        """The reference computes every pair and slot, whatever the `effects`."""
+        del effects
+        if dtype not in (np.float32, np.float64):
+            raise ValueError(f"backend 'xla' computes in float32 or float64, not {dtype}")
+        if jax.dtypes.canonicalize_dtype(dtype) != dtype:
+            raise ValueError("dtype float64 needs JAX's 64-bit mode: jax.config.update('jax_enable_x64', True)")
         self.capacity = capacity
-        self.settings = settings
         self.num_contact_slots = capacity.contact_slots
         self.dtype = dtype
-        self.parameters = parameters_of(settings)
+        self.parameters = solver_numbers(settings)
         self.rules = rules_of(settings)
 
     def _worlds_last(self, x: Array) -> jax.Array:
@@ -48,7 +56,9 @@ class XlaBackend:
         state = self.unpack_state(packed)
         return state.position, state.angle, state.velocity, state.angular_velocity
 
-    def step_packed(self, scene: Scene, state: State, controls: Controls, num_steps: int) -> tuple[State, Noted]:
+    def step_packed(
+        self, scene: Scene, state: State, controls: Controls, num_steps: int
+    ) -> tuple[State, BackendReport]:
         controls = jax.tree.map(lambda x: jnp.asarray(x, self.dtype), controls)
         return _step_worlds(
             scene,
@@ -66,12 +76,12 @@ def _step_worlds(
     scene: Scene,
     state: State,
     controls: Controls,
-    params: Parameters,
+    params: SolverNumbers,
     *,
     rules: Rules,
     capacity: Capacity,
     num_steps: int,
-) -> tuple[State, Noted]:
+) -> tuple[State, BackendReport]:
     run = functools.partial(step.run, rules=rules, capacity=capacity, num_steps=num_steps)
-    # Packed trees have worlds last, controls and Noted first.
+    # Packed trees have worlds last, controls and BackendReport first.
     return jax.vmap(run, in_axes=(-1, -1, 0, None), out_axes=(-1, 0))(scene, state, controls, params)

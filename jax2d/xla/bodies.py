@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Scene, State
+from jax2d.solver_numbers import Scalar
 from jax2d.xla import vec2
-from jax2d.xla.parameters import Scalar
 
 
-class Motion(NamedTuple):
+class Velocities(NamedTuple):
     """What impulses change."""
 
     velocity: jax.Array  # [n, 2] m/s
@@ -27,7 +27,7 @@ class Motion(NamedTuple):
 class Bodies(NamedTuple):
     position: jax.Array  # [n, 2] m, at the start of the step
     angle: jax.Array  # [n] rad, at the start of the step
-    motion: Motion
+    velocities: Velocities
     delta: jax.Array  # [n, 2] m, moved since the start of the step
     turn: jax.Array  # [n] rad, turned since the start of the step
     inverse_mass: jax.Array  # [n] 1/kg
@@ -43,11 +43,11 @@ def load(scene: Scene, state: State) -> Bodies:
     return Bodies(
         position=state.position,
         angle=state.angle,
-        motion=Motion(state.velocity, state.angular_velocity),
+        velocities=Velocities(state.velocity, state.angular_velocity),
         delta=jnp.zeros_like(state.position),
         turn=jnp.zeros_like(state.angle),
-        inverse_mass=scene.inverse_mass,
-        inverse_inertia=scene.inverse_inertia,
+        inverse_mass=scene.shapes.inverse_mass,
+        inverse_inertia=scene.shapes.inverse_inertia,
         limited=jnp.zeros((), jnp.int32),
     )
 
@@ -63,14 +63,14 @@ def end_step(bodies: Bodies) -> Bodies:
 
 def apply_gravity(bodies: Bodies, gravity: jax.Array, dt: Scalar) -> Bodies:
     """Semi-implicit Euler: velocity from gravity."""
-    velocity, omega = bodies.motion
+    velocity, omega = bodies.velocities
     falls = (bodies.inverse_mass > 0)[:, None]
-    return bodies._replace(motion=Motion(jnp.where(falls, velocity + gravity * dt, velocity), omega))
+    return bodies._replace(velocities=Velocities(jnp.where(falls, velocity + gravity * dt, velocity), omega))
 
 
 def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies:
     """Speed limits; each time one acts is counted."""
-    velocity, omega = bodies.motion
+    velocity, omega = bodies.velocities
     dynamic = bodies.is_dynamic
     speed_squared = vec2.dot(velocity, velocity)
     too_fast = dynamic & (speed_squared > max_speed * max_speed)
@@ -79,7 +79,7 @@ def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies
     spins_too_fast = dynamic & (jnp.abs(omega) > max_omega)
     omega = jnp.where(spins_too_fast, jnp.sign(omega) * max_omega, omega)
     return bodies._replace(
-        motion=Motion(velocity, omega),
+        velocities=Velocities(velocity, omega),
         limited=bodies.limited + jnp.sum(too_fast, dtype=jnp.int32) + jnp.sum(spins_too_fast, dtype=jnp.int32),
     )
 
@@ -89,8 +89,8 @@ def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bo
     bodies = limit_speeds(bodies, max_speed, max_omega)
     dynamic = bodies.is_dynamic
     return bodies._replace(
-        delta=bodies.delta + jnp.where(dynamic[:, None], bodies.motion.velocity * dt, 0),
-        turn=bodies.turn + jnp.where(dynamic, bodies.motion.omega * dt, 0),
+        delta=bodies.delta + jnp.where(dynamic[:, None], bodies.velocities.velocity * dt, 0),
+        turn=bodies.turn + jnp.where(dynamic, bodies.velocities.omega * dt, 0),
     )
 
 
@@ -105,7 +105,7 @@ class Pair(NamedTuple):
     inertia_b: jax.Array
 
 
-class PairMotion(NamedTuple):
+class PairVelocities(NamedTuple):
     """Velocities of the two bodies of each pair."""
 
     velocity_a: jax.Array  # [..., 2]
@@ -136,24 +136,26 @@ def pair_up(bodies: Bodies, a: jax.Array, b: jax.Array, exists: jax.Array) -> Pa
     )
 
 
-def pair_motion(pair: Pair, motion: Motion) -> PairMotion:
-    return PairMotion(
-        velocity_a=pick(pair.is_a, motion.velocity),
-        velocity_b=pick(pair.is_b, motion.velocity),
-        omega_a=pick(pair.is_a, motion.omega),
-        omega_b=pick(pair.is_b, motion.omega),
+def pair_velocities(pair: Pair, velocities: Velocities) -> PairVelocities:
+    return PairVelocities(
+        velocity_a=pick(pair.is_a, velocities.velocity),
+        velocity_b=pick(pair.is_b, velocities.velocity),
+        omega_a=pick(pair.is_a, velocities.omega),
+        omega_b=pick(pair.is_b, velocities.omega),
     )
 
 
-def relative_velocity(of: PairMotion, arm_a: jax.Array, arm_b: jax.Array) -> jax.Array:
+def relative_velocity(of: PairVelocities, arm_a: jax.Array, arm_b: jax.Array) -> jax.Array:
     """Velocity of b's point over a's, [..., 2]; arms lead from the centres of mass to the points."""
     at_a = of.velocity_a + vec2.left(arm_a) * of.omega_a[..., None]
     at_b = of.velocity_b + vec2.left(arm_b) * of.omega_b[..., None]
     return at_b - at_a
 
 
-def push_pair(of: PairMotion, pair: Pair, arm_a: jax.Array, arm_b: jax.Array, impulse_on_b: jax.Array) -> PairMotion:
-    return PairMotion(
+def apply_impulse(
+    of: PairVelocities, pair: Pair, arm_a: jax.Array, arm_b: jax.Array, impulse_on_b: jax.Array
+) -> PairVelocities:
+    return PairVelocities(
         velocity_a=of.velocity_a - impulse_on_b * pair.mass_a[..., None],
         velocity_b=of.velocity_b + impulse_on_b * pair.mass_b[..., None],
         omega_a=of.omega_a - pair.inertia_a * vec2.cross(arm_a, impulse_on_b),
@@ -161,26 +163,35 @@ def push_pair(of: PairMotion, pair: Pair, arm_a: jax.Array, arm_b: jax.Array, im
     )
 
 
-def twist_pair(of: PairMotion, pair: Pair, impulse_on_b: jax.Array) -> PairMotion:
+def apply_angular_impulse(of: PairVelocities, pair: Pair, impulse_on_b: jax.Array) -> PairVelocities:
     return of._replace(
         omega_a=of.omega_a - pair.inertia_a * impulse_on_b, omega_b=of.omega_b + pair.inertia_b * impulse_on_b
     )
 
 
-def put_back(motion: Motion, pair: Pair, before: PairMotion, after: PairMotion) -> Motion:
+def scatter_velocities(velocities: Velocities, pair: Pair, before: PairVelocities, after: PairVelocities) -> Velocities:
     """Writes solved velocities into the world. Changes of pairs that share a body add up."""
     if pair.mass_a.ndim == 0:  # one pair: what was solved is what is stored, with no further rounding
-        return Motion(
+        return Velocities(
             jnp.where(
-                pair.is_a[:, None], after.velocity_a, jnp.where(pair.is_b[:, None], after.velocity_b, motion.velocity)
+                pair.is_a[:, None],
+                after.velocity_a,
+                jnp.where(pair.is_b[:, None], after.velocity_b, velocities.velocity),
             ),
-            jnp.where(pair.is_a, after.omega_a, jnp.where(pair.is_b, after.omega_b, motion.omega)),
+            jnp.where(pair.is_a, after.omega_a, jnp.where(pair.is_b, after.omega_b, velocities.omega)),
         )
     change = jax.tree.map(jnp.subtract, after, before)
     velocity_a = jnp.where(pair.is_a[..., None], change.velocity_a[..., None, :], 0)
     velocity_b = jnp.where(pair.is_b[..., None], change.velocity_b[..., None, :], 0)
     omega_a = jnp.where(pair.is_a, change.omega_a[..., None], 0)
     omega_b = jnp.where(pair.is_b, change.omega_b[..., None], 0)
-    return Motion(
-        motion.velocity + jnp.sum(velocity_a + velocity_b, axis=0), motion.omega + jnp.sum(omega_a + omega_b, axis=0)
+    return Velocities(
+        velocities.velocity + jnp.sum(velocity_a + velocity_b, axis=0),
+        velocities.omega + jnp.sum(omega_a + omega_b, axis=0),
     )
+
+
+def pair_mass(pair: Pair, arm_a: jax.Array, arm_b: jax.Array, direction: jax.Array) -> jax.Array:
+    """kg, effective along a direction [..., 2] at the ends of the arms."""
+    ra, rb = vec2.cross(arm_a, direction), vec2.cross(arm_b, direction)
+    return vec2.inverse_or_zero(pair.mass_a + pair.mass_b + pair.inertia_a * ra * ra + pair.inertia_b * rb * rb)

@@ -13,26 +13,33 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.xla import contacts as contacts_of
+from jax2d.constants import CONSTANTS as C
+from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import joints as joints_of
 from jax2d.xla import vec2
-from jax2d.xla.bodies import Bodies, Motion
+from jax2d.xla.bodies import Bodies, Velocities, pair_velocities, scatter_velocities
 from jax2d.xla.branching import in_any_world
-from jax2d.xla.contacts import Contacts, Leaving
+from jax2d.xla.contact_solver import (
+    Row,
+    current_separation,
+    normal_speed,
+    push_apart,
+    rows_of,
+    solve_friction,
+    with_impulses,
+)
+from jax2d.xla.contacts import Contacts
 from jax2d.xla.joints import Joints
-from jax2d.xla.parameters import Parameters, Rules, Scalar
-
-JOINT_PASSES = 2  # a round: along a chain a bounce goes joint by joint
-ROUNDING = 1e-5  # share of the energy that sums in float32 may be wrong by
+from jax2d.xla.rules import Rules
 
 
 class Round(NamedTuple):
     bodies: Bodies
     joints: Joints
     contacts: Contacts
-    leaving: Leaving
-    settled: jax.Array  # [] bool, everything leaves with its speed, as far as any push can make it
-    rubbed: jax.Array  # [] bool, friction has acted
+    leaving: BounceTargets
+    converged: jax.Array  # [] bool, everything leaves with its speed, as far as any push can make it
+    friction_applied: jax.Array  # [] bool, friction has acted
     done: jax.Array  # [] bool
 
 
@@ -41,55 +48,151 @@ def bounce(
     joints: Joints,
     contacts: Contacts,
     leaving_speed: jax.Array,
-    most_energy: jax.Array,
+    max_energy: jax.Array,
     gravity: jax.Array,
-    params: Parameters,
+    params: SolverNumbers,
     rules: Rules,
 ) -> Bodies:
     """Bodies after the bounces of one world; `leaving_speed` [K] m/s is zero where a contact does not bounce."""
 
-    def rounds() -> Motion:
+    def rounds() -> Velocities:
         def one_round(now: Round, index: jax.Array) -> tuple[Round, None]:
             bodies, joints, contacts = now.bodies, now.joints, now.contacts
-            for _ in range(JOINT_PASSES):
+            for _ in range(C.joint_passes_of_bounce):
                 bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False, motors=False)
-            rub = ~now.rubbed & (now.settled | (index == rules.bounce_rounds - 1))
-            bodies, contacts, leaving, settled = contacts_of.solve_bounces(
-                bodies, contacts, now.leaving, index == 0, rub, params
+            with_friction = ~now.friction_applied & (now.converged | (index == rules.bounce_rounds - 1))
+            bodies, contacts, leaving, converged = solve_bounces(
+                bodies, contacts, now.leaving, index == 0, with_friction, params
             )
-            after = Round(bodies, joints, contacts, leaving, settled, now.rubbed | rub, now.rubbed & settled)
+            after = Round(
+                bodies,
+                joints,
+                contacts,
+                leaving,
+                converged,
+                now.friction_applied | with_friction,
+                now.friction_applied & converged,
+            )
             return jax.tree.map(lambda x, y: jnp.where(now.done, x, y), now, after), None
 
-        leaving = Leaving(leaving_speed, contacts.mass_normal, contacts.approach)
+        leaving = BounceTargets(leaving_speed, contacts.mass_normal, contacts.approach)
         no, none_bounces = jnp.array(False), ~jnp.any(leaving_speed > 0)
-        start = Round(bodies, joints, contacts, leaving, settled=no, rubbed=no, done=none_bounces)
+        start = Round(bodies, joints, contacts, leaving, converged=no, friction_applied=no, done=none_bounces)
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
-        return limit(bodies, end.bodies, most_energy, gravity, params.h)
+        return limit(bodies, end.bodies, max_energy, gravity, params.h)
 
     # Worlds are stepped together, and mostly nothing bounces in any of them.
-    motion = jax.lax.cond(in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: bodies.motion)
-    return bodies._replace(motion=motion)
+    velocities = jax.lax.cond(in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: bodies.velocities)
+    return bodies._replace(velocities=velocities)
 
 
-def energy(bodies: Bodies, motion: Motion, gravity: jax.Array, h: Scalar) -> jax.Array:
+def energy(bodies: Bodies, velocities: Velocities, gravity: jax.Array, h: Scalar) -> jax.Array:
     """J, that of semi-implicit Euler, which keeps m |v + g h / 2|^2 / 2 - m g.x in free flight to the last digit; zero
     of height is where each body was when contacts were found."""
     mass, inertia = vec2.inverse_or_zero(bodies.inverse_mass), vec2.inverse_or_zero(bodies.inverse_inertia)
-    midway = motion.velocity + 0.5 * h * gravity
-    kinetic = 0.5 * (mass * vec2.dot(midway, midway) + inertia * motion.omega * motion.omega)
+    midway = velocities.velocity + 0.5 * h * gravity
+    kinetic = 0.5 * (mass * vec2.dot(midway, midway) + inertia * velocities.omega * velocities.omega)
     return jnp.sum(kinetic - mass * vec2.dot(bodies.delta, gravity))
 
 
-def limit(before: Bodies, after: Bodies, most: jax.Array, gravity: jax.Array, h: Scalar) -> Motion:
+def limit(before: Bodies, after: Bodies, max_energy: jax.Array, gravity: jax.Array, h: Scalar) -> Velocities:
     """Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more than
     there is. Then everything gets the same share of its change of velocity: joints and contacts stay solved."""
     mass, inertia = vec2.inverse_or_zero(before.inverse_mass), vec2.inverse_or_zero(before.inverse_inertia)
-    change = jax.tree.map(jnp.subtract, after.motion, before.motion)
-    midway = before.motion.velocity + 0.5 * h * gravity
-    linear = jnp.sum(mass * vec2.dot(midway, change.velocity) + inertia * before.motion.omega * change.omega)
+    change = jax.tree.map(jnp.subtract, after.velocities, before.velocities)
+    midway = before.velocities.velocity + 0.5 * h * gravity
+    linear = jnp.sum(mass * vec2.dot(midway, change.velocity) + inertia * before.velocities.omega * change.omega)
     quadratic = 0.5 * jnp.sum(mass * vec2.dot(change.velocity, change.velocity) + inertia * change.omega**2)
-    was = energy(before, before.motion, gravity, h)
-    too_much = (was + linear + quadratic > most * (1 + ROUNDING)) & (quadratic > 0)
-    root = vec2.sqrt_or_zero(linear * linear + 4 * quadratic * jnp.maximum(most - was, 0))
+    was = energy(before, before.velocities, gravity, h)
+    too_much = (was + linear + quadratic > max_energy * (1 + C.energy_rounding)) & (quadratic > 0)
+    root = vec2.sqrt_or_zero(linear * linear + 4 * quadratic * jnp.maximum(max_energy - was, 0))
     share = jnp.clip((root - linear) / (2 * jnp.where(too_much, quadratic, 1)), 0, 1)
-    return jax.tree.map(lambda x, dx, y: jnp.where(too_much, x + share * dx, y), before.motion, change, after.motion)
+    return jax.tree.map(
+        lambda x, dx, y: jnp.where(too_much, x + share * dx, y), before.velocities, change, after.velocities
+    )
+
+
+class BounceTargets(NamedTuple):
+    """Contacts while those that hit bounce."""
+
+    speed: jax.Array  # [K] m/s to leave with, 0: does not bounce
+    mass: jax.Array  # [K] kg that a push is taken to move
+    before: jax.Array  # [K] m/s, normal speed before the last push
+
+
+def solve_bounces(
+    bodies: Bodies,
+    contacts: Contacts,
+    leaving: BounceTargets,
+    is_first: jax.Array,
+    with_friction: jax.Array,
+    params: SolverNumbers,
+) -> tuple[Bodies, Contacts, BounceTargets, jax.Array]:
+    """A relax pass in which what bounces leaves with its speed, with friction where asked. Also whether all of it
+    already left, as far as any push can make it."""
+    separation = current_separation(bodies, contacts)
+    apart = jnp.maximum(separation, 0) / params.h
+
+    def solve(velocities: Velocities, row: tuple[Row, BounceTargets, jax.Array]) -> tuple[Velocities, tuple]:
+        c, bounce, apart = row
+        before = of = pair_velocities(c.pair, velocities)
+        vn = normal_speed(of, c)
+        bounces = bounce.speed > 0
+        mass, has_converged = update_secant_mass(c, bounce, vn, is_first)
+        impulse = jnp.where(bounces, mass * (bounce.speed - vn), -c.mass_normal * (vn + apart))
+        pushed, normal_total = push_apart(of, c, impulse)
+        friction_applied, tangent_total = solve_friction(pushed, c, normal_total)
+        has_friction = with_friction | ~bounces
+        of = jax.tree.map(lambda x, y: jnp.where(has_friction, x, y), friction_applied, pushed)
+        tangent_total = jnp.where(has_friction, tangent_total, c.impulse_tangent)
+        after = BounceTargets(bounce.speed, mass, vn)
+        return scatter_velocities(velocities, c.pair, before, of), (
+            normal_total,
+            tangent_total,
+            after,
+            has_converged | ~bounces,
+        )
+
+    velocities, (normal, tangent, leaving, converged) = jax.lax.scan(
+        solve, bodies.velocities, (rows_of(contacts), leaving, apart)
+    )
+    return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent), leaving, jnp.all(converged)
+
+
+def update_secant_mass(
+    c: Row, bounce: BounceTargets, vn: jax.Array, is_first: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """(mass that the next push is taken to move, whether it has its speed or no push can give it any more).
+
+    What the last push gave a bounce, joints and other contacts have shared out since. The next one pushes as if the
+    contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone."""
+    asked = bounce.speed - bounce.before
+    kept = (vn - bounce.before) / jnp.where(asked == 0, 1, asked)
+    has_converged = (jnp.abs(vn - bounce.speed) <= C.bounce_tolerance * bounce.speed) | (
+        (asked != 0) & (jnp.abs(kept) < C.min_kept_share)
+    )
+    is_seen = (asked != 0) & (kept > 0) & (kept < C.max_secant_share)
+    mass = jnp.where(is_seen, bounce.mass / jnp.clip(kept, C.min_secant_share, C.max_secant_share), c.mass_normal)
+    return jnp.where(is_first | has_converged, bounce.mass, mass), has_converged & ~is_first
+
+
+def leaving_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, params: SolverNumbers) -> jax.Array:
+    """Speed with which what hit in this step must leave, [K] m/s; 0 where nothing bounces."""
+    hits = (contacts.restitution > 0) & (contacts.approach <= -params.restitution_threshold)
+    bounces = hits & (contacts.max_impulse != 0)
+    return jnp.where(bounces, contacts.restitution * impact_speed(bodies, contacts, gravity, params.h), 0)
+
+
+def impact_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, h: Scalar) -> jax.Array:
+    """Speed at the moment of impact, which falls somewhere inside the step, [K] m/s.
+
+    StepState a closing acceleration a, semi-implicit Euler keeps u^2/2 + a h u/2 + a s (u approach speed, s separation)
+    exactly, so a bounce that leaves from where the body now is with the same value neither gains nor loses energy.
+    """
+    pair = contacts.pair
+    falls = (pair.mass_a > 0).astype(gravity.dtype) - (pair.mass_b > 0).astype(gravity.dtype)
+    a, u = vec2.dot(gravity, contacts.normal) * falls, -contacts.approach
+    half = 0.5 * a * h
+    fallen = contacts.separation - current_separation(bodies, contacts)
+    twice_energy = u * u + 2 * half * u + 2 * a * fallen
+    return vec2.sqrt_or_zero(half * half + twice_energy) + half

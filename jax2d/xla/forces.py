@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Controls, Scene
+from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import vec2
-from jax2d.xla.bodies import Bodies, Motion, pick
-from jax2d.xla.parameters import Parameters, Scalar
+from jax2d.xla.bodies import Bodies, Velocities, pick
 
 
 class Thrusters(NamedTuple):
@@ -19,13 +19,13 @@ class Thrusters(NamedTuple):
     force: jax.Array  # [T, 2] N, body frame
 
 
-def load(bodies: Bodies, scene: Scene, controls: Controls, params: Parameters) -> Thrusters:
+def load(bodies: Bodies, scene: Scene, controls: Controls, params: SolverNumbers) -> Thrusters:
     index = jnp.arange(bodies.angle.shape[0])
-    force = controls.thruster * scene.thruster_power * params.base_thruster_power
-    direction = jnp.stack([jnp.cos(scene.thruster_angle), jnp.sin(scene.thruster_angle)], -1)
+    force = controls.thruster * scene.thrusters.power * params.base_thruster_power
+    direction = jnp.stack([jnp.cos(scene.thrusters.angle), jnp.sin(scene.thrusters.angle)], -1)
     return Thrusters(
-        is_on=(scene.thruster_body[:, None] == index) & scene.thruster_active[:, None],
-        position=scene.thruster_position,
+        is_on=(scene.thrusters.body[:, None] == index) & scene.thrusters.active[:, None],
+        position=scene.thrusters.position,
         force=force[:, None] * direction,
     )
 
@@ -35,10 +35,12 @@ def apply(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> Bodies:
     impulse = force * dt
     on_body = thrusters.is_on[..., None]
     push = jnp.sum(jnp.where(on_body, impulse[:, None], 0), axis=0)
-    twist = jnp.sum(jnp.where(thrusters.is_on, vec2.cross(arm, impulse)[:, None], 0), axis=0)
-    velocity, omega = bodies.motion
+    angular_impulse = jnp.sum(jnp.where(thrusters.is_on, vec2.cross(arm, impulse)[:, None], 0), axis=0)
+    velocity, omega = bodies.velocities
     return bodies._replace(
-        motion=Motion(velocity + bodies.inverse_mass[:, None] * push, omega + bodies.inverse_inertia * twist)
+        velocities=Velocities(
+            velocity + bodies.inverse_mass[:, None] * push, omega + bodies.inverse_inertia * angular_impulse
+        )
     )
 
 
@@ -46,8 +48,8 @@ def work(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> jax.Array:
     """J, what they have added to the bodies' energy in `dt`."""
     arm, force = _in_world(bodies, thrusters)
     at = (
-        pick(thrusters.is_on, bodies.motion.velocity)
-        + vec2.left(arm) * pick(thrusters.is_on, bodies.motion.omega)[:, None]
+        pick(thrusters.is_on, bodies.velocities.velocity)
+        + vec2.left(arm) * pick(thrusters.is_on, bodies.velocities.omega)[:, None]
     )
     return jnp.sum(jnp.maximum(vec2.dot(force, at) * dt, 0))
 

@@ -10,29 +10,29 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Controls, Scene, State
+from jax2d.scene import Controls, JointKind, Scene, State
+from jax2d.solver_numbers import Softness, SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.bodies import (
     Bodies,
-    Motion,
     Pair,
-    PairMotion,
-    pair_motion,
+    PairVelocities,
+    Velocities,
+    apply_angular_impulse,
+    apply_impulse,
     pair_up,
+    pair_velocities,
     pick,
-    push_pair,
-    put_back,
     relative_velocity,
-    twist_pair,
+    scatter_velocities,
 )
-from jax2d.xla.parameters import Parameters, Softness
 
 
 class JointImpulses(NamedTuple):
     """Accumulated over steps."""
 
     point: jax.Array  # [J, 2] N s
-    twist: jax.Array  # [J] N m s, of the motor, or of a fixed joint's angle
+    angular_impulse: jax.Array  # [J] N m s, of the motor, or of a fixed joint's angle
     lower: jax.Array  # [J] N m s
     upper: jax.Array
 
@@ -54,51 +54,51 @@ class Joints(NamedTuple):
     axial_mass: jax.Array  # [J] kg m^2
     control: jax.Array  # [J]
     motor_target: jax.Array  # [J] rad/s
-    motor_most: jax.Array  # [J] N m s, largest impulse of one sub-step
+    max_motor_impulse: jax.Array  # [J] N m s, largest impulse of one sub-step
     lower: jax.Array  # [J] rad
     upper: jax.Array
     impulses: JointImpulses
 
 
-def load(state: State, params: Parameters) -> JointImpulses:
+def load(state: State, params: SolverNumbers) -> JointImpulses:
     impulse = jnp.where(params.warm_start, state.joint_impulse, 0)
     return JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
 
 
-def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Controls, params: Parameters) -> Joints:
-    a, b = scene.joint_a, scene.joint_b
-    is_held = scene.joint_active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
+def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Controls, params: SolverNumbers) -> Joints:
+    a, b = scene.joints.a, scene.joints.b
+    is_held = scene.joints.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
     axial_mass = vec2.inverse_or_zero(pair.inertia_a + pair.inertia_b)
-    is_driven = scene.motor_on & ~scene.joint_is_fixed & (controls.motor != 0)
-    twist = jnp.where(is_driven | scene.joint_is_fixed, impulses.twist, 0)
+    is_driven = scene.joints.motor_on & ~scene.joints.is_kind(JointKind.FIXED) & (controls.motor != 0)
+    angular_impulse = jnp.where(is_driven | scene.joints.is_kind(JointKind.FIXED), impulses.angular_impulse, 0)
     return Joints(
         is_held=is_held,
-        is_fixed=scene.joint_is_fixed,
+        is_fixed=scene.joints.is_kind(JointKind.FIXED),
         is_driven=is_driven,
-        is_limited=scene.has_limits,
+        is_limited=scene.joints.has_limits,
         pair=pair,
-        local_a=scene.joint_anchor_a,
-        local_b=scene.joint_anchor_b,
+        local_a=scene.joints.anchor_a,
+        local_b=scene.joints.anchor_b,
         angle_a=bodies.angle[a],
         angle_b=bodies.angle[b],
         centre_gap=bodies.position[b] - bodies.position[a],
-        start_angle=bodies.angle[b] - bodies.angle[a] - scene.joint_rest_angle,
+        start_angle=bodies.angle[b] - bodies.angle[a] - scene.joints.rest_angle,
         axial_mass=axial_mass,
         control=controls.motor,
-        motor_target=controls.motor * scene.motor_speed * params.base_motor_speed,
+        motor_target=controls.motor * scene.joints.motor_speed * params.base_motor_speed,
         # The power is the angular acceleration that the motor can give to the pair of bodies alone.
-        motor_most=params.h * params.base_motor_power * scene.motor_power * axial_mass,
-        lower=scene.lower_limit,
-        upper=scene.upper_limit,
-        impulses=impulses._replace(twist=twist),
+        max_motor_impulse=params.h * params.base_motor_power * scene.joints.motor_power * axial_mass,
+        lower=scene.joints.lower_limit,
+        upper=scene.joints.upper_limit,
+        impulses=impulses._replace(angular_impulse=angular_impulse),
     )
 
 
 def store(joints: Joints, state: State) -> jax.Array:
     """Impulses as in `State.joint_impulse`; joints that hold nothing keep what they had."""
     i = joints.impulses
-    solved = jnp.concatenate([i.point, i.twist[:, None], i.lower[:, None], i.upper[:, None]], axis=1)
+    solved = jnp.concatenate([i.point, i.angular_impulse[:, None], i.lower[:, None], i.upper[:, None]], axis=1)
     return jnp.where(joints.is_held[:, None], solved, state.joint_impulse)
 
 
@@ -122,10 +122,12 @@ def current_gap(bodies: Bodies, joints: Joints, arm_a: jax.Array, arm_b: jax.Arr
 
 def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
     arm_a, arm_b = arms(bodies, joints)
-    before = pair_motion(joints.pair, bodies.motion)
-    after = push_pair(before, joints.pair, arm_a, arm_b, joints.impulses.point)
-    after = twist_pair(after, joints.pair, joints.impulses.twist + joints.impulses.lower - joints.impulses.upper)
-    return bodies._replace(motion=put_back(bodies.motion, joints.pair, before, after))
+    before = pair_velocities(joints.pair, bodies.velocities)
+    after = apply_impulse(before, joints.pair, arm_a, arm_b, joints.impulses.point)
+    after = apply_angular_impulse(
+        after, joints.pair, joints.impulses.angular_impulse + joints.impulses.lower - joints.impulses.upper
+    )
+    return bodies._replace(velocities=scatter_velocities(bodies.velocities, joints.pair, before, after))
 
 
 class Row(NamedTuple):
@@ -137,7 +139,7 @@ class Row(NamedTuple):
     is_limited: jax.Array
     axial_mass: jax.Array
     motor_target: jax.Array
-    motor_most: jax.Array
+    max_motor_impulse: jax.Array
     angle: jax.Array  # rad
     lower_room: jax.Array  # rad left before the limit, negative beyond it
     upper_room: jax.Array
@@ -148,7 +150,7 @@ class Row(NamedTuple):
 
 
 def solve_soft(
-    bodies: Bodies, joints: Joints, params: Parameters, *, use_bias: bool, motors: bool = True
+    bodies: Bodies, joints: Joints, params: SolverNumbers, *, use_bias: bool, motors: bool = True
 ) -> tuple[Bodies, Joints]:
     """One pass over all joints: motor and limits, or the angle of a fixed joint; then the common point. No `motors`
     in a bounce: a torque does nothing in an instant."""
@@ -161,7 +163,7 @@ def solve_soft(
         is_limited=joints.is_limited & ~joints.is_fixed,
         axial_mass=joints.axial_mass,
         motor_target=joints.motor_target,
-        motor_most=joints.motor_most,
+        max_motor_impulse=joints.max_motor_impulse,
         angle=angle,
         lower_room=angle - joints.lower,
         upper_room=joints.upper - angle,
@@ -170,42 +172,48 @@ def solve_soft(
         gap=current_gap(bodies, joints, arm_a, arm_b),
         point_mass=point_mass(joints.pair, arm_a, arm_b),
     )
-    soft = params.joint_soft if use_bias else Softness(0.0, 1.0, 0.0)
+    soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
 
-    def solve(motion: Motion, row_and_impulses: tuple[Row, JointImpulses]) -> tuple[Motion, JointImpulses]:
+    def solve(velocities: Velocities, row_and_impulses: tuple[Row, JointImpulses]) -> tuple[Velocities, JointImpulses]:
         row, impulses = row_and_impulses
-        before = of = pair_motion(row.pair, motion)
+        before = of = pair_velocities(row.pair, velocities)
         of, impulses = solve_motor_or_angle(of, row, impulses, params, soft)
         of, impulses = solve_limits(of, row, impulses, params, soft, use_bias=use_bias)
         of, impulses = solve_point(of, row, impulses, params, soft)
-        return put_back(motion, row.pair, before, of), impulses
+        return scatter_velocities(velocities, row.pair, before, of), impulses
 
-    motion, impulses = jax.lax.scan(solve, bodies.motion, (rows, joints.impulses))
-    return bodies._replace(motion=motion), joints._replace(impulses=impulses)
+    velocities, impulses = jax.lax.scan(solve, bodies.velocities, (rows, joints.impulses))
+    return bodies._replace(velocities=velocities), joints._replace(impulses=impulses)
 
 
 def solve_motor_or_angle(
-    of: PairMotion, row: Row, impulses: JointImpulses, params: Parameters, soft: Softness
-) -> tuple[PairMotion, JointImpulses]:
+    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, soft: Softness
+) -> tuple[PairVelocities, JointImpulses]:
     """A motor is a velocity constraint with a bounded torque: dt changes neither its target nor its strength."""
     speed = of.omega_b - of.omega_a
-    driven = jnp.clip(impulses.twist - row.axial_mass * (speed - row.motor_target), -row.motor_most, row.motor_most)
+    driven = jnp.clip(
+        impulses.angular_impulse - row.axial_mass * (speed - row.motor_target),
+        -row.max_motor_impulse,
+        row.max_motor_impulse,
+    )
     turn_back = jnp.clip(soft.bias_rate * row.angle, -params.joint_turn_speed, params.joint_turn_speed)
     corrected = row.axial_mass * soft.mass_scale * (speed + turn_back)
-    held = impulses.twist - corrected - soft.impulse_scale * impulses.twist
-    total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, impulses.twist))
-    return twist_pair(of, row.pair, total - impulses.twist), impulses._replace(twist=total)
+    held = impulses.angular_impulse - corrected - soft.impulse_scale * impulses.angular_impulse
+    total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, impulses.angular_impulse))
+    return apply_angular_impulse(of, row.pair, total - impulses.angular_impulse), impulses._replace(
+        angular_impulse=total
+    )
 
 
 def solve_limits(
-    of: PairMotion, row: Row, impulses: JointImpulses, params: Parameters, soft: Softness, *, use_bias: bool
-) -> tuple[PairMotion, JointImpulses]:
+    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, soft: Softness, *, use_bias: bool
+) -> tuple[PairVelocities, JointImpulses]:
     speed = of.omega_b - of.omega_a
     lower = limit_impulse(row, row.lower_room, speed, impulses.lower, params, soft, use_bias=use_bias)
-    of = twist_pair(of, row.pair, lower - impulses.lower)
+    of = apply_angular_impulse(of, row.pair, lower - impulses.lower)
     speed = of.omega_a - of.omega_b
     upper = limit_impulse(row, row.upper_room, speed, impulses.upper, params, soft, use_bias=use_bias)
-    of = twist_pair(of, row.pair, impulses.upper - upper)
+    of = apply_angular_impulse(of, row.pair, impulses.upper - upper)
     return of, impulses._replace(lower=lower, upper=upper)
 
 
@@ -214,7 +222,7 @@ def limit_impulse(
     room: jax.Array,
     speed: jax.Array,
     accumulated: jax.Array,
-    params: Parameters,
+    params: SolverNumbers,
     soft: Softness,
     *,
     use_bias: bool,
@@ -228,20 +236,20 @@ def limit_impulse(
 
 
 def solve_point(
-    of: PairMotion, row: Row, impulses: JointImpulses, params: Parameters, soft: Softness
-) -> tuple[PairMotion, JointImpulses]:
-    pull = vec2.no_longer(row.gap * soft.bias_rate, params.joint_pull_speed)
+    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, soft: Softness
+) -> tuple[PairVelocities, JointImpulses]:
+    pull = vec2.clamp_length(row.gap * soft.bias_rate, params.joint_pull_speed)
     wrong = relative_velocity(of, row.arm_a, row.arm_b) + pull
     needed = jnp.stack([vec2.dot(row.point_mass[0], wrong), vec2.dot(row.point_mass[1], wrong)])
     impulse = -needed * soft.mass_scale - impulses.point * soft.impulse_scale
-    of = push_pair(of, row.pair, row.arm_a, row.arm_b, impulse)
+    of = apply_impulse(of, row.pair, row.arm_a, row.arm_b, impulse)
     return of, impulses._replace(point=impulses.point + impulse)
 
 
 def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
     """J, what motors have added to the bodies' energy in this sub-step."""
-    of = pair_motion(joints.pair, bodies.motion)
-    work = jnp.maximum(joints.impulses.twist * (of.omega_b - of.omega_a), 0)
+    of = pair_velocities(joints.pair, bodies.velocities)
+    work = jnp.maximum(joints.impulses.angular_impulse * (of.omega_b - of.omega_a), 0)
     return jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
 
 

@@ -7,48 +7,48 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.bodies import (
     Bodies,
-    Motion,
     Pair,
-    PairMotion,
-    pair_motion,
+    PairVelocities,
+    Velocities,
+    apply_angular_impulse,
+    apply_impulse,
+    pair_velocities,
     pick,
-    push_pair,
-    put_back,
     relative_velocity,
-    twist_pair,
+    scatter_velocities,
 )
 from jax2d.xla.joints import JointImpulses, Joints, arms
-from jax2d.xla.parameters import Parameters
 
 
-def apply_motors(bodies: Bodies, joints: Joints, params: Parameters) -> Bodies:
+def apply_motors(bodies: Bodies, joints: Joints, params: SolverNumbers) -> Bodies:
     """j = p tanh((w_b - w_a - s A) rho), weaker within params.motor_fade_angle of a limit it runs into. All at once (as
     in "Parallelised Computation"): no motor sees what another does in the same step."""
     fade = params.motor_fade_angle
     beyond = joints.start_angle - jnp.clip(joints.start_angle, joints.lower + fade, joints.upper - fade)
     into_limit = joints.is_limited & (beyond * joints.control > 0)
-    power = joints.motor_most * jnp.where(into_limit, jnp.maximum(0, 1 - jnp.abs(beyond) / fade), 1)
+    power = joints.max_motor_impulse * jnp.where(into_limit, jnp.maximum(0, 1 - jnp.abs(beyond) / fade), 1)
 
-    before = pair_motion(joints.pair, bodies.motion)
+    before = pair_velocities(joints.pair, bodies.velocities)
     excess = before.omega_b - before.omega_a - joints.motor_target
-    twist = jnp.where(joints.is_driven, -power * jnp.tanh(excess * params.motor_decay), 0)
-    after = twist_pair(before, joints.pair, twist)
-    return bodies._replace(motion=put_back(bodies.motion, joints.pair, before, after))
+    angular_impulse = jnp.where(joints.is_driven, -power * jnp.tanh(excess * params.motor_decay), 0)
+    after = apply_angular_impulse(before, joints.pair, angular_impulse)
+    return bodies._replace(velocities=scatter_velocities(bodies.velocities, joints.pair, before, after))
 
 
 def warm_start(bodies: Bodies, joints: Joints) -> tuple[Bodies, Joints]:
     arm_a, arm_b = arms(bodies, joints)
-    before = pair_motion(joints.pair, bodies.motion)
-    after = push_pair(before, joints.pair, arm_a, arm_b, joints.impulses.point)
-    after = twist_pair(after, joints.pair, jnp.where(joints.is_fixed, joints.impulses.twist, 0))
+    before = pair_velocities(joints.pair, bodies.velocities)
+    after = apply_impulse(before, joints.pair, arm_a, arm_b, joints.impulses.point)
+    after = apply_angular_impulse(after, joints.pair, jnp.where(joints.is_fixed, joints.impulses.angular_impulse, 0))
     zero = jnp.zeros_like(joints.impulses.lower)
     impulses = joints.impulses._replace(lower=zero, upper=zero)
-    return bodies._replace(motion=put_back(bodies.motion, joints.pair, before, after)), joints._replace(
-        impulses=impulses
-    )
+    return bodies._replace(
+        velocities=scatter_velocities(bodies.velocities, joints.pair, before, after)
+    ), joints._replace(impulses=impulses)
 
 
 class Row(NamedTuple):
@@ -65,7 +65,7 @@ class Row(NamedTuple):
     start_gap: jax.Array  # m, anchor of b from anchor of a at the start of the step
 
 
-def solve(bodies: Bodies, joints: Joints, params: Parameters) -> tuple[Bodies, Joints]:
+def solve(bodies: Bodies, joints: Joints, params: SolverNumbers) -> tuple[Bodies, Joints]:
     """One iteration over all joints: point (impulse along the relative velocity, velocity and positional correction),
     then the angle of fixed joints, or limits where they are exceeded."""
     arm_a, arm_b = arms(bodies, joints)
@@ -82,27 +82,27 @@ def solve(bodies: Bodies, joints: Joints, params: Parameters) -> tuple[Bodies, J
     )
 
     def solve_one(
-        carry: tuple[Motion, jax.Array], row_and_impulses: tuple[Row, JointImpulses]
-    ) -> tuple[tuple[Motion, jax.Array], JointImpulses]:
-        (motion, delta), (row, impulses) = carry, row_and_impulses
+        carry: tuple[Velocities, jax.Array], row_and_impulses: tuple[Row, JointImpulses]
+    ) -> tuple[tuple[Velocities, jax.Array], JointImpulses]:
+        (velocities, delta), (row, impulses) = carry, row_and_impulses
         pair = row.pair
         gap = row.start_gap + (pick(pair.is_b, delta) - pick(pair.is_a, delta))
         share = vec2.inverse_or_zero(pair.mass_a + pair.mass_b)
-        before = of = pair_motion(pair, motion)
+        before = of = pair_velocities(pair, velocities)
         of, impulses = solve_point(of, row, impulses, gap, share, params)
-        of, impulses = solve_twist(of, row, impulses, params)
+        of, impulses = solve_angular(of, row, impulses, params)
         correction = gap * (params.joint_position_correction * share)
         delta = delta + jnp.where(pair.is_a[:, None], correction * pair.mass_a, 0)
         delta = delta - jnp.where(pair.is_b[:, None], correction * pair.mass_b, 0)
-        return (put_back(motion, pair, before, of), delta), impulses
+        return (scatter_velocities(velocities, pair, before, of), delta), impulses
 
-    (motion, delta), impulses = jax.lax.scan(solve_one, (bodies.motion, bodies.delta), (rows, joints.impulses))
-    return bodies._replace(motion=motion, delta=delta), joints._replace(impulses=impulses)
+    (velocities, delta), impulses = jax.lax.scan(solve_one, (bodies.velocities, bodies.delta), (rows, joints.impulses))
+    return bodies._replace(velocities=velocities, delta=delta), joints._replace(impulses=impulses)
 
 
 def solve_point(
-    of: PairMotion, row: Row, impulses: JointImpulses, gap: jax.Array, share: jax.Array, params: Parameters
-) -> tuple[PairMotion, JointImpulses]:
+    of: PairVelocities, row: Row, impulses: JointImpulses, gap: jax.Array, share: jax.Array, params: SolverNumbers
+) -> tuple[PairVelocities, JointImpulses]:
     pair = row.pair
     # The joint sits between the anchors, nearer to the heavier body's.
     at_a = row.arm_a + gap * (pair.mass_a * share)
@@ -114,16 +114,16 @@ def solve_point(
     impulse = (relative + gap * params.joint_velocity_correction) * (
         -params.joint_stiffness * vec2.inverse_or_zero(effective)
     )
-    return push_pair(of, pair, row.arm_a, row.arm_b, impulse), impulses._replace(point=impulses.point + impulse)
+    return apply_impulse(of, pair, row.arm_a, row.arm_b, impulse), impulses._replace(point=impulses.point + impulse)
 
 
-def solve_twist(
-    of: PairMotion, row: Row, impulses: JointImpulses, params: Parameters
-) -> tuple[PairMotion, JointImpulses]:
+def solve_angular(
+    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers
+) -> tuple[PairVelocities, JointImpulses]:
     speed = of.omega_b - of.omega_a
     held = -row.axial_mass * (speed + row.start_angle * params.fixed_angle_rate)
     leaves = row.is_limited & (row.beyond * speed > 0)  # not while it already returns
     limited = jnp.where(leaves, -row.axial_mass * (speed + row.beyond * params.limit_angle_rate), 0)
-    twist = jnp.where(row.is_fixed, held, limited)
-    total = jnp.where(row.is_fixed, impulses.twist + held, impulses.twist)
-    return twist_pair(of, row.pair, twist), impulses._replace(twist=total)
+    angular_impulse = jnp.where(row.is_fixed, held, limited)
+    total = jnp.where(row.is_fixed, impulses.angular_impulse + held, impulses.angular_impulse)
+    return apply_angular_impulse(of, row.pair, angular_impulse), impulses._replace(angular_impulse=total)

@@ -7,17 +7,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Capacity, Controls, Noted, Scene, State, touch_bits
-from jax2d.settings import MOST_STOPS
+from jax2d.constants import CONSTANTS as C
+from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, pack_bits
+from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla import bodies as bodies_of
-from jax2d.xla import bounces, forces, manifolds, paper, published
+from jax2d.xla import bounces, contact_solver, forces, geometry, paper, paper_contacts, published
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.branching import in_any_world
-from jax2d.xla.contacts import Contacts, Memory
+from jax2d.xla.contacts import ContactCache, Contacts
 from jax2d.xla.joints import Joints
-from jax2d.xla.parameters import Parameters, Rules
+from jax2d.xla.prediction import outruns_contacts
+from jax2d.xla.rules import Rules
 
 
 class Progress(NamedTuple):
@@ -26,24 +28,24 @@ class Progress(NamedTuple):
     bodies: Bodies
     joints: Joints
     contacts: Contacts
-    memory: Memory  # of contacts solved before
+    cache: ContactCache  # of contacts solved before
     touch: jax.Array  # [n, n] bool, who touched whom in this step
     overflow: jax.Array  # [] int32
-    most_energy: jax.Array  # [] J, what bounces may leave the world with
+    max_energy: jax.Array  # [] J, what bounces may leave the world with
 
 
 def run(
     scene: Scene,
     state: State,
     controls: Controls,
-    params: Parameters,
+    params: SolverNumbers,
     *,
     rules: Rules,
     capacity: Capacity,
     num_steps: int,
-) -> tuple[State, Noted]:
-    """Steps one world. `scene.can_touch` holds each pair that may touch once, at [lower, higher]; shapes that are not
-    active have no mass."""
+) -> tuple[State, BackendReport]:
+    """Steps one world. `scene.shapes.can_touch` holds each pair that may touch once, at [lower, higher]; shapes
+    that are not active have no mass."""
     one_step = soft_step if rules.is_soft else paper_step
 
     def body(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array, jax.Array]]:
@@ -52,132 +54,141 @@ def run(
         after = State(
             position=bodies.position,
             angle=bodies.angle,
-            velocity=bodies.motion.velocity,
-            angular_velocity=bodies.motion.omega,
+            velocity=bodies.velocities.velocity,
+            angular_velocity=bodies.velocities.omega,
             joint_impulse=joints_of.store(end.joints, state),
-            contact_key=end.memory.key,
-            contact_impulse=end.memory.impulse,
+            contact_key=end.cache.key,
+            contact_impulse=end.cache.impulse,
         )
         return after, (end.touch, end.overflow, bodies.limited)
 
     state, (touch, overflow, limited) = jax.lax.scan(body, state, length=num_steps)
-    return state, Noted(
-        at_end=touch_bits(touch[-1]),
-        during=touch_bits(jnp.any(touch, axis=0)),
+    return state, BackendReport(
+        at_end=pack_bits(touch[-1]),
+        during=pack_bits(jnp.any(touch, axis=0)),
         overflow=jnp.sum(overflow, dtype=jnp.int32),
         limited=jnp.sum(limited, dtype=jnp.int32),
     )
 
 
-class Under(NamedTuple):
+class StepState(NamedTuple):
     """A step of sub-steps under way."""
 
     progress: Progress
     substep: jax.Array  # [] int32, that is solved next
-    begun: jax.Array  # [] bool, it has begun: forces have acted in it
+    interrupted: jax.Array  # [] bool, it was stopped before anything moved: forces have acted in it
     find: jax.Array  # [] bool, contacts are found before it is solved
-    anew: jax.Array  # [] bool, and for every sub-step, where a body turns too far for those found once
-    stops: jax.Array  # [] int32
+    every_substep: (
+        jax.Array
+    )  # [] bool, contacts are found in each sub-step, where a body turns too far for those found once
+    interruptions: jax.Array  # [] int32
 
 
 def soft_step(
-    scene: Scene, state: State, controls: Controls, params: Parameters, rules: Rules, capacity: Capacity
+    scene: Scene, state: State, controls: Controls, params: SolverNumbers, rules: Rules, capacity: Capacity
 ) -> Progress:
     """Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h."""
     h = params.h
     thrusters = forces.load(bodies_of.load(scene, state), scene, controls, params)
+    context = contacts_of.Context(scene, params, rules, capacity)
 
-    def find(bodies: Bodies, memory: Memory, dt: jax.Array) -> Contacts:
-        geometry = manifolds.build(scene, bodies)
-        return contacts_of.find(bodies, geometry, scene, memory, params, rules, capacity, dt)
+    def find(bodies: Bodies, cache: ContactCache, dt: jax.Array) -> Contacts:
+        return contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, dt)
 
-    def solve(now: Under) -> Under:
-        (bodies, joints, contacts, memory, touch, overflow, most_energy), substep, begun, is_found, anew, stops = now
-        left = h * jnp.where(anew, 1, rules.substeps - substep)
+    def solve(now: StepState) -> StepState:
+        bodies, joints, contacts, cache, touch, overflow, max_energy = now.progress
+        _, substep, interrupted, is_found, every_substep, interruptions = now
+        left = h * jnp.where(every_substep, 1, rules.substeps - substep)
         found = bodies_of.end_step(bodies)
-        found_contacts = find(found, memory, left)
+        found_contacts = find(found, cache, left)
         found_joints = joints_of.prepare(found, scene, joints.impulses, controls, params)
-        found_energy = bounces.energy(found, found.motion, scene.gravity, h)
-        bodies, contacts, joints, most_energy = _choose(
+        found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
+        bodies, contacts, joints, max_energy = _choose(
             is_found,
             (found, found_contacts, found_joints, found_energy),
-            (bodies, contacts, joints, most_energy),
+            (bodies, contacts, joints, max_energy),
         )
-        anew = jnp.where((substep == 0) & ~begun, contacts.swinging, anew)
+        every_substep = jnp.where((substep == 0) & ~interrupted, contacts.rotates_far, every_substep)
 
         driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
         driven = forces.apply(driven, thrusters, h)
         driven = joints_of.warm_start(driven, joints)
-        driven = contacts_of.warm_start(driven, contacts)
-        bodies = _choose(begun, bodies, driven)
+        driven = contact_solver.warm_start(driven, contacts)
+        bodies = _choose(interrupted, bodies, driven)
         # Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=True)
-        bodies, contacts = contacts_of.solve_soft(bodies, contacts, params, use_bias=True)
-        # Where a body would now go farther than was foreseen, contacts are found anew before anything moves.
-        strays = contacts_of.strays(bodies, contacts, scene.can_touch, params.speculative_distance, left)
-        begun = strays & (stops < MOST_STOPS)
+        bodies, contacts = contact_solver.solve_soft(bodies, contacts, params, use_bias=True)
+        # Where a body would now go farther than was predicted, contacts are found again before anything moves.
+        can_touch, reach = scene.shapes.can_touch, params.speculative_distance
+        outruns = outruns_contacts(bodies, contacts.predicted, contacts.pair, can_touch, reach, left)
+        interrupted = outruns & (interruptions < C.max_interruptions)
         moved = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed)
-        bodies = _choose(begun, bodies, moved)
-        substep, stops = jnp.where(begun, substep, substep + 1), jnp.where(begun, stops + 1, stops)
+        bodies = _choose(interrupted, bodies, moved)
+        substep = jnp.where(interrupted, substep, substep + 1)
+        interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
-        bodies, contacts = contacts_of.solve_soft(bodies, contacts, params, use_bias=False)
-        most_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
+        bodies, contacts = contact_solver.solve_soft(bodies, contacts, params, use_bias=False)
+        max_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
 
-        is_end = begun | anew | (substep == rules.substeps)
-        leaving = jnp.where(is_end, contacts_of.leaving_speed(bodies, contacts, scene.gravity, params), 0)
-        bounced = bounces.bounce(bodies, joints, contacts, leaving, most_energy, scene.gravity, params, rules)
+        is_end = interrupted | every_substep | (substep == rules.substeps)
+        leaving = jnp.where(is_end, bounces.leaving_speed(bodies, contacts, scene.gravity, params), 0)
+        bounced = bounces.bounce(bodies, joints, contacts, leaving, max_energy, scene.gravity, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
-        progress = Progress(bodies, joints, contacts, memory, touch, overflow, most_energy)
+        progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy)
         ended = _finish_contacts(progress._replace(bodies=bounced), leaving > 0)
-        return Under(_choose(is_end, ended, progress), substep, begun, is_end, anew, stops)
+        return StepState(_choose(is_end, ended, progress), substep, interrupted, is_end, every_substep, interruptions)
 
-    def solve_unless_done(now: Under, _: None) -> tuple[Under, None]:
+    def solve_unless_done(now: StepState, _: None) -> tuple[StepState, None]:
         is_left = now.substep < rules.substeps
         return jax.lax.cond(in_any_world(is_left), lambda: _choose(is_left, solve(now), now), lambda: now), None
 
     start = _begin(scene, state, controls, params)
     no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]))
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
-    progress = Progress(start[0], start[1], empty, start[2], *_nothing_noted(capacity, state.position.dtype))
+    progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, state.position.dtype))
     none, no = jnp.zeros((), jnp.int32), jnp.array(False)
-    under = Under(progress, substep=none, begun=no, find=~no, anew=no, stops=none)
-    # One program for sub-steps, those that find contacts anew, and those that are stopped.
-    under, _ = jax.lax.scan(solve_unless_done, under, length=rules.substeps + MOST_STOPS)
-    return under.progress
+    step_state = StepState(progress, substep=none, interrupted=no, find=~no, every_substep=no, interruptions=none)
+    # One program for sub-steps, those that find contacts every_substep, and those that are stopped.
+    step_state, _ = jax.lax.scan(solve_unless_done, step_state, length=rules.substeps + C.max_interruptions)
+    return step_state.progress
 
 
 def paper_step(
-    scene: Scene, state: State, controls: Controls, params: Parameters, rules: Rules, capacity: Capacity
+    scene: Scene, state: State, controls: Controls, params: SolverNumbers, rules: Rules, capacity: Capacity
 ) -> Progress:
     """The main loop of the paper's appendix (algorithm 1)."""
-    bodies, joints, memory = _begin(scene, state, controls, params)
+    bodies, joints, cache = _begin(scene, state, controls, params)
     bodies = bodies_of.apply_gravity(bodies, scene.gravity, params.dt)
-    geometry = manifolds.build(scene, bodies)
-    contacts = contacts_of.find(bodies, geometry, scene, memory, params, rules, capacity, params.dt)
+    context = contacts_of.Context(scene, params, rules, capacity)
+    contacts = contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, params.dt)
     bodies = paper.apply_motors(bodies, joints, params)
     bodies = forces.apply(bodies, forces.load(bodies, scene, controls, params), params.dt)
-    bodies = contacts_of.warm_start(bodies, contacts)
+    bodies = contact_solver.warm_start(bodies, contacts)
     bodies, joints = paper.warm_start(bodies, joints)
 
     def iteration(carry: tuple[Bodies, Joints, Contacts], _: None) -> tuple[tuple[Bodies, Joints, Contacts], None]:
         bodies, joints, contacts = carry
         bodies, joints = paper.solve(bodies, joints, params)
-        bodies, contacts = contacts_of.solve_hard(bodies, contacts, params, rules, capacity)
+        bodies, contacts = paper_contacts.solve_hard(bodies, contacts, params, rules, capacity)
         return (bodies, joints, contacts), None
 
     (bodies, joints, contacts), _ = jax.lax.scan(iteration, (bodies, joints, contacts), length=rules.substeps)
     move = published.move_and_clip if "state_clips" in rules.published_details else bodies_of.move
     bodies = move(bodies, params.dt, params.max_speed, params.max_angular_speed)
-    return _finish_contacts(Progress(bodies, joints, contacts, memory, *_nothing_noted(capacity, state.position.dtype)))
+    return _finish_contacts(
+        Progress(bodies, joints, contacts, cache, *_nothing_recorded(capacity, state.position.dtype))
+    )
 
 
-def _begin(scene: Scene, state: State, controls: Controls, params: Parameters) -> tuple[Bodies, Joints, Memory]:
+def _begin(
+    scene: Scene, state: State, controls: Controls, params: SolverNumbers
+) -> tuple[Bodies, Joints, ContactCache]:
     bodies = bodies_of.load(scene, state)
     joints = joints_of.prepare(bodies, scene, joints_of.load(state, params), controls, params)
-    return bodies, joints, Memory(state.contact_key, state.contact_impulse)
+    return bodies, joints, ContactCache(state.contact_key, state.contact_impulse)
 
 
-def _nothing_noted(capacity: Capacity, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _nothing_recorded(capacity: Capacity, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Touch matrix, overflow and energy of a step that begins."""
     return jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32), jnp.zeros((), dtype)
 
@@ -187,10 +198,10 @@ def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
 
 
 def _finish_contacts(progress: Progress, bounces: jax.Array | bool = False) -> Progress:
-    """Notes who touched, and keeps the impulses for the contacts found next, none of what bounces apart."""
+    """Records who touched, and keeps the impulses for the contacts found next, none of what bounces apart."""
     contacts = progress.contacts
     return progress._replace(
-        memory=contacts_of.remember(contacts, bounces),
+        cache=contacts_of.cache_of(contacts, bounces),
         touch=progress.touch | touching(contacts),
         overflow=progress.overflow + contacts.overflow,
     )
@@ -198,7 +209,7 @@ def _finish_contacts(progress: Progress, bounces: jax.Array | bool = False) -> P
 
 def touching(contacts: Contacts) -> jax.Array:
     """[n, n] bool: shapes touch when their contact carried an impulse in the step or they overlap."""
-    touches = (contacts.most_impulse > 0) | (contacts.separation <= 0)
+    touches = (contacts.max_impulse > 0) | (contacts.separation <= 0)
     pair = contacts.pair
     one_way = jnp.any(touches[:, None, None] & pair.is_a[:, :, None] & pair.is_b[:, None, :], axis=0)
     return one_way | one_way.T

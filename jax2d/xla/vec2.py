@@ -48,8 +48,8 @@ def unit_or_zero(v: jax.Array) -> jax.Array:
     return v * inverse_or_zero(length(v))[..., None]
 
 
-def no_longer(v: jax.Array, most: float | jax.Array) -> jax.Array:
-    """v [2], or of length `most` where it is longer."""
+def clamp_length(v: jax.Array, max_length: float | jax.Array) -> jax.Array:
+    """v [2], or of length `max_length` where it is longer."""
     squared = dot(v, v)
-    is_long = squared > most * most
-    return jnp.where(is_long, v * (most / jnp.sqrt(jnp.where(is_long, squared, 1))), v)
+    is_long = squared > max_length * max_length
+    return jnp.where(is_long, v * (max_length / jnp.sqrt(jnp.where(is_long, squared, 1))), v)

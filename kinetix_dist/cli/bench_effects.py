@@ -34,7 +34,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d import Controls, Engine, Scene, SceneBuilder, preset, stack_worlds
+from jax2d import Controls, Engine, JointKind, Scene, SceneBuilder, preset, stack_worlds
 from jax2d.effects import EFFECTS, Effects, called_for, effects_of
 from kinetix_dist.cli.bench import EFFECTS_WORLDS_CPU, EFFECTS_WORLDS_GPU, Args
 from kinetix_dist.cli.bench_engine import EPISODE_STEPS, FRAME_SKIP, Record, level_files, load_levels
@@ -87,25 +87,26 @@ def measure(
 def without(scene: Scene, effect: str) -> Scene:
     """The scenes of a batch without an effect. As they are for continuous collision, which cannot be edited away."""
     no, zero = np.zeros_like, np.zeros_like
-    polygons = np.shape(scene.vertices)[-3]
-    is_circle = np.arange(np.shape(scene.radius)[-1] + polygons) >= polygons
+    polygons = np.shape(scene.shapes.vertices)[-3]
+    is_circle = np.arange(np.shape(scene.shapes.radius)[-1] + polygons) >= polygons
     num_circles = is_circle[:, None].astype(int) + is_circle[None, :]
-    joint_is_fixed, can_touch = np.asarray(scene.joint_is_fixed), np.asarray(scene.can_touch)
+    can_touch = np.asarray(scene.shapes.can_touch)
     changes: dict[str, dict[str, Any]] = {
-        "polygon_pairs": {"can_touch": can_touch & (num_circles != 0)},
-        "polygon_circle_pairs": {"can_touch": can_touch & (num_circles != 1)},
-        "circle_pairs": {"can_touch": can_touch & (num_circles != 2)},
-        "friction": {"friction": zero(scene.friction)},
-        "restitution": {"restitution": zero(scene.restitution)},
+        "polygon_pairs": {"shapes": {"can_touch": can_touch & (num_circles != 0)}},
+        "polygon_circle_pairs": {"shapes": {"can_touch": can_touch & (num_circles != 1)}},
+        "circle_pairs": {"shapes": {"can_touch": can_touch & (num_circles != 2)}},
+        "friction": {"shapes": {"friction": zero(scene.shapes.friction)}},
+        "restitution": {"shapes": {"restitution": zero(scene.shapes.restitution)}},
         "continuous_collision": {},
-        "revolute_joints": {"joint_active": scene.joint_active & joint_is_fixed},
-        "fixed_joints": {"joint_active": scene.joint_active & ~joint_is_fixed},
-        "joint_limits": {"has_limits": no(scene.has_limits)},
-        "motors": {"motor_on": no(scene.motor_on)},
-        "thrusters": {"thruster_active": no(scene.thruster_active)},
+        "joint_limits": {"joints": {"has_limits": no(scene.joints.has_limits)}},
+        "motors": {"joints": {"motor_on": no(scene.joints.motor_on)}},
+        "thrusters": {"thrusters": {"active": no(scene.thrusters.active)}},
         "gravity": {"gravity": zero(scene.gravity)},
     }
-    return dataclasses.replace(scene, **changes[effect])
+    for kind in JointKind:
+        others = scene.joints.active & ~np.asarray(scene.joints.is_kind(kind))
+        changes[f"{kind.name.lower()}_joints"] = {"joints": {"active": others}}
+    return scene.replace(**changes[effect])
 
 
 def table(records: list[Record], flags: Any) -> list[str]:
@@ -190,7 +191,7 @@ def _cases(full: Engine, levels: Level, worlds: int, controls: Controls, seed: i
         if effect != "continuous_collision":
             cases.append(case(effect, "full", everything, edited))
         cases.append(case(effect, "without", everything.without(effect), edited))
-    bouncing = dataclasses.replace(levels.scene, restitution=np.full_like(levels.scene.restitution, 0.5))
+    bouncing = levels.scene.replace(shapes={"restitution": np.full_like(levels.scene.shapes.restitution, 0.5)})
     cases.append(case(BOUNCING, "full", everything, spread(full.pack_scene(bouncing))))
     for name, num_boxes in ((EMPTY, 0), (FALLING_BOX, 1)):
         builder = SceneBuilder(full.capacity)

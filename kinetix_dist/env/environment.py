@@ -219,11 +219,11 @@ class Environment:
                 "(add a leading axis to a single level with jax.tree.map(lambda x: x[None], level))"
             )
         found = {
-            "polygons": np.shape(levels.scene.vertices)[1],
-            "circles": np.shape(levels.scene.radius)[1],
+            "polygons": np.shape(levels.scene.shapes.vertices)[1],
+            "circles": np.shape(levels.scene.shapes.radius)[1],
             "joints": np.shape(levels.motor_colour)[1],
             "thrusters": np.shape(levels.thruster_colour)[1],
-            "vertices": np.shape(levels.scene.vertices)[2],
+            "vertices": np.shape(levels.scene.shapes.vertices)[2],
         }
         for name, number in found.items():
             if number != getattr(capacity, name):
@@ -237,7 +237,7 @@ class Environment:
             levels.scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity
         )
         packed_scene, packed_state = self._stepper.pack(levels.scene, state)
-        roles = role_masks(levels.shape_role, levels.scene.shape_active)
+        roles = role_masks(levels.shape_role, levels.scene.shapes.active)
         num_worlds, num_shapes = levels.shape_role.shape
         untouched = jnp.zeros((num_worlds, num_shapes, self.capacity.touch_words), jnp.uint32)
         position, angle, velocity, angular_velocity = self._stepper.bodies(packed_scene, packed_state)

@@ -119,11 +119,11 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
 
 def _trajectory(level: Level, world: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The arrays of a Rollout, slots in the order of the level format: what is not there comes last of its kind."""
-    active = np.asarray(level.scene.shape_active)
-    num_polygons = np.shape(level.scene.vertices)[0]
+    active = np.asarray(level.scene.shapes.active)
+    num_polygons = np.shape(level.scene.shapes.vertices)[0]
     shapes = np.concatenate([_active_first(active[:num_polygons]), num_polygons + _active_first(active[num_polygons:])])
-    joints = _active_first(np.asarray(level.scene.joint_active))
-    thrusters = _active_first(np.asarray(level.scene.thruster_active))
+    joints = _active_first(np.asarray(level.scene.joints.active))
+    thrusters = _active_first(np.asarray(level.scene.thrusters.active))
     states = {
         name: np.concatenate([np.asarray(getattr(level, name), np.float32)[None], world[name]])[:, shapes]
         for name in ("position", "angle", "velocity", "angular_velocity")

@@ -54,17 +54,20 @@ def centre_on_mass(level: Level) -> Level:
     Shifts position, vertices, joint anchors and thruster positions.
     """
     scene = level.scene
-    num_polygons, num_circles = scene.num_vertices.shape[0], scene.radius.shape[0]
-    _, centroid, _ = jax.vmap(polygon_mass_properties)(scene.vertices, scene.num_vertices, jnp.ones(num_polygons))
+    num_polygons, num_circles = scene.shapes.num_vertices.shape[0], scene.shapes.radius.shape[0]
+    _, centroid, _ = jax.vmap(polygon_mass_properties)(
+        scene.shapes.vertices, scene.shapes.num_vertices, jnp.ones(num_polygons)
+    )
     shift = jnp.concatenate([centroid, jnp.zeros((num_circles, 2))])  # [n, 2] m, body frame
     cos, sin = jnp.cos(level.angle), jnp.sin(level.angle)
     shift_world = jnp.stack([cos * shift[:, 0] - sin * shift[:, 1], sin * shift[:, 0] + cos * shift[:, 1]], axis=-1)
-    moved = dataclasses.replace(
-        scene,
-        vertices=scene.vertices - centroid[:, None, :],
-        joint_anchor_a=scene.joint_anchor_a - shift[scene.joint_a],
-        joint_anchor_b=scene.joint_anchor_b - shift[scene.joint_b],
-        thruster_position=scene.thruster_position - shift[scene.thruster_body],
+    moved = scene.replace(
+        shapes={"vertices": scene.shapes.vertices - centroid[:, None, :]},
+        joints={
+            "anchor_a": scene.joints.anchor_a - shift[scene.joints.a],
+            "anchor_b": scene.joints.anchor_b - shift[scene.joints.b],
+        },
+        thrusters={"position": scene.thrusters.position - shift[scene.thrusters.body]},
     )
     return dataclasses.replace(level, scene=moved, position=level.position + shift_world)
 
@@ -75,27 +78,28 @@ def derive(level: Level, is_fixed: Array) -> Level:
     `is_fixed` [n] bool: shapes that never move, with zero inverse mass and inertia. Inactive shapes get zeros too.
     """
     scene = level.scene
-    num_polygons = scene.num_vertices.shape[0]
+    num_polygons = scene.shapes.num_vertices.shape[0]
     polygon_mass, _, polygon_inertia = jax.vmap(polygon_mass_properties)(
-        scene.vertices, scene.num_vertices, scene.density[:num_polygons]
+        scene.shapes.vertices, scene.shapes.num_vertices, scene.shapes.density[:num_polygons]
     )
-    circle_mass, circle_inertia = circle_mass_properties(scene.radius, scene.density[num_polygons:])
+    circle_mass, circle_inertia = circle_mass_properties(scene.shapes.radius, scene.shapes.density[num_polygons:])
     mass = jnp.concatenate([polygon_mass, circle_mass])
     inertia = jnp.concatenate([polygon_inertia, circle_inertia])
-    moves = scene.shape_active & ~is_fixed & (mass > 0.0)
+    moves = scene.shapes.active & ~is_fixed & (mass > 0.0)
     can_touch = touch_permissions(
-        shape_active=scene.shape_active,
+        shape_active=scene.shapes.active,
         is_fixed=is_fixed,
         collision_mode=level.collision_mode,
-        joint_active=scene.joint_active,
-        joint_a=scene.joint_a,
-        joint_b=scene.joint_b,
+        joint_active=scene.joints.active,
+        joint_a=scene.joints.a,
+        joint_b=scene.joints.b,
     )
-    derived = dataclasses.replace(
-        scene,
-        inverse_mass=jnp.where(moves, 1.0 / jnp.where(moves, mass, 1.0), 0.0),
-        inverse_inertia=jnp.where(moves, 1.0 / jnp.where(moves, inertia, 1.0), 0.0),
-        can_touch=can_touch,
+    derived = scene.replace(
+        shapes={
+            "inverse_mass": jnp.where(moves, 1.0 / jnp.where(moves, mass, 1.0), 0.0),
+            "inverse_inertia": jnp.where(moves, 1.0 / jnp.where(moves, inertia, 1.0), 0.0),
+            "can_touch": can_touch,
+        }
     )
     return dataclasses.replace(level, scene=derived)
 

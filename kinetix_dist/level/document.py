@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jax2d.scene import JointKind
 from kinetix_dist.level.fit import capacity_of, smallest_size
 from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.roles import ROLE_NAMES
@@ -16,6 +17,7 @@ from kinetix_dist.level.walls import WALL_NAMES
 
 FORMAT_NAME = "kinetix-dist-level"
 FORMAT_VERSION = 1
+JOINT_KINDS = {kind.name.lower(): kind for kind in JointKind}  # as files spell them
 COLLISION_NAMES = ("ghost", "normal", "all")  # collision modes 0, 1, 2
 
 
@@ -48,18 +50,18 @@ def level_to_json(level: Level, info: LevelInfo | None = None) -> dict[str, Any]
     walls = {name: wall for name, wall in walls.items() if wall}
     if walls:
         document["walls"] = walls
-    active = np.flatnonzero(scene.shape_active)
+    active = np.flatnonzero(scene.shapes.active)
     document["shapes"] = [_shape_document(level, slot, names[slot]) for slot in active if slot >= NUM_WALLS]
-    document["joints"] = [_joint_document(level, slot, names) for slot in np.flatnonzero(scene.joint_active)]
+    document["joints"] = [_joint_document(level, slot, names) for slot in np.flatnonzero(scene.joints.active)]
     document["thrusters"] = [
         {
-            "shape": names[scene.thruster_body[slot]],
-            "position": _numbers(scene.thruster_position[slot]),
-            "angle": _number(scene.thruster_angle[slot]),
-            "power": _number(scene.thruster_power[slot]),
+            "shape": names[scene.thrusters.body[slot]],
+            "position": _numbers(scene.thrusters.position[slot]),
+            "angle": _number(scene.thrusters.angle[slot]),
+            "power": _number(scene.thrusters.power[slot]),
             "colour": int(level.thruster_colour[slot]),
         }
-        for slot in np.flatnonzero(scene.thruster_active)
+        for slot in np.flatnonzero(scene.thrusters.active)
     ]
     return document
 
@@ -88,7 +90,7 @@ def _numbers(values: Any) -> list[float]:
 def _shape_names(level: Level) -> dict[int, str]:
     polygons = capacity_of(level).polygons
     names = dict(enumerate(WALL_NAMES))
-    for slot in np.flatnonzero(level.scene.shape_active):
+    for slot in np.flatnonzero(level.scene.shapes.active):
         if slot >= NUM_WALLS:
             names[int(slot)] = f"polygon_{slot}" if slot < polygons else f"circle_{slot - polygons}"
     return names
@@ -96,7 +98,11 @@ def _shape_names(level: Level) -> dict[int, str]:
 
 def _surface(level: Level, slot: int) -> dict[str, Any]:
     """Role, friction and restitution where they are not the default."""
-    role, friction, restitution = level.shape_role[slot], level.scene.friction[slot], level.scene.restitution[slot]
+    role, friction, restitution = (
+        level.shape_role[slot],
+        level.scene.shapes.friction[slot],
+        level.scene.shapes.restitution[slot],
+    )
     return {
         **({"role": ROLE_NAMES[role]} if role else {}),
         **({"friction": _number(friction)} if friction != 1.0 else {}),
@@ -108,11 +114,11 @@ def _shape_document(level: Level, slot: int, name: str) -> dict[str, Any]:
     scene = level.scene
     polygons = capacity_of(level).polygons
     if slot < polygons:
-        corners = scene.vertices[slot, : scene.num_vertices[slot]]
+        corners = scene.shapes.vertices[slot, : scene.shapes.num_vertices[slot]]
         form = {"type": "polygon", "vertices": [_numbers(corner) for corner in corners]}
     else:
-        form = {"type": "circle", "radius": _number(scene.radius[slot - polygons])}
-    mode, density = int(level.collision_mode[slot]), scene.density[slot]
+        form = {"type": "circle", "radius": _number(scene.shapes.radius[slot - polygons])}
+    mode, density = int(level.collision_mode[slot]), scene.shapes.density[slot]
     moving = {
         **({"velocity": _numbers(level.velocity[slot])} if np.any(level.velocity[slot]) else {}),
         **({"angular_velocity": _number(level.angular_velocity[slot])} if level.angular_velocity[slot] else {}),
@@ -125,7 +131,7 @@ def _shape_document(level: Level, slot: int, name: str) -> dict[str, Any]:
         **moving,
         **_surface(level, slot),
         **({"density": _number(density)} if density != 1.0 else {}),
-        **({"fixed": True} if scene.inverse_mass[slot] == 0.0 else {}),
+        **({"fixed": True} if scene.shapes.inverse_mass[slot] == 0.0 else {}),
         **({"collision": COLLISION_NAMES[mode]} if mode != 1 else {}),
     }
 
@@ -133,21 +139,21 @@ def _shape_document(level: Level, slot: int, name: str) -> dict[str, Any]:
 def _joint_document(level: Level, slot: int, names: dict[int, str]) -> dict[str, Any]:
     scene = level.scene
     motor = {
-        "on": bool(scene.motor_on[slot]),
-        "speed": _number(scene.motor_speed[slot]),
-        "power": _number(scene.motor_power[slot]),
+        "on": bool(scene.joints.motor_on[slot]),
+        "speed": _number(scene.joints.motor_speed[slot]),
+        "power": _number(scene.joints.motor_power[slot]),
         "colour": int(level.motor_colour[slot]),
         **({"auto": True} if level.motor_auto[slot] else {}),
     }
-    is_fixed = bool(scene.joint_is_fixed[slot])
-    limits = _numbers((scene.lower_limit[slot], scene.upper_limit[slot]))
+    kind = JointKind(int(scene.joints.kind[slot]))
+    limits = _numbers((scene.joints.lower_limit[slot], scene.joints.upper_limit[slot]))
     return {
-        "type": "fixed" if is_fixed else "revolute",
-        "a": names[scene.joint_a[slot]],
-        "b": names[scene.joint_b[slot]],
-        "anchor_a": _numbers(scene.joint_anchor_a[slot]),
-        "anchor_b": _numbers(scene.joint_anchor_b[slot]),
-        "rest_angle": _number(scene.joint_rest_angle[slot]),
-        **({"limits": limits} if scene.has_limits[slot] and not is_fixed else {}),
+        "type": kind.name.lower(),
+        "a": names[scene.joints.a[slot]],
+        "b": names[scene.joints.b[slot]],
+        "anchor_a": _numbers(scene.joints.anchor_a[slot]),
+        "anchor_b": _numbers(scene.joints.anchor_b[slot]),
+        "rest_angle": _number(scene.joints.rest_angle[slot]),
+        **({"limits": limits} if scene.joints.has_limits[slot] and kind != JointKind.FIXED else {}),
         "motor": motor,
     }

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity
+from jax2d.fields import Array
+from jax2d.scene import Capacity, Joints, Thrusters
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.walls import empty_level
 
@@ -38,35 +39,19 @@ class Shapes:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Joints:
-    """`J` joints; fields mean what those of `Scene` mean."""
+class DrivenJoints:
+    """`J` joints and the colours that drive them."""
 
-    active: Array  # [J] bool
-    a: Array  # [J] int32
-    b: Array  # [J] int32
-    anchor_a: Array  # [J, 2] m
-    anchor_b: Array  # [J, 2] m
-    is_fixed: Array  # [J] bool
-    rest_angle: Array  # [J] rad
-    motor_on: Array  # [J] bool
-    motor_speed: Array  # [J]
-    motor_power: Array  # [J]
-    has_limits: Array  # [J] bool
-    lower: Array  # [J] rad
-    upper: Array  # [J] rad
+    joints: Joints
     colour: Array  # [J] int32
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Thrusters:
-    """`T` thrusters."""
+class DrivenThrusters:
+    """`T` thrusters and the colours that drive them."""
 
-    active: Array  # [T] bool
-    body: Array  # [T] int32
-    position: Array  # [T, 2] m
-    angle: Array  # [T] rad
-    power: Array  # [T]
+    thrusters: Thrusters
     colour: Array  # [T] int32
 
 
@@ -76,8 +61,16 @@ class Draft:
     """What has been drawn so far."""
 
     shapes: Shapes
-    joints: Joints
-    thrusters: Thrusters
+    driven_joints: DrivenJoints
+    driven_thrusters: DrivenThrusters
+
+    @property
+    def joints(self) -> Joints:
+        return self.driven_joints.joints
+
+    @property
+    def thrusters(self) -> Thrusters:
+        return self.driven_thrusters.thrusters
 
 
 def empty_draft(capacity: Capacity) -> Draft:
@@ -85,46 +78,27 @@ def empty_draft(capacity: Capacity) -> Draft:
     level = empty_level(capacity)
     scene = level.scene
     n, num_circles = capacity.shapes, capacity.circles
-    is_wall = np.asarray(scene.shape_active)
-    corners = np.concatenate([scene.vertices, np.zeros((num_circles, capacity.vertices, 2), np.float32)])
+    is_wall = np.asarray(scene.shapes.active)
+    corners = np.concatenate([scene.shapes.vertices, np.zeros((num_circles, capacity.vertices, 2), np.float32)])
     shapes = Shapes(
         active=is_wall,
         position=level.position,
         angle=level.angle,
         vertices=corners,
-        num_vertices=np.concatenate([scene.num_vertices, np.zeros(num_circles, np.int32)]),
-        radius=np.concatenate([np.zeros(capacity.polygons, np.float32), scene.radius]),
+        num_vertices=np.concatenate([scene.shapes.num_vertices, np.zeros(num_circles, np.int32)]),
+        radius=np.concatenate([np.zeros(capacity.polygons, np.float32), scene.shapes.radius]),
         role=level.shape_role,
         is_fixed=is_wall,
         body=np.arange(n, dtype=np.int32),
         num_joints=np.zeros(n, np.int32),
         added_at=np.full(n, -1, np.int32),
     )
-    joints = Joints(
-        active=scene.joint_active,
-        a=scene.joint_a,
-        b=scene.joint_b,
-        anchor_a=scene.joint_anchor_a,
-        anchor_b=scene.joint_anchor_b,
-        is_fixed=scene.joint_is_fixed,
-        rest_angle=scene.joint_rest_angle,
-        motor_on=scene.motor_on,
-        motor_speed=scene.motor_speed,
-        motor_power=scene.motor_power,
-        has_limits=scene.has_limits,
-        lower=scene.lower_limit,
-        upper=scene.upper_limit,
-        colour=level.motor_colour,
+    draft = Draft(
+        shapes=shapes,
+        driven_joints=DrivenJoints(joints=scene.joints, colour=level.motor_colour),
+        driven_thrusters=DrivenThrusters(thrusters=scene.thrusters, colour=level.thruster_colour),
     )
-    thrusters = Thrusters(
-        active=scene.thruster_active,
-        body=scene.thruster_body,
-        position=scene.thruster_position,
-        angle=scene.thruster_angle,
-        power=scene.thruster_power,
-        colour=level.thruster_colour,
-    )
-    return jax.tree.map(jnp.asarray, Draft(shapes=shapes, joints=joints, thrusters=thrusters))
+    return jax.tree.map(jnp.asarray, draft)
 
 
 def write_slot(table: Any, slot: Array, row: Any, do: Array) -> Any:
@@ -150,33 +124,17 @@ def first_free(active: Array) -> Array:
 
 def draft_to_level(draft: Draft, capacity: Capacity) -> tuple[Level, Array]:
     """The level (masses and contact permissions still to be derived) and `is_fixed` [n]."""
-    shapes, joints, thrusters = draft.shapes, draft.joints, draft.thrusters
+    shapes, polygons = draft.shapes, capacity.polygons
     blank = jax.tree.map(jnp.asarray, empty_level(capacity))
-    polygons = capacity.polygons
-    scene = dataclasses.replace(
-        blank.scene,
-        shape_active=shapes.active,
-        vertices=shapes.vertices[:polygons],
-        num_vertices=shapes.num_vertices[:polygons],
-        radius=shapes.radius[polygons:],
-        joint_active=joints.active,
-        joint_a=joints.a,
-        joint_b=joints.b,
-        joint_anchor_a=joints.anchor_a,
-        joint_anchor_b=joints.anchor_b,
-        joint_is_fixed=joints.is_fixed,
-        joint_rest_angle=joints.rest_angle,
-        motor_on=joints.motor_on,
-        motor_speed=joints.motor_speed,
-        motor_power=joints.motor_power,
-        has_limits=joints.has_limits,
-        lower_limit=joints.lower,
-        upper_limit=joints.upper,
-        thruster_active=thrusters.active,
-        thruster_body=thrusters.body,
-        thruster_position=thrusters.position,
-        thruster_angle=thrusters.angle,
-        thruster_power=thrusters.power,
+    scene = blank.scene.replace(
+        shapes={
+            "active": shapes.active,
+            "vertices": shapes.vertices[:polygons],
+            "num_vertices": shapes.num_vertices[:polygons],
+            "radius": shapes.radius[polygons:],
+        },
+        joints=draft.joints,
+        thrusters=draft.thrusters,
     )
     level = dataclasses.replace(
         blank,
@@ -184,7 +142,7 @@ def draft_to_level(draft: Draft, capacity: Capacity) -> tuple[Level, Array]:
         position=shapes.position,
         angle=shapes.angle,
         shape_role=shapes.role,
-        motor_colour=joints.colour,
-        thruster_colour=thrusters.colour,
+        motor_colour=draft.driven_joints.colour,
+        thruster_colour=draft.driven_thrusters.colour,
     )
     return level, shapes.is_fixed

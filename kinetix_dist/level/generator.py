@@ -17,9 +17,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity
+from jax2d.fields import Array
+from jax2d.scene import Capacity, Thrusters
 from kinetix_dist.level.derive import derive
-from kinetix_dist.level.draft import Draft, Thrusters, draft_to_level, empty_draft, first_free, read_slot, write_slot
+from kinetix_dist.level.draft import (
+    Draft,
+    DrivenThrusters,
+    draft_to_level,
+    empty_draft,
+    first_free,
+    read_slot,
+    write_slot,
+)
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
@@ -133,11 +142,12 @@ def _add_thrusters(draws: Array, draft: Draft, force_thruster: Array, config: Ge
             position=position,
             angle=angle,
             power=_mass(shape) * config.thruster_power_factor * (0.5 + 1.5 * draw[7]),
-            colour=jnp.floor(draw[8] * NUM_THRUSTER_COLOURS).astype(jnp.int32),
         )
+        colour = jnp.floor(draw[8] * NUM_THRUSTER_COLOURS).astype(jnp.int32)
+        driven = DrivenThrusters(thrusters=thruster, colour=colour)
         slot = first_free(draft.thrusters.active)
-        thrusters = write_slot(draft.thrusters, slot, thruster, is_wanted & may_carry.any())
-        return dataclasses.replace(draft, thrusters=thrusters), None
+        thrusters = write_slot(draft.driven_thrusters, slot, driven, is_wanted & may_carry.any())
+        return dataclasses.replace(draft, driven_thrusters=thrusters), None
 
     draft, _ = jax.lax.scan(addition, draft, (jnp.arange(num_thrusters), draws))
     return draft

@@ -21,7 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jax2d.scene import Capacity
+from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
@@ -122,8 +122,8 @@ def _read_state(state: dict[str, Any]) -> Level:
     )
     level = empty_level(capacity)
     scene = level.scene
-    scene.shape_active[:] = [shape["active"] for shape in polygons + circles]
-    is_fixed = ~scene.shape_active
+    scene.shapes.active[:] = [shape["active"] for shape in polygons + circles]
+    is_fixed = ~scene.shapes.active
     for slot, shape in enumerate(polygons + circles):
         if not shape["active"]:
             continue
@@ -133,40 +133,40 @@ def _read_state(state: dict[str, Any]) -> Level:
         level.angular_velocity[slot] = shape["angular_velocity"]
         level.shape_role[slot] = shape["role"]
         level.collision_mode[slot] = shape["collision_mode"]
-        scene.density[slot] = shape["density"]
-        scene.friction[slot] = shape["friction"]
-        scene.restitution[slot] = shape["restitution"]
+        scene.shapes.density[slot] = shape["density"]
+        scene.shapes.friction[slot] = shape["friction"]
+        scene.shapes.restitution[slot] = shape["restitution"]
         is_fixed[slot] = shape["inverse_mass"] == 0.0
         if slot < capacity.polygons:
             corners = _corners(shape, f"env_state.polygon[{slot}].vertices")
-            scene.vertices[slot] = pad_vertices(corners, capacity)
-            scene.num_vertices[slot] = len(corners)
+            scene.shapes.vertices[slot] = pad_vertices(corners, capacity)
+            scene.shapes.num_vertices[slot] = len(corners)
         else:
-            scene.radius[slot - capacity.polygons] = shape["radius"]
+            scene.shapes.radius[slot - capacity.polygons] = shape["radius"]
     for slot, joint in enumerate(joints):
         if not joint["active"]:
             continue
-        scene.joint_active[slot] = True
-        scene.joint_a[slot], scene.joint_b[slot] = joint["a_index"], joint["b_index"]
-        scene.joint_anchor_a[slot] = _pair(joint["a_relative_pos"])
-        scene.joint_anchor_b[slot] = _pair(joint["b_relative_pos"])
-        scene.joint_is_fixed[slot] = joint["is_fixed_joint"]
-        scene.joint_rest_angle[slot] = joint["rotation"]
-        scene.motor_on[slot] = joint["motor_on"]
-        scene.motor_speed[slot] = joint["motor_speed"]
-        scene.motor_power[slot] = joint["motor_power"]
-        scene.has_limits[slot] = joint["motor_has_joint_limits"]
-        scene.lower_limit[slot], scene.upper_limit[slot] = joint["min_rotation"], joint["max_rotation"]
+        scene.joints.active[slot] = True
+        scene.joints.a[slot], scene.joints.b[slot] = joint["a_index"], joint["b_index"]
+        scene.joints.anchor_a[slot] = _pair(joint["a_relative_pos"])
+        scene.joints.anchor_b[slot] = _pair(joint["b_relative_pos"])
+        scene.joints.kind[slot] = JointKind.FIXED if joint["is_fixed_joint"] else JointKind.REVOLUTE
+        scene.joints.rest_angle[slot] = joint["rotation"]
+        scene.joints.motor_on[slot] = joint["motor_on"]
+        scene.joints.motor_speed[slot] = joint["motor_speed"]
+        scene.joints.motor_power[slot] = joint["motor_power"]
+        scene.joints.has_limits[slot] = joint["motor_has_joint_limits"]
+        scene.joints.lower_limit[slot], scene.joints.upper_limit[slot] = joint["min_rotation"], joint["max_rotation"]
         level.motor_colour[slot] = joint["motor_binding"]
         level.motor_auto[slot] = joint.get("motor_auto", False)
     for slot, thruster in enumerate(thrusters):
         if not thruster["active"]:
             continue
-        scene.thruster_active[slot] = True
-        scene.thruster_body[slot] = thruster["object_index"]
-        scene.thruster_position[slot] = _pair(thruster["relative_position"])
-        scene.thruster_angle[slot] = thruster["rotation"]
-        scene.thruster_power[slot] = thruster["power"]
+        scene.thrusters.active[slot] = True
+        scene.thrusters.body[slot] = thruster["object_index"]
+        scene.thrusters.position[slot] = _pair(thruster["relative_position"])
+        scene.thrusters.angle[slot] = thruster["rotation"]
+        scene.thrusters.power[slot] = thruster["power"]
         level.thruster_colour[slot] = thruster["thruster_binding"]
     scene.gravity[:] = _pair(state["gravity"])
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(level) if leaf.dtype.kind == "f"):
@@ -221,9 +221,9 @@ def _corners(shape: dict[str, Any], path: str) -> np.ndarray:
 def _joint_matrix(level: Level) -> np.ndarray:
     """`[n, n]` bool, False within a body: what the public file calls the collision matrix (modes are not in it)."""
     scene = level.scene
-    body = np.arange(len(scene.shape_active))
-    for slot in np.flatnonzero(scene.joint_active):
-        body[body == body[scene.joint_b[slot]]] = body[scene.joint_a[slot]]
+    body = np.arange(len(scene.shapes.active))
+    for slot in np.flatnonzero(scene.joints.active):
+        body[body == body[scene.joints.b[slot]]] = body[scene.joints.a[slot]]
     return body[:, None] != body[None, :]
 
 
@@ -242,51 +242,53 @@ def _world(level: Level, slot: int, local: np.ndarray) -> np.ndarray:
 
 def _shape_document(level: Level, slot: int, capacity: Capacity) -> dict[str, Any]:
     scene, is_polygon = level.scene, slot < capacity.polygons
-    count = int(scene.num_vertices[slot]) if is_polygon else 0
+    count = int(scene.shapes.num_vertices[slot]) if is_polygon else 0
     corners = np.zeros((capacity.vertices, 2))
     if is_polygon:
-        corners[:count] = np.roll(scene.vertices[slot, :count][::-1], 1, axis=0)  # clockwise, the same corner first
+        corners[:count] = np.roll(
+            scene.shapes.vertices[slot, :count][::-1], 1, axis=0
+        )  # clockwise, the same corner first
         corners[count:] = corners[count - 1]
     return {
         "position": _point(level.position[slot]),
         "rotation": float(level.angle[slot]),
         "velocity": _point(level.velocity[slot]),
         "angular_velocity": float(level.angular_velocity[slot]),
-        "inverse_mass": float(scene.inverse_mass[slot]),
-        "inverse_inertia": float(scene.inverse_inertia[slot]),
-        "friction": float(scene.friction[slot]),
-        "restitution": float(scene.restitution[slot]),
+        "inverse_mass": float(scene.shapes.inverse_mass[slot]),
+        "inverse_inertia": float(scene.shapes.inverse_inertia[slot]),
+        "friction": float(scene.shapes.friction[slot]),
+        "restitution": float(scene.shapes.restitution[slot]),
         "collision_mode": int(level.collision_mode[slot]),
-        "active": bool(scene.shape_active[slot]),
+        "active": bool(scene.shapes.active[slot]),
         "n_vertices": count,
         "vertices": _indexed([_point(corner) for corner in corners]),
-        "radius": 0.0 if is_polygon else float(scene.radius[slot - capacity.polygons]),
+        "radius": 0.0 if is_polygon else float(scene.shapes.radius[slot - capacity.polygons]),
         "role": int(level.shape_role[slot]),
-        "density": float(scene.density[slot]),
+        "density": float(scene.shapes.density[slot]),
         "highlighted": False,
     }
 
 
 def _joint_document(level: Level, slot: int) -> dict[str, Any]:
     scene = level.scene
-    a = int(scene.joint_a[slot])
+    a = int(scene.joints.a[slot])
     return {
         "a_index": a,
-        "b_index": int(scene.joint_b[slot]),
-        "a_relative_pos": _point(scene.joint_anchor_a[slot]),
-        "b_relative_pos": _point(scene.joint_anchor_b[slot]),
-        "global_position": _point(_world(level, a, scene.joint_anchor_a[slot])),
-        "active": bool(scene.joint_active[slot]),
+        "b_index": int(scene.joints.b[slot]),
+        "a_relative_pos": _point(scene.joints.anchor_a[slot]),
+        "b_relative_pos": _point(scene.joints.anchor_b[slot]),
+        "global_position": _point(_world(level, a, scene.joints.anchor_a[slot])),
+        "active": bool(scene.joints.active[slot]),
         "acc_impulse": _point((0.0, 0.0)),
         "acc_r_impulse": 0.0,
-        "motor_speed": float(scene.motor_speed[slot]),
-        "motor_power": float(scene.motor_power[slot]),
-        "motor_on": bool(scene.motor_on[slot]),
-        "motor_has_joint_limits": bool(scene.has_limits[slot]),
-        "min_rotation": float(scene.lower_limit[slot]),
-        "max_rotation": float(scene.upper_limit[slot]),
-        "is_fixed_joint": bool(scene.joint_is_fixed[slot]),
-        "rotation": float(scene.joint_rest_angle[slot]),
+        "motor_speed": float(scene.joints.motor_speed[slot]),
+        "motor_power": float(scene.joints.motor_power[slot]),
+        "motor_on": bool(scene.joints.motor_on[slot]),
+        "motor_has_joint_limits": bool(scene.joints.has_limits[slot]),
+        "min_rotation": float(scene.joints.lower_limit[slot]),
+        "max_rotation": float(scene.joints.upper_limit[slot]),
+        "is_fixed_joint": bool(scene.joints.is_kind(JointKind.FIXED)[slot]),
+        "rotation": float(scene.joints.rest_angle[slot]),
         "motor_binding": int(level.motor_colour[slot]),
         "motor_auto": bool(level.motor_auto[slot]),
     }
@@ -294,13 +296,13 @@ def _joint_document(level: Level, slot: int) -> dict[str, Any]:
 
 def _thruster_document(level: Level, slot: int) -> dict[str, Any]:
     scene = level.scene
-    body = int(scene.thruster_body[slot])
+    body = int(scene.thrusters.body[slot])
     return {
         "object_index": body,
-        "relative_position": _point(scene.thruster_position[slot]),
-        "rotation": float(scene.thruster_angle[slot]),
-        "power": float(scene.thruster_power[slot]),
-        "global_position": _point(_world(level, body, scene.thruster_position[slot])),
-        "active": bool(scene.thruster_active[slot]),
+        "relative_position": _point(scene.thrusters.position[slot]),
+        "rotation": float(scene.thrusters.angle[slot]),
+        "power": float(scene.thrusters.power[slot]),
+        "global_position": _point(_world(level, body, scene.thrusters.position[slot])),
+        "active": bool(scene.thrusters.active[slot]),
         "thruster_binding": int(level.thruster_colour[slot]),
     }

@@ -9,7 +9,8 @@ import dataclasses
 
 import jax
 
-from jax2d.scene import Array, Capacity, Scene
+from jax2d.fields import Array, array, part
+from jax2d.scene import Capacity, Scene
 
 NUM_MOTOR_COLOURS = 4
 NUM_THRUSTER_COLOURS = 2
@@ -28,13 +29,13 @@ SIZES: dict[str, Capacity] = {
 class Level:
     """One level of `n` shapes, `J` joints, `T` thrusters (or a batch, with a leading axis)."""
 
-    scene: Scene
-    position: Array  # [n, 2] m, centre of mass at the start
-    angle: Array  # [n] rad
-    velocity: Array  # [n, 2] m/s
-    angular_velocity: Array  # [n] rad/s
-    shape_role: Array  # [n] int32, Role
-    collision_mode: Array  # [n] int32: 0 passes through 1s, 1 normal, 2 touches all (walls)
-    motor_colour: Array  # [J] int32, 0..NUM_MOTOR_COLOURS-1
-    motor_auto: Array  # [J] bool, always runs forward whatever the action
-    thruster_colour: Array  # [T] int32, 0..NUM_THRUSTER_COLOURS-1
+    scene: Scene = part(Scene)
+    position: Array = array("n 2", float, "centre of mass at the start", unit="m")
+    angle: Array = array("n", float, "at the start", unit="rad")
+    velocity: Array = array("n 2", float, "at the start", unit="m/s")
+    angular_velocity: Array = array("n", float, "at the start", unit="rad/s")
+    shape_role: Array = array("n", int, "Role")
+    collision_mode: Array = array("n", int, "0 passes through 1s, 1 normal, 2 touches all (walls)", empty=1)
+    motor_colour: Array = array("J", int, "0..NUM_MOTOR_COLOURS-1")
+    motor_auto: Array = array("J", bool, "always runs forward whatever the action")
+    thruster_colour: Array = array("T", int, "0..NUM_THRUSTER_COLOURS-1")

@@ -35,14 +35,14 @@ def _noop_solved(levels: Level, preset_name: str, num_steps: int) -> Array:
     packed_scene = engine.pack_scene(scene)
     state = engine.initial_state(scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity)
     controls = Controls(
-        motor=levels.motor_auto.astype(jnp.float32), thruster=jnp.zeros_like(scene.thruster_angle, jnp.float32)
+        motor=levels.motor_auto.astype(jnp.float32), thruster=jnp.zeros_like(scene.thrusters.angle, jnp.float32)
     )
-    is_green, is_blue, is_red = (scene.shape_active & (levels.shape_role == role) for role in list(Role)[1:])
+    is_green, is_blue, is_red = (scene.shapes.active & (levels.shape_role == role) for role in list(Role)[1:])
 
     def step(carry: tuple, _: None) -> tuple[tuple, None]:
         state, is_solved, is_over = carry
         state, touching = engine.step_packed(packed_scene, state, controls, num_steps=FRAME_SKIP)
-        touches = touch_matrix(touching.during, scene.shape_active.shape[1]) & is_green[:, :, None]
+        touches = touch_matrix(touching.during, scene.shapes.active.shape[1]) & is_green[:, :, None]
         touched_blue = (touches & is_blue[:, None, :]).any(axis=(1, 2))
         touched_red = (touches & is_red[:, None, :]).any(axis=(1, 2))
         is_solved = is_solved | (touched_blue & ~touched_red & ~is_over)

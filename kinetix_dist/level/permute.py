@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array
+from jax2d.fields import Array, replace
 from kinetix_dist.level.draft import Draft
 from kinetix_dist.level.level import NUM_WALLS
 
@@ -31,12 +29,12 @@ def permute_slots(draw: Array, draft: Draft, num_polygons: int) -> Draft:
     joint_order = by_draw[2]
     thruster_order = by_draw[3]
     shapes = jax.tree.map(lambda x: x[source], draft.shapes)
-    joints = jax.tree.map(lambda x: x[joint_order], draft.joints)
-    thrusters = jax.tree.map(lambda x: x[thruster_order], draft.thrusters)
+    joints = jax.tree.map(lambda x: x[joint_order], draft.driven_joints)
+    thrusters = jax.tree.map(lambda x: x[thruster_order], draft.driven_thrusters)
     return Draft(
         shapes=shapes,
-        joints=dataclasses.replace(joints, a=slot_of[joints.a], b=slot_of[joints.b]),
-        thrusters=dataclasses.replace(thrusters, body=slot_of[thrusters.body]),
+        driven_joints=replace(joints, joints={"a": slot_of[joints.joints.a], "b": slot_of[joints.joints.b]}),
+        driven_thrusters=replace(thrusters, thrusters={"body": slot_of[thrusters.thrusters.body]}),
     )
 
 

@@ -12,8 +12,9 @@ import math
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Array
-from kinetix_dist.level.draft import Draft, Joints, Shapes, first_free, read_slot, write_slot
+from jax2d.fields import Array, replace
+from jax2d.scene import JointKind, Joints
+from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, read_slot, write_slot
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M
 from kinetix_dist.level.overlap import inset, reach, separation, world_corners
@@ -41,7 +42,7 @@ class Proposal:
 
     shape: Shapes  # without the leading axis
     slot: Array  # int32
-    joint: Joints  # without the leading axis
+    joint: DrivenJoints  # without the leading axis
     target: Array  # int32, shape it is joined to
     is_possible: Array  # bool, False where there is no room or nothing to join
     cost: Array  # overlaps, plus the fine for hidden shapes
@@ -153,7 +154,8 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
     held = joined_at - world_corners(jnp.zeros(2), angle, anchor_new[None])[0]
     shape = dataclasses.replace(shape, position=jnp.where(is_joined, held, shape.position))
     joint = _sample_joint(request, draw[20:28], target, angle, is_polygon & to_polygon, config)
-    joint = dataclasses.replace(joint, a=target_index, b=slot, anchor_a=anchor_target, anchor_b=anchor_new)
+    ends = {"a": target_index, "b": slot, "anchor_a": anchor_target, "anchor_b": anchor_new}
+    joint = replace(joint, joints=ends)
 
     is_visible = (
         reach(anchor_new, shape.vertices, shape.radius)
@@ -181,8 +183,8 @@ def add_best(draft: Draft, proposals: Proposal, is_joined: Array, do: Array) -> 
     shapes = write_slot(draft.shapes, best.slot, best.shape, do)
     holds = (jnp.arange(shapes.active.shape[0]) == best.target) & do & is_joined
     shapes = dataclasses.replace(shapes, num_joints=shapes.num_joints + holds)
-    joints = write_slot(draft.joints, first_free(draft.joints.active), best.joint, do & is_joined)
-    return dataclasses.replace(draft, shapes=shapes, joints=joints)
+    joints = write_slot(draft.driven_joints, first_free(draft.joints.active), best.joint, do & is_joined)
+    return dataclasses.replace(draft, shapes=shapes, driven_joints=joints)
 
 
 def _count_overlaps(shapes: Shapes, new: Shapes) -> Array:
@@ -207,24 +209,24 @@ def _sample_role(shapes: Shapes, target_role: Array, is_joined: Array, draw: Arr
 
 def _sample_joint(
     request: Request, draw: Array, target: Shapes, angle: Array, both_polygons: Array, config: GeneratorConfig
-) -> Joints:
+) -> DrivenJoints:
     """How a joint holds and drives; ends and anchors are filled in by the caller."""
     is_fixed = (draw[0] < config.fixed_joint_chance) & ~request.force_motor
     strongest = jnp.where(both_polygons, config.motor_power_max, config.wheel_power_max)
     has_limits = (draw[4] < config.limits_chance) & both_polygons & ~is_fixed
-    return Joints(
+    joint = Joints(
         active=jnp.array(True),
+        kind=jnp.where(is_fixed, JointKind.FIXED, JointKind.REVOLUTE),
         a=jnp.array(0),
         b=jnp.array(0),
         anchor_a=jnp.zeros(2),
         anchor_b=jnp.zeros(2),
-        is_fixed=is_fixed,
         rest_angle=angle - target.angle,
         motor_on=((draw[1] < config.motor_on_chance) | request.force_motor) & ~is_fixed,
         motor_speed=config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min),
         motor_power=config.motor_power_min + draw[3] * (strongest - config.motor_power_min),
         has_limits=has_limits,
-        lower=jnp.where(has_limits, -config.limit_max * draw[5], 0.0),
-        upper=jnp.where(has_limits, config.limit_max * draw[6], 0.0),
-        colour=jnp.floor(draw[7] * NUM_MOTOR_COLOURS).astype(jnp.int32),
+        lower_limit=jnp.where(has_limits, -config.limit_max * draw[5], 0.0),
+        upper_limit=jnp.where(has_limits, config.limit_max * draw[6], 0.0),
     )
+    return DrivenJoints(joints=joint, colour=jnp.floor(draw[7] * NUM_MOTOR_COLOURS).astype(jnp.int32))

@@ -19,7 +19,7 @@ import numpy as np
 
 from jax2d.scene import Capacity
 from kinetix_dist.level.derive import complete
-from kinetix_dist.level.document import COLLISION_NAMES, LevelInfo, dump_document, level_to_json
+from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo, dump_document, level_to_json
 from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.roles import ROLE_NAMES
@@ -75,7 +75,7 @@ def document_info(document: dict[str, Any]) -> LevelInfo:
 def _assemble(document: dict[str, Any], capacity: Capacity) -> Level:
     level = empty_level(capacity)
     scene = level.scene
-    is_fixed = np.asarray(scene.shape_active).copy()  # the walls
+    is_fixed = np.asarray(scene.shapes.active).copy()  # the walls
     slots = {name: slot for slot, name in enumerate(WALL_NAMES)}
     for name, wall in document.get("walls", {}).items():
         _fill_surface(level, slots[name], wall)
@@ -83,16 +83,16 @@ def _assemble(document: dict[str, Any], capacity: Capacity) -> Level:
     for shape in document["shapes"]:
         if shape["type"] == "circle":
             slot, next_circle = next_circle, next_circle + 1
-            scene.radius[slot - capacity.polygons] = shape["radius"]
+            scene.shapes.radius[slot - capacity.polygons] = shape["radius"]
         else:
             slot, next_polygon = next_polygon, next_polygon + 1
             corners = np.asarray(_corners(shape), np.float64)
-            scene.vertices[slot] = pad_vertices(corners, capacity)
-            scene.num_vertices[slot] = len(corners)
+            scene.shapes.vertices[slot] = pad_vertices(corners, capacity)
+            scene.shapes.num_vertices[slot] = len(corners)
         slots[shape["id"]] = slot
-        scene.shape_active[slot] = True
+        scene.shapes.active[slot] = True
         is_fixed[slot] = shape.get("fixed", False)
-        scene.density[slot] = shape.get("density", 1.0)
+        scene.shapes.density[slot] = shape.get("density", 1.0)
         _fill_surface(level, slot, shape)
         level.position[slot] = shape["position"]
         level.angle[slot] = shape.get("angle", 0.0)
@@ -103,14 +103,14 @@ def _assemble(document: dict[str, Any], capacity: Capacity) -> Level:
         _fill_joint(level, slot, joint, slots)
     for slot, thruster in enumerate(document.get("thrusters", [])):
         body = slots[thruster["shape"]]
-        scene.thruster_active[slot] = True
-        scene.thruster_body[slot] = body
+        scene.thrusters.active[slot] = True
+        scene.thrusters.body[slot] = body
         if "anchor" in thruster:
-            scene.thruster_position[slot] = _to_local(level, body, thruster["anchor"])
+            scene.thrusters.position[slot] = _to_local(level, body, thruster["anchor"])
         else:
-            scene.thruster_position[slot] = thruster.get("position", (0.0, 0.0))
-        scene.thruster_angle[slot] = thruster["angle"]
-        scene.thruster_power[slot] = thruster.get("power", 1.0)
+            scene.thrusters.position[slot] = thruster.get("position", (0.0, 0.0))
+        scene.thrusters.angle[slot] = thruster["angle"]
+        scene.thrusters.power[slot] = thruster.get("power", 1.0)
         level.thruster_colour[slot] = thruster.get("colour", 0)
     scene.gravity[:] = document.get("gravity", (0.0, -9.81))
     return complete(level, is_fixed)
@@ -124,33 +124,33 @@ def _corners(shape: dict[str, Any]) -> list[list[float]]:
 
 
 def _fill_surface(level: Level, slot: int, entry: dict[str, Any]) -> None:
-    level.scene.friction[slot] = entry.get("friction", 1.0)
-    level.scene.restitution[slot] = entry.get("restitution", 0.0)
+    level.scene.shapes.friction[slot] = entry.get("friction", 1.0)
+    level.scene.shapes.restitution[slot] = entry.get("restitution", 0.0)
     level.shape_role[slot] = ROLE_NAMES.index(entry.get("role", "none"))
 
 
 def _fill_joint(level: Level, slot: int, joint: dict[str, Any], slots: dict[str, int]) -> None:
     scene = level.scene
     a, b = slots[joint["a"]], slots[joint["b"]]
-    scene.joint_active[slot] = True
-    scene.joint_a[slot], scene.joint_b[slot] = a, b
+    scene.joints.active[slot] = True
+    scene.joints.a[slot], scene.joints.b[slot] = a, b
     if "anchor" in joint:
-        scene.joint_anchor_a[slot] = _to_local(level, a, joint["anchor"])
-        scene.joint_anchor_b[slot] = _to_local(level, b, joint["anchor"])
+        scene.joints.anchor_a[slot] = _to_local(level, a, joint["anchor"])
+        scene.joints.anchor_b[slot] = _to_local(level, b, joint["anchor"])
     else:
-        scene.joint_anchor_a[slot], scene.joint_anchor_b[slot] = joint["anchor_a"], joint["anchor_b"]
+        scene.joints.anchor_a[slot], scene.joints.anchor_b[slot] = joint["anchor_a"], joint["anchor_b"]
         ends = _to_world(level, a, joint["anchor_a"]) - _to_world(level, b, joint["anchor_b"])
         check_anchor_gap(math.hypot(*ends), f"joints[{slot}]")
-    scene.joint_is_fixed[slot] = joint["type"] == "fixed"
-    scene.joint_rest_angle[slot] = joint.get("rest_angle", float(level.angle[b] - level.angle[a]))
+    scene.joints.kind[slot] = JOINT_KINDS[joint["type"]]
+    scene.joints.rest_angle[slot] = joint.get("rest_angle", float(level.angle[b] - level.angle[a]))
     if "limits" in joint:
-        scene.has_limits[slot] = True
-        scene.lower_limit[slot], scene.upper_limit[slot] = joint["limits"]
+        scene.joints.has_limits[slot] = True
+        scene.joints.lower_limit[slot], scene.joints.upper_limit[slot] = joint["limits"]
     motor = joint.get("motor")
     if motor is not None:
-        scene.motor_on[slot] = motor.get("on", True)
-        scene.motor_speed[slot] = motor.get("speed", 1.0)
-        scene.motor_power[slot] = motor.get("power", 1.0)
+        scene.joints.motor_on[slot] = motor.get("on", True)
+        scene.joints.motor_speed[slot] = motor.get("speed", 1.0)
+        scene.joints.motor_power[slot] = motor.get("power", 1.0)
         level.motor_auto[slot] = motor.get("auto", False)
         level.motor_colour[slot] = motor.get("colour", 0)
 

@@ -10,7 +10,7 @@ from kinetix_dist.level.level import Level
 
 def start_state(level: Level) -> State:
     """The state of one level before its first step (numpy, no contacts remembered): to draw or to measure."""
-    num_joints = np.shape(level.scene.joint_active)[0]
+    num_joints = np.shape(level.scene.joints.active)[0]
     return State(
         position=level.position,
         angle=level.angle,

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from jax2d.scene import Capacity, Scene
+from jax2d.fields import empty
+from jax2d.scene import Capacity
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
 
 FLOOR_TOP_M = 0.4  # height of the ground above the origin of the world
@@ -39,7 +40,7 @@ WALL_HALF_EXTENTS_M = np.array(
     np.float32,
 )
 _CORNERS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], np.float32)  # counter-clockwise
-_PADDING_HALF_EXTENT_M = 0.1  # inactive polygons are small boxes: never degenerate, never seen
+GRAVITY_M_S2 = (0.0, -9.81)
 
 
 def pad_vertices(vertices: np.ndarray, capacity: Capacity) -> np.ndarray:
@@ -55,56 +56,12 @@ def empty_level(capacity: Capacity) -> Level:
             f"a level needs {NUM_WALLS} polygons of 4 corners for its walls; capacity has "
             f"{capacity.polygons} polygons of at most {capacity.vertices}"
         )
-    num_shapes, num_joints, num_thrusters = capacity.shapes, capacity.joints, capacity.thrusters
-    half_extents = np.full((capacity.polygons, 2), _PADDING_HALF_EXTENT_M, np.float32)
-    half_extents[:NUM_WALLS] = WALL_HALF_EXTENTS_M
-    is_wall = np.arange(num_shapes) < NUM_WALLS
-    position = np.zeros((num_shapes, 2), np.float32)
-    position[:NUM_WALLS] = WALL_CENTRES_M
-
-    def zeros(*shape: int) -> np.ndarray:
-        return np.zeros(shape, np.float32)
-
-    scene = Scene(
-        shape_active=is_wall.copy(),
-        inverse_mass=zeros(num_shapes),
-        inverse_inertia=zeros(num_shapes),
-        density=np.ones(num_shapes, np.float32),
-        friction=np.ones(num_shapes, np.float32),
-        restitution=zeros(num_shapes),
-        vertices=np.stack([pad_vertices(_CORNERS * half, capacity) for half in half_extents]),
-        num_vertices=np.full(capacity.polygons, 4, np.int32),
-        radius=np.full(capacity.circles, _PADDING_HALF_EXTENT_M, np.float32),
-        can_touch=np.zeros((num_shapes, num_shapes), bool),
-        joint_active=np.zeros(num_joints, bool),
-        joint_a=np.zeros(num_joints, np.int32),
-        joint_b=np.zeros(num_joints, np.int32),
-        joint_anchor_a=zeros(num_joints, 2),
-        joint_anchor_b=zeros(num_joints, 2),
-        joint_is_fixed=np.zeros(num_joints, bool),
-        joint_rest_angle=zeros(num_joints),
-        motor_on=np.zeros(num_joints, bool),
-        motor_speed=np.ones(num_joints, np.float32),
-        motor_power=np.ones(num_joints, np.float32),
-        has_limits=np.zeros(num_joints, bool),
-        lower_limit=zeros(num_joints),
-        upper_limit=zeros(num_joints),
-        thruster_active=np.zeros(num_thrusters, bool),
-        thruster_body=np.zeros(num_thrusters, np.int32),
-        thruster_position=zeros(num_thrusters, 2),
-        thruster_angle=zeros(num_thrusters),
-        thruster_power=np.ones(num_thrusters, np.float32),
-        gravity=np.array([0.0, -9.81], np.float32),
-    )
-    return Level(
-        scene=scene,
-        position=position,
-        angle=zeros(num_shapes),
-        velocity=zeros(num_shapes, 2),
-        angular_velocity=zeros(num_shapes),
-        shape_role=np.zeros(num_shapes, np.int32),
-        collision_mode=np.where(is_wall, COLLIDES_WITH_ALL, COLLIDES_NORMALLY).astype(np.int32),
-        motor_colour=np.zeros(num_joints, np.int32),
-        motor_auto=np.zeros(num_joints, bool),
-        thruster_colour=np.zeros(num_thrusters, np.int32),
-    )
+    level = empty(Level, capacity.sizes)
+    shapes, walls = level.scene.shapes, slice(NUM_WALLS)
+    shapes.active[walls] = True
+    shapes.vertices[walls] = [pad_vertices(_CORNERS * half, capacity) for half in WALL_HALF_EXTENTS_M]
+    shapes.num_vertices[walls] = len(_CORNERS)
+    level.position[walls] = WALL_CENTRES_M
+    level.collision_mode[walls] = COLLIDES_WITH_ALL
+    level.scene.gravity[:] = GRAVITY_M_S2
+    return level

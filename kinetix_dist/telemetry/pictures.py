@@ -32,7 +32,7 @@ def rollout_picture(
 def moment_picture(rollout: Rollout, state: int, *, pixels_per_metre: float = 100.0) -> np.ndarray:
     """One state of a rollout, uint8 [height, width, 3]: flames of the step that led there, paths up to there."""
     scene, roles = rollout.level.scene, np.asarray(rollout.level.shape_role)
-    moving = np.asarray(scene.shape_active) & (np.asarray(scene.inverse_mass) > 0)
+    moving = np.asarray(scene.shapes.active) & (np.asarray(scene.shapes.inverse_mass) > 0)
     followed = np.flatnonzero(moving & (roles > 0))
     return draw(
         scene,

@@ -59,8 +59,8 @@ class Rollout:
             "velocity": (steps + 1, shapes, 2),
             "angular_velocity": (steps + 1, shapes),
             "actions": (steps, *self.actions.shape[1:2]),
-            "motor": (steps, *np.shape(self.level.scene.joint_active)),
-            "thruster": (steps, *np.shape(self.level.scene.thruster_active)),
+            "motor": (steps, *np.shape(self.level.scene.joints.active)),
+            "thruster": (steps, *np.shape(self.level.scene.thrusters.active)),
             "reward": (steps,),
         }
         for name, shape in expected.items():
@@ -73,7 +73,7 @@ class Rollout:
 
     @property
     def num_shapes(self) -> int:
-        return np.shape(self.level.scene.shape_active)[0]
+        return np.shape(self.level.scene.shapes.active)[0]
 
     @property
     def outcome(self) -> str:

@@ -86,15 +86,17 @@ def test_the_exponent_of_growth_is_that_of_the_power_law() -> None:
 @pytest.mark.parametrize("scene", SCENES)
 def test_worlds_of_growth_have_as_many_shapes_as_asked_for(scene: str, shapes: int) -> None:
     world = SCENES[scene](shapes)
-    assert world.scene.shape_active.all() and world.scene.shape_active.size == shapes
+    assert world.scene.shapes.active.all() and world.scene.shapes.active.size == shapes
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_levels_edited_to_do_without_an_effect_do_not_call_for_it(effect: str) -> None:
     scene = load_level_set("designed_l")[0].scene
-    everything_meets = np.broadcast_to(~np.eye(scene.can_touch.shape[-1], dtype=bool), scene.can_touch.shape)
-    bounces = np.full_like(scene.restitution, 0.5)
-    scene = dataclasses.replace(scene, can_touch=everything_meets, restitution=bounces)
+    everything_meets = np.broadcast_to(
+        ~np.eye(scene.shapes.can_touch.shape[-1], dtype=bool), scene.shapes.can_touch.shape
+    )
+    bounces = np.full_like(scene.shapes.restitution, 0.5)
+    scene = scene.replace(shapes={"can_touch": everything_meets, "restitution": bounces})
     before, after = effects_of(scene), effects_of(without(scene, effect))
     gone = {effect} | ({"motors", "joint_limits"} if effect == "revolute_joints" else set())
     if effect == "continuous_collision":  # all that may touch calls for it

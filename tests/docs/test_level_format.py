@@ -29,7 +29,7 @@ def test_the_example_is_a_valid_level() -> None:
     block = re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None
     level = level_from_json(json.loads(block.group(1)))
-    assert level.scene.shape_active.sum() == 4 + 4
+    assert level.scene.shapes.active.sum() == 4 + 4
 
 
 def test_every_field_of_the_format_is_described() -> None:

@@ -18,8 +18,8 @@ def test_triangle_has_the_mass_centroid_and_inertia_of_the_textbook_wherever_it_
         b.add_polygon([(offset, 0), (offset + 3, 0), (offset, 3)], density=2.0)
         scene, position, *_ = b.build()
         mass = 2.0 * 4.5
-        assert scene.inverse_mass[0] == pytest.approx(1 / mass)
-        assert scene.inverse_inertia[0] == pytest.approx(1 / (mass * (9 + 9) / 18))
+        assert scene.shapes.inverse_mass[0] == pytest.approx(1 / mass)
+        assert scene.shapes.inverse_inertia[0] == pytest.approx(1 / (mass * (9 + 9) / 18))
         np.testing.assert_allclose(position[0], [offset + 1, 1], atol=1e-6)
 
 
@@ -28,7 +28,7 @@ def test_disc_has_half_m_r_squared_of_inertia():
     disc = b.add_circle(radius=0.5, density=3.0)
     scene = b.build().scene
     mass = 3.0 * math.pi * 0.25
-    assert scene.inverse_inertia[disc] == pytest.approx(1 / (0.5 * mass * 0.25))
+    assert scene.shapes.inverse_inertia[disc] == pytest.approx(1 / (0.5 * mass * 0.25))
 
 
 def test_jointed_shapes_may_not_touch():
@@ -36,8 +36,8 @@ def test_jointed_shapes_may_not_touch():
     a, c = b.add_box(width=1, height=1), b.add_circle(radius=0.5)
     b.add_revolute_joint(a, c, at=(0, 0))
     scene = b.build().scene
-    assert not scene.can_touch[a, c]
-    assert not scene.can_touch[c, a]
+    assert not scene.shapes.can_touch[a, c]
+    assert not scene.shapes.can_touch[c, a]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
 from types import SimpleNamespace
 
@@ -22,8 +21,8 @@ def world(**active: bool):
     base = scene()
     shape = 2 if active.get("polygon") else CAPACITY.polygons
     only = np.arange(CAPACITY.shapes) == shape
-    quiet = {"joint_active": np.zeros(2, bool), "thruster_active": np.zeros(2, bool)}
-    return dataclasses.replace(base, shape_active=only, **quiet), shape
+    quiet = {"joints": {"active": np.zeros(2, bool)}, "thrusters": {"active": np.zeros(2, bool)}}
+    return base.replace(shapes={"active": only}, **quiet), shape
 
 
 def at(place: tuple[float, float], angle: float, shape: int) -> SimpleNamespace:
@@ -61,10 +60,13 @@ def test_a_shape_turns_counter_clockwise_and_y_is_up() -> None:
     assert (columns.min() + columns.max()) / 2 == pytest.approx(100, abs=1)
     assert rows.max() - rows.min() == pytest.approx(100, abs=2)  # 1 m wide, now upright
     assert columns.max() - columns.min() == pytest.approx(50, abs=2)
-    triangle = dataclasses.replace(
-        one, vertices=one.vertices.copy(), num_vertices=np.where(np.arange(5) == 2, 3, one.num_vertices)
+    triangle = one.replace(
+        shapes={
+            "vertices": one.shapes.vertices.copy(),
+            "num_vertices": np.where(np.arange(5) == 2, 3, one.shapes.num_vertices),
+        }
     )
-    triangle.vertices[2] = [[0, 0], [1, 0], [0, 1], [0, 1]]
+    triangle.shapes.vertices[2] = [[0, 0], [1, 0], [0, 1], [0, 1]]
     image = draw(triangle, at((2.0, 2.0), np.pi / 6, shape), view=(0, 0, 5, 5))
     # (0.2, 0.05) lies inside; turned by 30 degrees counter-clockwise it is (0.148, 0.143).
     assert tuple(image[500 - 214, 214]) == GREY

@@ -99,9 +99,9 @@ def without_the_second_body() -> tuple[Scene, tuple]:
     b.add_revolute_joint(box, disc, at=(0.5, 0), motor_speed=1.0, limits=(-1, 1))
     b.add_thruster(disc, at=(1, 0), angle=0.0)
     scene, *start = b.build()
-    active = scene.shape_active.copy()
+    active = scene.shapes.active.copy()
     active[disc] = False
-    return dataclasses.replace(scene, shape_active=active), tuple(start)
+    return scene.replace(shapes={"active": active}), tuple(start)
 
 
 def test_joints_and_thrusters_of_inactive_shapes_call_for_nothing():
@@ -219,10 +219,13 @@ def test_joints_and_thrusters_of_inactive_shapes_do_nothing():
     """The kernel once read what was left in memory of the shape that is not there."""
     scene, start = without_the_second_body()
     acts = Controls(motor=np.ones(CAPACITY.joints, np.float32), thruster=np.ones(CAPACITY.thrusters, np.float32))
-    none = {"joint_active": np.zeros(CAPACITY.joints, bool), "thruster_active": np.zeros(CAPACITY.thrusters, bool)}
+    none = {
+        "joints": {"active": np.zeros(CAPACITY.joints, bool)},
+        "thrusters": {"active": np.zeros(CAPACITY.thrusters, bool)},
+    }
     state = engine().initial_state(scene, *start)
     ended = engine().step(scene, state, acts, num_steps=30)
-    assert_same_bits(ended, engine().step(dataclasses.replace(scene, **none), state, acts, num_steps=30))
+    assert_same_bits(ended, engine().step(scene.replace(**none), state, acts, num_steps=30))
     assert_same_bits(ended, Engine(CAPACITY, effects=effects_of(scene)).step(scene, state, acts, num_steps=30))
     assert float(ended[0].velocity[0, 1]) == pytest.approx(-9.81 / 2, rel=1e-5)
 

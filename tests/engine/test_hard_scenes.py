@@ -375,7 +375,7 @@ def test_removing_a_heavy_top_body_adds_no_energy():
     world = yard.builder.build()
     one = Engine(LARGE)
     loaded, state = record([world], one, seconds=5.0)
-    world.scene.shape_active[heavy] = False
+    world.scene.shapes.active[heavy] = False
     freed, _ = record([world], one, seconds=5.0, state=state)
     stored = 9.81 * loaded[0].position[-1, boxes, 1].sum()  # J, potential energy of the boxes of 1 kg
     assert freed[0].energy().max() < 0.01 * stored

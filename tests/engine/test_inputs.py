@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, Settings, State, preset, stack_worlds
+from jax2d.fields import as_dict, with_fields
 from tests.engine.worlds import CAPACITY, builder, engine
 
 
@@ -26,7 +27,7 @@ def start() -> tuple[Scene, State]:
 
 
 def changed(tree: Any, **fields: Any) -> Any:
-    return dataclasses.replace(tree, **fields)
+    return with_fields(tree, fields)
 
 
 def holding(array: Any, value: float, *index: int) -> np.ndarray:
@@ -41,11 +42,14 @@ def controls(motor: float = 0.0, thruster: float = 0.0) -> Controls:
     )
 
 
-@pytest.mark.parametrize("field", ["inverse_mass", "friction", "vertices", "joint_anchor_a", "gravity", "radius"])
+@pytest.mark.parametrize(
+    "field",
+    ["shapes.inverse_mass", "shapes.friction", "shapes.vertices", "joints.anchor_a", "gravity", "shapes.radius"],
+)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_scene_with_a_value_that_is_not_finite_is_refused(field: str, value: float):
     scene, state = start()
-    bad = np.array(getattr(scene, field))
+    bad = np.array(as_dict(scene)[field])
     bad.flat[0] = value
     with pytest.raises(ValueError, match=rf"scene\.{field}\[0.*\] is {value}; it must be finite"):
         engine().step(changed(scene, **{field: bad}), state)
@@ -75,34 +79,49 @@ DART = UNIT_BOX * [[1, 1], [1, 1], [-0.4, -0.4], [1, 1]]
 @pytest.mark.parametrize(
     ("field", "index", "value", "said"),
     [
-        ("joint_a", 0, 10, r"joint_a\[0\] is 10; it must be the index of a shape"),
-        ("joint_b", 0, -1, r"joint_b\[0\] is -1; it must be the index"),
-        ("joint_b", 0, 0, r"joint_b\[0\] is 0; it must be another shape than joint_a"),
-        ("thruster_body", 0, 10**9, r"thruster_body\[0\] is 1000000000; it must be the index"),
-        ("num_vertices", 1, 2, r"num_vertices\[1\] is 2; it must be from 3 to Capacity\.vertices"),
-        ("num_vertices", 1, 5, r"num_vertices\[1\] is 5"),
-        ("vertices", 1, UNIT_BOX[::-1], r"vertices\[1\] is .*; it must be convex, counter-clockwise"),
-        ("vertices", 1, DART, r"vertices\[1\] is .*; it must be convex"),
-        ("vertices", 1, UNIT_BOX[[0, 1, 1, 2]], r"vertices\[1\] is .*; it must be convex"),
-        ("vertices", 1, UNIT_BOX + 0.01, r"vertices\[1\] is .*; it must have its centre of mass at \(0, 0\)"),
-        ("radius", 0, 0.0, r"radius\[0\] is 0\.0; it must be positive"),
-        ("restitution", 1, 1.5, r"restitution\[1\] is 1\.5; it must be from 0 to 1"),
-        ("friction", 1, -1.0, r"friction\[1\] is -1\.0; it must be 0 or more"),
-        ("inverse_mass", 1, -1.0, r"inverse_mass\[1\] is -1\.0; it must be 0 \(fixed\) or more"),
-        ("inverse_inertia", 1, -1.0, r"inverse_inertia\[1\] is -1\.0; it must be 0"),
-        ("motor_power", 0, -1.0, r"motor_power\[0\] is -1\.0; it must be 0 or more"),
-        ("lower_limit", 0, 2.0, r"lower_limit\[0\] is 2\.0; it must be at most upper_limit"),
-        ("can_touch", (2, 3), False, r"can_touch\[2, 3\] is False; it must be the same for \[i, j\] and \[j, i\]"),
+        ("joints.a", 0, 10, r"joints\.a\[0\] is 10; it must be the index of a shape"),
+        ("joints.b", 0, -1, r"joints\.b\[0\] is -1; it must be the index"),
+        ("joints.b", 0, 0, r"joints\.b\[0\] is 0; it must be another shape than joints\.a"),
+        ("thrusters.body", 0, 10**9, r"thrusters\.body\[0\] is 1000000000; it must be the index"),
+        ("shapes.num_vertices", 1, 2, r"shapes\.num_vertices\[1\] is 2; it must be from 3 to Capacity\.vertices"),
+        ("shapes.num_vertices", 1, 5, r"shapes\.num_vertices\[1\] is 5"),
+        ("shapes.vertices", 1, UNIT_BOX[::-1], r"shapes\.vertices\[1\] is .*; it must be convex, counter-clockwise"),
+        ("shapes.vertices", 1, DART, r"shapes\.vertices\[1\] is .*; it must be convex"),
+        ("shapes.vertices", 1, UNIT_BOX[[0, 1, 1, 2]], r"shapes\.vertices\[1\] is .*; it must be convex"),
+        (
+            "shapes.vertices",
+            1,
+            UNIT_BOX + 0.01,
+            r"shapes\.vertices\[1\] is .*; it must have its centre of mass at \(0, 0\)",
+        ),
+        ("shapes.radius", 0, 0.0, r"shapes\.radius\[0\] is 0\.0; it must be positive"),
+        ("shapes.restitution", 1, 1.5, r"shapes\.restitution\[1\] is 1\.5; it must be from 0 to 1"),
+        ("shapes.friction", 1, -1.0, r"shapes\.friction\[1\] is -1\.0; it must be 0 or more"),
+        (
+            "shapes.inverse_mass",
+            1,
+            -1.0,
+            r"shapes\.inverse_mass\[1\] is -1\.0; it must be 0 or more \(0: does not move\)",
+        ),
+        ("shapes.inverse_inertia", 1, -1.0, r"shapes\.inverse_inertia\[1\] is -1\.0; it must be 0"),
+        ("joints.motor_power", 0, -1.0, r"joints\.motor_power\[0\] is -1\.0; it must be 0 or more"),
+        ("joints.lower_limit", 0, 2.0, r"joints\.lower_limit\[0\] is 2\.0; it must be at most upper_limit"),
+        (
+            "shapes.can_touch",
+            (2, 3),
+            False,
+            r"shapes\.can_touch\[2, 3\] is False; it must be the same for \[i, j\] and \[j, i\]",
+        ),
     ],
 )
 def test_scene_with_values_that_make_no_world_is_refused(field: str, index: Any, value: Any, said: str):
     scene, state = start()
     scene = changed(
         scene,
-        has_limits=np.ones(CAPACITY.joints, bool),
-        shape_active=holding(scene.shape_active, True, CAPACITY.polygons),
+        **{"joints.has_limits": np.ones(CAPACITY.joints, bool)},
+        **{"shapes.active": holding(scene.shapes.active, True, CAPACITY.polygons)},
     )
-    bad = np.array(getattr(scene, field))
+    bad = np.array(as_dict(scene)[field])
     bad[index] = value
     with pytest.raises(ValueError, match=rf"^scene\.{said}"):
         engine().step(changed(scene, **{field: bad}), state)
@@ -112,10 +131,10 @@ def test_slots_that_are_not_active_may_hold_anything():
     scene, state = start()
     unused = changed(
         scene,
-        joint_a=holding(scene.joint_a, 99, 1),
-        thruster_body=holding(scene.thruster_body, -5, 1),
-        num_vertices=holding(scene.num_vertices, 0, 6),
-        radius=holding(scene.radius, -1.0, 0),
+        **{"joints.a": holding(scene.joints.a, 99, 1)},
+        **{"thrusters.body": holding(scene.thrusters.body, -5, 1)},
+        **{"shapes.num_vertices": holding(scene.shapes.num_vertices, 0, 6)},
+        **{"shapes.radius": holding(scene.shapes.radius, -1.0, 0)},
     )
     jax.tree.map(np.testing.assert_array_equal, engine().step(unused, state), engine().step(scene, state))
 
@@ -126,16 +145,18 @@ def test_indices_of_no_shape_are_off_and_counted_inside_jit():
     step = jax.jit(lambda scene: engine().step(scene, state, controls(motor=1.0, thruster=1.0), num_steps=5))
     bad = changed(
         scene,
-        joint_a=holding(scene.joint_a, 2**30, 0),
-        thruster_body=holding(scene.thruster_body, -7, 0),
-        num_vertices=holding(scene.num_vertices, 5, 0),
+        **{"joints.a": holding(scene.joints.a, 2**30, 0)},
+        **{"thrusters.body": holding(scene.thrusters.body, -7, 0)},
+        **{"shapes.num_vertices": holding(scene.shapes.num_vertices, 5, 0)},
     )
-    off = changed(scene, joint_active=scene.joint_active & False, thruster_active=scene.thruster_active & False)
+    off = changed(
+        scene, **{"joints.active": scene.joints.active & False}, **{"thrusters.active": scene.thrusters.active & False}
+    )
     ended, touching = step(bad)
     jax.tree.map(np.testing.assert_array_equal, ended, step(off)[0])
     assert int(touching.invalid_scene) == 3
     assert int(step(scene)[1].invalid_scene) == 0
-    assert int(step(changed(scene, joint_b=scene.joint_a))[1].invalid_scene) == 1
+    assert int(step(changed(scene, **{"joints.b": scene.joints.a}))[1].invalid_scene) == 1
 
 
 def test_a_scene_of_jax_arrays_is_checked_once_and_one_that_can_change_every_time():
@@ -148,26 +169,28 @@ def test_a_scene_of_jax_arrays_is_checked_once_and_one_that_can_change_every_tim
         engine().step(scene, state)
         engine().step(scene, state)
         assert check.call_count == 3
-    scene.joint_a[0] = 99
-    with pytest.raises(ValueError, match="joint_a"):
+    scene.joints.a[0] = 99
+    with pytest.raises(ValueError, match=r"joints\.a"):
         engine().step(scene, state)
 
 
 def test_error_names_the_world_of_a_batch():
     scene, state = jax.tree.map(lambda x: np.stack([np.asarray(x)] * 3), start())
-    bad = changed(scene, friction=holding(scene.friction, np.nan, 2, 1))
-    with pytest.raises(ValueError, match=r"scene\.friction\[2, 1\] is nan"):
+    bad = changed(scene, **{"shapes.friction": holding(scene.shapes.friction, np.nan, 2, 1)})
+    with pytest.raises(ValueError, match=r"scene\.shapes\.friction\[2, 1\] is nan"):
         engine().step(bad, state)
 
 
 def test_wrong_types_are_refused():
     scene, state = start()
-    with pytest.raises(ValueError, match=r"scene\.friction is float64, but this engine computes in float32; cast it"):
-        engine().step(changed(scene, friction=np.asarray(scene.friction, np.float64)), state)
-    with pytest.raises(ValueError, match=r"scene\.shape_active is float32; it must be bool"):
-        engine().step(changed(scene, shape_active=np.ones(CAPACITY.shapes, np.float32)), state)
-    with pytest.raises(ValueError, match=r"scene\.joint_a is float32; it must be integer"):
-        engine().step(changed(scene, joint_a=np.zeros(CAPACITY.joints, np.float32)), state)
+    with pytest.raises(
+        ValueError, match=r"scene\.shapes\.friction is float64, but this engine computes in float32; cast it"
+    ):
+        engine().step(changed(scene, **{"shapes.friction": np.asarray(scene.shapes.friction, np.float64)}), state)
+    with pytest.raises(ValueError, match=r"scene\.shapes\.active is float32; it must be bool"):
+        engine().step(changed(scene, **{"shapes.active": np.ones(CAPACITY.shapes, np.float32)}), state)
+    with pytest.raises(ValueError, match=r"scene\.joints\.a is float32; it must be integer"):
+        engine().step(changed(scene, **{"joints.a": np.zeros(CAPACITY.joints, np.float32)}), state)
     with pytest.raises(ValueError, match=r"state\.position is int32; it must be floating-point"):
         engine().step(scene, changed(state, position=np.zeros((CAPACITY.shapes, 2), np.int32)))
     with pytest.raises(ValueError, match=r"controls\.motor is int32; it must be floating-point"):
@@ -180,8 +203,8 @@ def test_wrong_shapes_are_refused_inside_jit_too():
     for step in (engine().step, jax.jit(engine().step)):
         with pytest.raises(ValueError, match=r"controls\.motor has shape \(4,\); this engine .* needs \(3,\)"):
             step(scene, state, wrong)
-    with pytest.raises(ValueError, match=r"scene\.radius has shape \(1,\)"):
-        engine().step(changed(scene, radius=np.ones(1, np.float32)), state)
+    with pytest.raises(ValueError, match=r"scene\.shapes\.radius has shape \(1,\)"):
+        engine().step(changed(scene, **{"shapes.radius": np.ones(1, np.float32)}), state)
 
 
 @pytest.mark.parametrize(
@@ -285,7 +308,7 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
     with pytest.raises(ValueError, match=rf"position has shape \(4, {n}, 2\)"):
         engine().initial_state(scene, np.zeros((4, n, 2)))
     other = SceneBuilder(Capacity(polygons=1, circles=0, joints=0, thrusters=0)).build()
-    with pytest.raises(ValueError, match=r"scene\.shape_active has shape \(1,\); this engine .* needs"):
+    with pytest.raises(ValueError, match=r"scene\.shapes\.active has shape \(1,\); this engine .* needs"):
         engine().initial_state(other.scene, np.zeros((n, 2)))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from jax2d import (
     preset,
     stack_worlds,
 )
+from jax2d.fields import SLOTS, fields_of, is_active
 from tests.engine.worlds import CAPACITY, builder, engine, run
 
 PRESETS = [preset("standard"), preset("paper")]
@@ -110,36 +109,29 @@ def test_values_in_inactive_slots_change_nothing(noise: float):
     b = builder()
     tumble(b)
     scene, state = jax.tree.map(lambda x: np.array(x), batch_of([b.build()]))
-    off, no_joint, no_thruster = ~scene.shape_active, ~scene.joint_active, ~scene.thruster_active
+    off, no_joint, no_thruster = ~scene.shapes.active, ~scene.joints.active, ~scene.thrusters.active
     assert off[:, : CAPACITY.polygons].any() and off[:, CAPACITY.polygons :].any()
     assert no_joint.any() and no_thruster.any()
     noisy_scene, noisy_state = jax.tree.map(np.copy, (scene, state))
-    of_shapes = ("inverse_mass", "inverse_inertia", "density", "friction", "restitution", "position", "angle")
-    of_shapes += ("velocity", "angular_velocity", "vertices", "num_vertices", "radius")
-    for part in (noisy_scene, noisy_state):
-        for field in dataclasses.fields(part):
-            values = getattr(part, field.name)
-            if field.name in of_shapes:
-                polygons, circles = off[:, : CAPACITY.polygons], off[:, CAPACITY.polygons :]
-                where = {"vertices": polygons, "num_vertices": polygons, "radius": circles}.get(field.name, off)
-            elif field.name.startswith("thruster_"):
-                where = no_thruster
-            elif field.name.startswith(("joint_", "motor_")) or field.name.endswith(("_limit", "_limits")):
-                where = no_joint
-            else:
+    for record in (noisy_scene, noisy_state):
+        for field in fields_of(type(record)):
+            if field.dims[0] not in SLOTS or field.path[-1] in ("active", "can_touch"):
                 continue
-            if values.dtype == bool:
-                values[where] |= not field.name.endswith("_active")
+            values, where = field.get(record), ~is_active(field, scene)
+            if field.kind is bool:
+                values[where] = True
+            elif field.kind is float:
+                values[where] = noise
             else:
-                values[where] = noise if values.dtype == np.float32 else 0 if field.name == "joint_a" else 2
-    noisy_scene.can_touch[:] |= off[:, :, None] | off[:, None, :]
+                values[where] = 0 if field.name == "joints.a" else 2
+    noisy_scene.shapes.can_touch[:] |= off[:, :, None] | off[:, None, :]
 
     @jax.jit  # outside of jit NaN is refused
     def simulate(scene: Scene, state: State) -> tuple[State, Touching]:
         return engine().step(scene, state, controls(1), num_steps=60)
 
     (expected, touching), (result, noisy_touching) = simulate(scene, state), simulate(noisy_scene, noisy_state)
-    active = scene.shape_active[0]
+    active = scene.shapes.active[0]
     for name in ("position", "angle", "velocity", "angular_velocity"):
         np.testing.assert_array_equal(
             np.asarray(getattr(result, name))[0, active], np.asarray(getattr(expected, name))[0, active], err_msg=name

@@ -11,7 +11,7 @@ import pytest
 
 from jax2d import Capacity, Engine, SceneBuilder, stack_worlds
 from jax2d.warp import ffi
-from jax2d.warp.source import shared_record
+from jax2d.warp.variant import CompileOptions, KernelVariant, shared_record
 
 CAPACITY = Capacity(polygons=2, circles=2, joints=1, thrusters=0)
 # In a scan XLA for GPUs lets a call write into the stack itself where a moment takes a multiple of 128 bytes.
@@ -69,9 +69,8 @@ def test_states_stacked_by_a_scan_are_those_of_single_steps():
 
 @pytest.mark.also_gpu
 def test_result_in_other_memory_has_the_same_bits(monkeypatch):
-    settings = engine().settings
     in_place = stacked_by_a_scan(engine())
-    call = ffi._jax_call(CAPACITY, settings.solver, settings.friction_mixing, engine().effects, 0)
+    call = ffi._jax_call(KernelVariant.of(CAPACITY, engine().settings, engine().effects))
     assert len(call.input_output_aliases) == 3
     monkeypatch.setattr(call, "input_output_aliases", {})
     for elsewhere, here in zip(stacked_by_a_scan(Engine(CAPACITY)), in_place, strict=True):
@@ -91,12 +90,11 @@ def test_a_state_that_is_kept_is_not_written_over():
 
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("numbers", [5, 8])
-def test_what_is_in_shared_memory_changes_no_bit(monkeypatch, numbers: int):
+def test_what_is_in_shared_memory_changes_no_bit(numbers: int):
     """On a CPU nothing is: there this shows that the kernel does not depend on it."""
     in_local = stacked_by_a_scan(engine())
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(ffi, "shared_record", lambda shapes, worlds: numbers)
-    for shared, local in zip(stacked_by_a_scan(Engine(CAPACITY)), in_local, strict=True):
+    sharing = functools.partial(ffi.WarpBackend, options=CompileOptions(shared_record=numbers))
+    for shared, local in zip(stacked_by_a_scan(Engine(CAPACITY, backend=sharing)), in_local, strict=True):
         np.testing.assert_array_equal(shared, local)
 
 

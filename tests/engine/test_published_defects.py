@@ -40,7 +40,7 @@ def test_disc_inertia_is_half_m_r_squared():
     b = builder()
     disc = b.add_circle(radius=0.3, density=2)
     mass = 2 * math.pi * 0.3**2
-    assert 1 / b.build().scene.inverse_inertia[disc] == pytest.approx(mass * 0.3**2 / 2, rel=1e-5)
+    assert 1 / b.build().scene.shapes.inverse_inertia[disc] == pytest.approx(mass * 0.3**2 / 2, rel=1e-5)
 
 
 def test_triangle_inertia_does_not_depend_on_where_it_was_drawn():
@@ -51,7 +51,7 @@ def test_triangle_inertia_does_not_depend_on_where_it_was_drawn():
         b.add_polygon([*(triangle + offset)])
     sides = np.roll(triangle, -1, axis=0) - triangle
     inertia = 0.35 * np.square(sides).sum() / 36  # area (a^2 + b^2 + c^2) / 36
-    assert 1 / b.build().scene.inverse_inertia[:3] == pytest.approx(inertia, rel=1e-4)
+    assert 1 / b.build().scene.shapes.inverse_inertia[:3] == pytest.approx(inertia, rel=1e-4)
 
 
 def test_centre_of_mass_is_the_area_centroid():

@@ -17,12 +17,16 @@ import pytest
 from bench.paper_single_steps import PUBLISHED, agreement, step
 from bench.published_steps import PeerMissing, Steps, load, python, run_published
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d.constants import CONSTANTS
 from jax2d.published_details import PUBLISHED_DETAILS
 from jax2d.scene import Controls, only_what_acts
-from jax2d.xla import contacts, joints, manifolds, paper, published
-from jax2d.xla.bodies import Bodies, Motion
-from jax2d.xla.contacts import Contacts, Memory
-from jax2d.xla.parameters import Rules, parameters_of, rules_of
+from jax2d.solver_numbers import solver_numbers
+from jax2d.xla import contacts, geometry, joints, paper, published, published_order
+from jax2d.xla.bodies import Bodies, Velocities
+from jax2d.xla.contact_solver import rows_of
+from jax2d.xla.contacts import ContactCache, Contacts, Context
+from jax2d.xla.pairs import pair_list
+from jax2d.xla.rules import Rules, rules_of
 from tests.helpers import REPOSITORY
 
 FOUR = Capacity(polygons=2, circles=2, joints=0, thrusters=0)
@@ -39,17 +43,19 @@ def at_rest(position: np.ndarray, angle: np.ndarray) -> Bodies:
     zeros = jnp.zeros_like(angle)
     ones = jnp.ones_like(angle)
     still = jnp.zeros_like(position)
-    return Bodies(jnp.asarray(position), jnp.asarray(angle), Motion(still, zeros), still, zeros, ones, ones, zeros[0])
+    return Bodies(
+        jnp.asarray(position), jnp.asarray(angle), Velocities(still, zeros), still, zeros, ones, ones, zeros[0]
+    )
 
 
 @functools.partial(jax.jit, static_argnums=1)
 def _find(world: BuiltWorld, rules: Rules) -> Contacts:
     b = at_rest(jnp.asarray(world.position), jnp.asarray(world.angle))
     slots = FOUR.contact_slots
-    memory = Memory(jnp.full(slots, -1), jnp.zeros((slots, 2)))
-    params = parameters_of(preset("paper"))
+    memory = ContactCache(jnp.full(slots, -1), jnp.zeros((slots, 2)))
+    params = solver_numbers(preset("paper"))
     scene = only_what_acts(world.scene)
-    return contacts.find(b, manifolds.build(scene, b), scene, memory, params, rules, FOUR, DT)
+    return contacts.find(b, geometry.build(scene, b), memory, Context(scene, params, rules, FOUR), DT)
 
 
 def found(b: SceneBuilder, *details: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -58,7 +64,7 @@ def found(b: SceneBuilder, *details: str) -> tuple[np.ndarray, np.ndarray, np.nd
     c = jax.tree.map(np.asarray, _find(world, rules(*details)))
     used = c.key >= 0
     first = np.argmax(c.pair.is_a[used], axis=1)
-    feature_bits = (1 << contacts.FEATURE_BITS) - 1
+    feature_bits = (1 << CONSTANTS.feature_bits) - 1
     return c.normal[used], world.position[first] + c.arm_a[used], c.separation[used], c.key[used] & feature_bits
 
 
@@ -128,11 +134,11 @@ def test_motors_act_all_at_once() -> None:
     world = b.build()
     loaded = at_rest(world.position, world.angle)
     loaded = loaded._replace(inverse_inertia=jnp.full(3, 10.0))
-    params = parameters_of(preset("paper"))
+    params = solver_numbers(preset("paper"))
     none = joints.JointImpulses(jnp.zeros((2, 2)), *jnp.zeros((3, 2)))
     controls = Controls(motor=jnp.ones(2), thruster=jnp.zeros(0))
     held = joints.prepare(loaded, jax.tree.map(jnp.asarray, world.scene), none, controls, params)
-    omega = paper.apply_motors(loaded, held, params).motion.omega
+    omega = paper.apply_motors(loaded, held, params).velocities.omega
     # j = p tanh(s rho), p = 2 * 900 / 60 * (1 / (1/I + 1/I)); each body turns by j / I.
     turned = 2 * 900 / 60 * math.tanh(6 * 0.1) / 2
     close(omega, [-turned, 0, turned])
@@ -195,7 +201,7 @@ def test_fixed_slots() -> None:
     assert len(found(b)[2]) == 3
     assert len(found(b, "fixed_slots")[2]) == 1  # of the circle
     six = Capacity(polygons=6, circles=1, joints=0, thrusters=0)
-    pairs = manifolds.pair_list(six)
+    pairs = pair_list(six)
     fixed = published.is_fixed_pair(pairs, six)
     assert {(a, b) for a, b in zip(pairs.point_a[fixed], pairs.point_b[fixed])} == {
         (a, b) for b in range(4) for a in range(b)
@@ -229,12 +235,12 @@ def turns(in_contact: list[tuple[int, int]], *details: str, batch_size: int, joi
     else:
         b.keep_apart(0, 3)
     scene = jax.tree.map(jnp.asarray, only_what_acts(b.build().scene))
-    pairs = manifolds.pair_list(MANY)
+    pairs = pair_list(MANY)
     names = [(int(i), int(j)) for i, j in zip(pairs.point_a, pairs.point_b)]
     overlaps = jnp.array([name in in_contact for name in names])
     dynamic = jnp.ones(MANY.shapes, bool)
     r = rules("solve_order", *details, batch_size=batch_size)
-    found = published.turns(overlaps, scene, dynamic, pairs, MANY, r)
+    found = published_order.solve_order(overlaps, scene, dynamic, pairs, MANY, r)
     assert found is not None
     return {pair: [int(found.batch[k]) for k, name in enumerate(names) if name == pair] for pair in in_contact}
 
@@ -264,7 +270,7 @@ def test_solve_order_counts_overlapping_shapes_of_one_body() -> None:
 
 def test_solve_order_without_pairs_of_fixed_slots() -> None:
     """4 pairs of polygons are left, in 1 batch for their deepest points and 1 for the others."""
-    assert published.num_batches(MANY, rules("solve_order", "fixed_slots", batch_size=4)) == 1 + 1 + 4 + 1
+    assert published_order.num_batches(MANY, rules("solve_order", "fixed_slots", batch_size=4)) == 1 + 1 + 4 + 1
     assert turns([(0, 4)], "fixed_slots", batch_size=4, joined=False)[(0, 4)] == [0, 1]
 
 
@@ -292,11 +298,11 @@ def test_batches_of_a_turn_are_solved_one_after_another() -> None:
 )
 def test_last_pair_of_a_kind_is_forgotten_unless_batches_are_full(batch_size: int, kinds: set[str]) -> None:
     """10, 15 and 3 pairs: full in batches of 5, but for the circles'."""
-    pairs = manifolds.pair_list(MANY)
+    pairs = pair_list(MANY)
     nothing = jnp.zeros(len(pairs.point_a), bool)
     scene = jax.tree.map(jnp.asarray, only_what_acts(SceneBuilder(MANY).build().scene))
     r = rules("last_pair", batch_size=batch_size)
-    seen = published.turns(nothing, scene, jnp.zeros(MANY.shapes, bool), pairs, MANY, r)
+    seen = published_order.solve_order(nothing, scene, jnp.zeros(MANY.shapes, bool), pairs, MANY, r)
     assert seen is not None
     forgotten = np.asarray(seen.is_forgotten)
     last = {"polygons": [(3, 4), (3, 4)], "polygon and circle": [(4, 7)], "circles": [(6, 7)]}
@@ -311,9 +317,9 @@ def test_arms_follow_joints() -> None:
     b.add_circle(radius=0.5)
     b.add_circle(radius=0.5, position=(0.9, 0.1))
     world = b.build()
-    rows = contacts._rows(_find(world, rules()))
+    rows = rows_of(_find(world, rules()))
     moved = at_rest(world.position, world.angle)._replace(delta=jnp.zeros((4, 2)).at[CIRCLE].set((0.1, 0.0)))
-    followed = contacts.arms_from_here(moved, rows)
+    followed = published.arms_from_here(moved, rows)
     close(followed.arm_a[0], rows.arm_a[0] - np.array([0.1, 0]))
     close(followed.arm_b[0], rows.arm_b[0])
     tangent = np.array([rows.normal[0, 1], -rows.normal[0, 0]])
@@ -325,12 +331,12 @@ def test_arms_follow_joints() -> None:
 
 def test_state_clips() -> None:
     """Positions stop at 15 m while velocity is kept; a component of 120 m/s has moved the body before it is clipped."""
-    begun = at_rest(np.array([[14.9, 0.0], [0.0, 0.0]]), np.zeros(2))
-    begun = begun._replace(motion=Motion(jnp.array([[20.0, 0.0], [120.0, 50.0]]), jnp.array([0.0, -60.0])))
-    ended = published.move_and_clip(begun, DT, 100.0, 50.0)
+    before = at_rest(np.array([[14.9, 0.0], [0.0, 0.0]]), np.zeros(2))
+    before = before._replace(velocities=Velocities(jnp.array([[20.0, 0.0], [120.0, 50.0]]), jnp.array([0.0, -60.0])))
+    ended = published.move_and_clip(before, DT, 100.0, 50.0)
     close(ended.position + ended.delta, [(15, 0), (2, 50 * DT)])
-    close(ended.motion.velocity, [(20, 0), (100, 50)])
-    close(ended.motion.omega, [0, -50])
+    close(ended.velocities.velocity, [(20, 0), (100, 50)])
+    close(ended.velocities.omega, [0, -50])
     close(ended.turn, [0, -1])
     assert int(ended.limited) == 2
 

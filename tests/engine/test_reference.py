@@ -54,7 +54,9 @@ def levels(size: str, num_worlds: int = NUM_WORLDS) -> Level:
 
 
 def bouncing(level: Level, restitution: float, **changes: Any) -> Level:
-    scene = dataclasses.replace(level.scene, restitution=np.full_like(level.scene.restitution, restitution), **changes)
+    scene = level.scene.replace(
+        shapes={"restitution": np.full_like(level.scene.shapes.restitution, restitution)}, **changes
+    )
     return dataclasses.replace(level, scene=scene)
 
 
@@ -145,7 +147,7 @@ def test_kernel_and_reference_agree_where_everything_bounces(restitution: float)
     settings = preset("standard")
     scene, state, controls = snapshots("m", settings, restitution)
     seen = assert_agreement("m", settings, scene, state, controls)
-    inelastic = dataclasses.replace(scene, restitution=np.zeros_like(scene.restitution))
+    inelastic = scene.replace(shapes={"restitution": np.zeros_like(scene.shapes.restitution)})
     without, _ = engine("m", settings, "warp").step(inelastic, state, controls)
     bounced = np.abs(seen.velocity - np.asarray(without.velocity)).max((1, 2)) > 0.1
     assert bounced.sum() > 10  # worlds
@@ -155,8 +157,8 @@ def test_kernel_and_reference_agree_where_everything_bounces(restitution: float)
 def test_bounces_give_a_world_no_energy(friction: float) -> None:
     """Free shapes, everything elastic: contact by contact, restitution would give up to 10 J/kg at once."""
     level = levels("m")
-    nothing = {name: np.zeros_like(getattr(level.scene, name)) for name in ("joint_active", "thruster_active")}
-    level = bouncing(level, 1.0, friction=np.full_like(level.scene.friction, friction), **nothing)
+    nothing = {name: {"active": np.zeros_like(getattr(level.scene, name).active)} for name in ("joints", "thrusters")}
+    level = bouncing(level, 1.0, friction=np.full_like(level.scene.shapes.friction, friction), **nothing)
     one = engine("m", preset("standard"), "warp")
     h = one.settings.substep_seconds
 
@@ -169,14 +171,14 @@ def test_bounces_give_a_world_no_energy(friction: float) -> None:
             packed, _ = one.step_packed(packed_scene, packed, one.no_controls(NUM_WORLDS))
             now = one.unpack_state(packed)
             midway = now.velocity + 0.5 * h * level.scene.gravity[:, None]
-            falls = (level.scene.inverse_mass > 0)[..., None]
+            falls = (level.scene.shapes.inverse_mass > 0)[..., None]
             now = dataclasses.replace(now, velocity=jnp.where(falls, midway, now.velocity))
             return packed, jax.vmap(measure.energy)(level.scene, now)
 
         return jax.lax.scan(body, one.pack_state(state), length=512)[1]
 
-    movable = level.scene.shape_active & (level.scene.inverse_mass > 0)
-    mass = np.where(movable, 1 / np.maximum(level.scene.inverse_mass, 1e-9), 0).sum(1)
+    movable = level.scene.shapes.active & (level.scene.shapes.inverse_mass > 0)
+    mass = np.where(movable, 1 / np.maximum(level.scene.shapes.inverse_mass, 1e-9), 0).sum(1)
     settled = np.asarray(energies(start(one, level)), np.float64)[60:] / mass  # levels may start with overlaps
     gain = np.diff(settled, axis=0).max(0)
     assert gain.max() < 0.05

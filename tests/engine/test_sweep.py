@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from jax2d import BuiltWorld, Capacity, Effects, Engine, SceneBuilder, effects_of, preset, stack_worlds
-from jax2d.warp import ffi, kernel, source
+from jax2d.warp.ffi import WarpBackend
+from jax2d.warp.source import constants
+from jax2d.warp.variant import CompileOptions, KernelVariant
 
 pytestmark = pytest.mark.also_gpu
 
@@ -22,15 +24,10 @@ STEPS = 240
 def engine_of(preset_name: str, *, sweeps: bool, effects: Effects | None = None) -> Engine:
     settings = preset(preset_name)
     effects = effects or Effects.full(CAPACITY)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(source, "SWEEP_ABOVE_SHAPES", 0 if sweeps else CAPACITY.shapes)
-        assert source.constants(CAPACITY, settings, effects, 0)["SWEEP"] == sweeps
-        for cached in (kernel.make_kernel, ffi._jax_call):
-            cached.cache_clear()
-        engine = Engine(CAPACITY, settings=settings, effects=effects)
-        for cached in (kernel.make_kernel, ffi._jax_call):
-            cached.cache_clear()
-    return engine
+    options = CompileOptions(sweep_above_shapes=0 if sweeps else CAPACITY.shapes)
+    assert constants(KernelVariant.of(CAPACITY, settings, effects, options))["SWEEP"] == sweeps
+    backend = functools.partial(WarpBackend, options=options)
+    return Engine(CAPACITY, settings=settings, effects=effects, backend=backend)
 
 
 def fill(

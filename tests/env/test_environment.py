@@ -56,7 +56,7 @@ RESTS = small_level(box=(1.0, 1.0), disc_1=(4.0, 4.0))
 PUSHED = small_level(
     box=(1.0, 1.0),
     disc_1=(4.0, 1.0),
-    thruster={**THRUSTER, "thruster_position": (0.0, 0.0), "thruster_angle": 0.0, "thruster_power": 0.5},
+    thruster={**THRUSTER, "thrusters.position": (0.0, 0.0), "thrusters.angle": 0.0, "thrusters.power": 0.5},
 )
 
 

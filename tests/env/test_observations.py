@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d.scene import Scene
+from jax2d.fields import empty
+from jax2d.scene import Capacity, JointKind, Scene
 from kinetix_dist.env.observations.entities import (
     DynamicObs,
     EntityObs,
@@ -89,13 +90,18 @@ def test_circle_row_has_the_19_features_in_the_published_order() -> None:
 
 def test_triangle_has_minus_one_in_its_unused_vertex_and_the_triangle_flag() -> None:
     level = small_level()
-    scene = dataclasses.replace(level.scene, num_vertices=np.array([4, 4, 4, 4, 3], np.int32))
+    scene = level.scene.replace(shapes={"num_vertices": np.array([4, 4, 4, 4, 3], np.int32)})
     row = observe_start(batch(dataclasses.replace(level, scene=scene))).polygons[0, BOX]
     np.testing.assert_array_equal(row[23:26], [-1.0, -1.0, 1.0])
 
 
 def test_a_joint_gives_two_rows_with_its_ends_swapped() -> None:
-    limits = {"has_limits": True, "lower_limit": -0.5, "upper_limit": 1.0, "joint_rest_angle": 0.2}
+    limits = {
+        "joints.has_limits": True,
+        "joints.lower_limit": -0.5,
+        "joints.upper_limit": 1.0,
+        "joints.rest_angle": 0.2,
+    }
     obs = observe_start(batch(small_level(joint={**MOTOR_JOINT, **limits})))
     start, rest = [1, 0], [np.sin(0.2), np.cos(0.2)]
     motor = [1.5, 2.0, 1, 1, 0, 0, 1, 0]
@@ -108,14 +114,14 @@ def test_a_joint_gives_two_rows_with_its_ends_swapped() -> None:
 
 
 def test_motor_and_limit_features_of_a_fixed_joint_are_zero() -> None:
-    joint = {**MOTOR_JOINT, "joint_is_fixed": True, "has_limits": True, "upper_limit": 1.0}
+    joint = {**MOTOR_JOINT, "joints.kind": JointKind.FIXED, "joints.has_limits": True, "joints.upper_limit": 1.0}
     row = observe_start(batch(small_level(joint=joint))).joints[0, 0]
     np.testing.assert_array_equal(row[:2], [1, 1])
     np.testing.assert_array_equal(row[8:], np.zeros(14))
 
 
 def test_limit_features_of_a_joint_without_limits_are_zero() -> None:
-    row = observe_start(batch(small_level(joint={**MOTOR_JOINT, "upper_limit": 1.0}))).joints[0, 0]
+    row = observe_start(batch(small_level(joint={**MOTOR_JOINT, "joints.upper_limit": 1.0}))).joints[0, 0]
     np.testing.assert_array_equal(row[16:], np.zeros(6))
 
 
@@ -126,8 +132,8 @@ def test_thruster_row_has_the_8_features_in_the_published_order() -> None:
 
 
 def test_what_does_not_exist_is_zero_and_masked_everywhere() -> None:
-    joint = {**MOTOR_JOINT, "joint_active": False}
-    level = small_level(joint=joint, thruster={**THRUSTER, "thruster_active": False})
+    joint = {**MOTOR_JOINT, "joints.active": False}
+    level = small_level(joint=joint, thruster={**THRUSTER, "thrusters.active": False})
     all_touch = np.full((1, 7, 1), 0x7F, np.uint32)
     garbage = dataclasses.replace(level, position=np.where(np.arange(7)[:, None] == DISC_2, np.nan, level.position))
     obs = observe_start(batch(garbage), all_touch)
@@ -155,15 +161,11 @@ def test_attention_masks_are_all_then_any_joints_then_one_joint_then_touching() 
 
 def chain_scene(joints: list[tuple[int, int]], active: list[bool], num_shapes: int) -> Scene:
     """Only the fields that connectivity looks at."""
-    empty = dict.fromkeys((field.name for field in dataclasses.fields(Scene)), None)
     ends = np.array(joints, np.int32)
-    scene = Scene(**empty)
-    return dataclasses.replace(
-        scene,
-        shape_active=jnp.ones((1, num_shapes), bool),
-        joint_active=jnp.array([active]),
-        joint_a=jnp.array([ends[:, 0]]),
-        joint_b=jnp.array([ends[:, 1]]),
+    capacity = Capacity(polygons=num_shapes, circles=0, joints=len(joints), thrusters=0)
+    return empty(Scene, capacity.sizes).replace(
+        shapes={"active": jnp.ones((1, num_shapes), bool)},
+        joints={"active": jnp.array([active]), "a": jnp.array([ends[:, 0]]), "b": jnp.array([ends[:, 1]])},
     )
 
 

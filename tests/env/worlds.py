@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jax2d.fields import from_dict
 from jax2d.scene import Scene, stack_worlds
 from kinetix_dist.env.roles import Role
 from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
@@ -41,34 +42,34 @@ def small_level(
     can_touch = active[:, None] & active[None, :] & ~np.eye(n, dtype=bool)
     can_touch &= ~(is_fixed[:, None] & is_fixed[None, :]) | (np.arange(n)[:, None] >= 4) & (np.arange(n) >= 4)
     fields: dict[str, Any] = {
-        "shape_active": active,
-        "inverse_mass": np.where(is_fixed, 0, 1 / mass).astype(np.float32),
-        "inverse_inertia": np.where(is_fixed, 0, 1 / inertia).astype(np.float32),
-        "density": np.ones(n, np.float32),
-        "friction": np.full(n, 0.5, np.float32),
-        "restitution": np.zeros(n, np.float32),
-        "vertices": np.stack([rectangle(wall, wall)] * 4 + [rectangle(HALF_BOX_M, HALF_BOX_M)]),
-        "num_vertices": np.full(5, 4, np.int32),
-        "radius": np.full(2, RADIUS_M, np.float32),
-        "can_touch": can_touch,
-        "joint_active": np.zeros(1, bool),
-        "joint_a": np.zeros(1, np.int32),
-        "joint_b": np.zeros(1, np.int32),
-        "joint_anchor_a": np.zeros((1, 2), np.float32),
-        "joint_anchor_b": np.zeros((1, 2), np.float32),
-        "joint_is_fixed": np.zeros(1, bool),
-        "joint_rest_angle": np.zeros(1, np.float32),
-        "motor_on": np.zeros(1, bool),
-        "motor_speed": np.zeros(1, np.float32),
-        "motor_power": np.zeros(1, np.float32),
-        "has_limits": np.zeros(1, bool),
-        "lower_limit": np.zeros(1, np.float32),
-        "upper_limit": np.zeros(1, np.float32),
-        "thruster_active": np.zeros(1, bool),
-        "thruster_body": np.zeros(1, np.int32),
-        "thruster_position": np.zeros((1, 2), np.float32),
-        "thruster_angle": np.zeros(1, np.float32),
-        "thruster_power": np.zeros(1, np.float32),
+        "shapes.active": active,
+        "shapes.inverse_mass": np.where(is_fixed, 0, 1 / mass).astype(np.float32),
+        "shapes.inverse_inertia": np.where(is_fixed, 0, 1 / inertia).astype(np.float32),
+        "shapes.density": np.ones(n, np.float32),
+        "shapes.friction": np.full(n, 0.5, np.float32),
+        "shapes.restitution": np.zeros(n, np.float32),
+        "shapes.vertices": np.stack([rectangle(wall, wall)] * 4 + [rectangle(HALF_BOX_M, HALF_BOX_M)]),
+        "shapes.num_vertices": np.full(5, 4, np.int32),
+        "shapes.radius": np.full(2, RADIUS_M, np.float32),
+        "shapes.can_touch": can_touch,
+        "joints.active": np.zeros(1, bool),
+        "joints.a": np.zeros(1, np.int32),
+        "joints.b": np.zeros(1, np.int32),
+        "joints.anchor_a": np.zeros((1, 2), np.float32),
+        "joints.anchor_b": np.zeros((1, 2), np.float32),
+        "joints.kind": np.zeros(1, np.int32),
+        "joints.rest_angle": np.zeros(1, np.float32),
+        "joints.motor_on": np.zeros(1, bool),
+        "joints.motor_speed": np.zeros(1, np.float32),
+        "joints.motor_power": np.zeros(1, np.float32),
+        "joints.has_limits": np.zeros(1, bool),
+        "joints.lower_limit": np.zeros(1, np.float32),
+        "joints.upper_limit": np.zeros(1, np.float32),
+        "thrusters.active": np.zeros(1, bool),
+        "thrusters.body": np.zeros(1, np.int32),
+        "thrusters.position": np.zeros((1, 2), np.float32),
+        "thrusters.angle": np.zeros(1, np.float32),
+        "thrusters.power": np.zeros(1, np.float32),
         "gravity": np.array([0.0, gravity], np.float32),
     }
     extra = {"motor_colour": np.zeros(1, np.int32), "motor_auto": np.zeros(1, bool)}
@@ -76,8 +77,8 @@ def small_level(
     for name, value in {**(joint or {}), **(thruster or {})}.items():
         target = fields if name in fields else extra
         target[name] = np.asarray([value], target[name].dtype)
-    if fields["joint_active"][0]:
-        a, b = fields["joint_a"][0], fields["joint_b"][0]
+    if fields["joints.active"][0]:
+        a, b = fields["joints.a"][0], fields["joints.b"][0]
         can_touch[a, b] = can_touch[b, a] = False
     shape_role = np.zeros(n, np.int32)
     for shape, role in (roles or {BOX: Role.GREEN, DISC_1: Role.BLUE}).items():
@@ -89,7 +90,7 @@ def small_level(
     for shape, value in (velocity or {}).items():
         speed[shape] = value
     return Level(
-        scene=Scene(**fields),
+        scene=from_dict(Scene, fields),
         position=position,
         angle=np.zeros(n, np.float32),
         velocity=speed,
@@ -112,21 +113,21 @@ def batch(*levels: Level) -> Level:
 
 
 MOTOR_JOINT = {
-    "joint_active": True,
-    "joint_a": BOX,
-    "joint_b": DISC_1,
-    "joint_anchor_a": (0.5, 0.1),
-    "joint_anchor_b": (-0.2, 0.3),
-    "motor_on": True,
-    "motor_speed": 1.5,
-    "motor_power": 2.0,
+    "joints.active": True,
+    "joints.a": BOX,
+    "joints.b": DISC_1,
+    "joints.anchor_a": (0.5, 0.1),
+    "joints.anchor_b": (-0.2, 0.3),
+    "joints.motor_on": True,
+    "joints.motor_speed": 1.5,
+    "joints.motor_power": 2.0,
     "motor_colour": 2,
 }
 THRUSTER = {
-    "thruster_active": True,
-    "thruster_body": BOX,
-    "thruster_position": (0.1, -0.2),
-    "thruster_angle": np.pi / 2,
-    "thruster_power": 2.0,
+    "thrusters.active": True,
+    "thrusters.body": BOX,
+    "thrusters.position": (0.1, -0.2),
+    "thrusters.angle": np.pi / 2,
+    "thrusters.power": 2.0,
     "thruster_colour": 1,
 }

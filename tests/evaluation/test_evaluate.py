@@ -24,7 +24,7 @@ NEAR = small_level(
     box=(1.0, 1.0),
     disc_1=(1.62, 1.0),
     fixed=(DISC_1,),
-    thruster={**THRUSTER, "thruster_position": (0.0, 0.0), "thruster_angle": 0.0},
+    thruster={**THRUSTER, "thrusters.position": (0.0, 0.0), "thrusters.angle": 0.0},
 )
 
 
@@ -123,4 +123,4 @@ def test_no_levels_are_refused(env: Environment) -> None:
 
 
 def test_thruster_level_is_as_described() -> None:
-    assert NEAR.shape_role[BOX] == 1 and np.asarray(NEAR.scene.thruster_active).all()
+    assert NEAR.shape_role[BOX] == 1 and np.asarray(NEAR.scene.thrusters.active).all()

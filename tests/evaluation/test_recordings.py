@@ -46,14 +46,14 @@ def rollouts(env: Environment, levels: Level) -> list[Rollout]:
 def test_a_rollout_starts_where_its_level_does(rollouts: list[Rollout]) -> None:
     for rollout in rollouts:
         level = rollout.level
-        active = np.asarray(level.scene.shape_active)
+        active = np.asarray(level.scene.shapes.active)
         np.testing.assert_allclose(rollout.position[0][active], np.asarray(level.position)[active], atol=1e-5)
         np.testing.assert_allclose(rollout.angle[0][active], np.asarray(level.angle)[active], atol=1e-6)
 
 
 def test_fixed_shapes_stay_and_states_are_finite(rollouts: list[Rollout]) -> None:
     for rollout in rollouts:
-        fixed = np.asarray(rollout.level.scene.inverse_mass) == 0
+        fixed = np.asarray(rollout.level.scene.shapes.inverse_mass) == 0
         np.testing.assert_array_equal(
             rollout.position[:, fixed], rollout.position[:1, fixed].repeat(len(rollout.position), 0)
         )
@@ -90,6 +90,7 @@ def test_every_random_level_survives_its_text(size: str) -> None:
     for i in range(32):
         level = index_worlds(levels, i)
         decoded = decode_level(encode_level(level, f"level_{i}", size))
-        for kind in ("shape_active", "joint_active", "thruster_active"):
-            assert getattr(decoded.scene, kind).shape == getattr(level.scene, kind).shape
-            assert getattr(decoded.scene, kind).sum() == getattr(level.scene, kind).sum()
+        for part in ("shapes", "joints", "thrusters"):
+            ours, theirs = getattr(decoded.scene, part).active, getattr(level.scene, part).active
+            assert ours.shape == theirs.shape
+            assert ours.sum() == theirs.sum()

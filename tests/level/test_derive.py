@@ -58,7 +58,7 @@ def test_two_fixed_shapes_and_inactive_shapes_never_touch() -> None:
 
 def test_the_empty_level_is_the_box_of_the_public_levels() -> None:
     level = empty_level(SIZES["s"])
-    corners = level.position[:4, None] + level.scene.vertices[:4]
+    corners = level.position[:4, None] + level.scene.shapes.vertices[:4]
     np.testing.assert_allclose(corners[0, :, 1].max(), FLOOR_TOP_M, atol=1e-6)
     np.testing.assert_allclose(corners[1, :, 0].max(), 0.0, atol=1e-6)
     np.testing.assert_allclose(corners[2, :, 0].min(), 5.0, atol=1e-6)
@@ -73,14 +73,16 @@ def test_a_level_moved_into_a_larger_size_and_back_is_unchanged() -> None:
     level = level_from_json(cart_document())
     large = fit_level(level, SIZES["l"])
     assert capacity_of(large) == SIZES["l"] and usage(large) == usage(level)
-    assert large.scene.joint_b[0] == SIZES["l"].polygons  # the wheel is the first circle there too
+    assert large.scene.joints.b[0] == SIZES["l"].polygons  # the wheel is the first circle there too
     back = fit_level(large, SIZES["m"])
     assert usage(back) == usage(level) and smallest_size(back) == "m"
     np.testing.assert_array_equal(back.position[:6], level.position[:6])
-    np.testing.assert_array_equal(back.scene.joint_a, level.scene.joint_a)
-    np.testing.assert_array_equal(back.scene.joint_b, level.scene.joint_b)
-    active = level.scene.shape_active
-    np.testing.assert_array_equal(back.scene.can_touch[active][:, active], level.scene.can_touch[active][:, active])
+    np.testing.assert_array_equal(back.scene.joints.a, level.scene.joints.a)
+    np.testing.assert_array_equal(back.scene.joints.b, level.scene.joints.b)
+    active = level.scene.shapes.active
+    np.testing.assert_array_equal(
+        back.scene.shapes.can_touch[active][:, active], level.scene.shapes.can_touch[active][:, active]
+    )
 
 
 def test_a_level_too_large_for_a_size_is_refused_with_the_numbers() -> None:

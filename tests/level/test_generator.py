@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax2d import JointKind
 from jax2d.checks import check_scene
 from jax2d.scene import Capacity
 from kinetix_dist.level.filters import generate_filtered, keep_unsolved
@@ -35,7 +36,7 @@ def size(request: pytest.FixtureRequest) -> str:
 def test_every_level_has_one_green_one_blue_and_at_most_one_red(size: str) -> None:
     levels = levels_of(size)
     for role, most in ((Role.GREEN, 1), (Role.BLUE, 1), (Role.RED, 1)):
-        count = (levels.scene.shape_active & (levels.shape_role == role)).sum(axis=1)
+        count = (levels.scene.shapes.active & (levels.shape_role == role)).sum(axis=1)
         assert count.max() <= most
         if role != Role.RED:
             assert count.min() == 1
@@ -43,32 +44,32 @@ def test_every_level_has_one_green_one_blue_and_at_most_one_red(size: str) -> No
 
 def test_every_level_has_something_to_control(size: str) -> None:
     scene = levels_of(size).scene
-    motors = scene.joint_active & scene.motor_on & ~scene.joint_is_fixed
-    assert (motors.any(axis=1) | scene.thruster_active.any(axis=1)).all()
+    motors = scene.joints.active & scene.joints.motor_on & ~scene.joints.is_kind(JointKind.FIXED)
+    assert (motors.any(axis=1) | scene.thrusters.active.any(axis=1)).all()
 
 
 def test_walls_are_in_the_first_four_slots_and_never_move(size: str) -> None:
     levels, empty = levels_of(size), empty_level(SIZES[size])
     np.testing.assert_array_equal(
-        levels.scene.vertices[:, :NUM_WALLS], empty.scene.vertices[None, :NUM_WALLS].repeat(NUM_LEVELS, 0)
+        levels.scene.shapes.vertices[:, :NUM_WALLS], empty.scene.shapes.vertices[None, :NUM_WALLS].repeat(NUM_LEVELS, 0)
     )
     np.testing.assert_array_equal(
         levels.position[:, :NUM_WALLS], empty.position[None, :NUM_WALLS].repeat(NUM_LEVELS, 0)
     )
-    assert (levels.scene.inverse_mass[:, :NUM_WALLS] == 0).all()
-    assert levels.scene.shape_active[:, :NUM_WALLS].all()
+    assert (levels.scene.shapes.inverse_mass[:, :NUM_WALLS] == 0).all()
+    assert levels.scene.shapes.active[:, :NUM_WALLS].all()
 
 
 def test_green_and_blue_are_not_both_fixed(size: str) -> None:
     levels = levels_of(size)
-    moves = levels.scene.inverse_mass > 0
+    moves = levels.scene.shapes.inverse_mass > 0
     either = (levels.shape_role == Role.GREEN) | (levels.shape_role == Role.BLUE)
-    assert (moves & either & levels.scene.shape_active).any(axis=1).all()
+    assert (moves & either & levels.scene.shapes.active).any(axis=1).all()
 
 
 def test_everything_moves_in_size_s() -> None:
     levels = levels_of("s")
-    assert (levels.scene.inverse_mass[:, NUM_WALLS:] > 0)[levels.scene.shape_active[:, NUM_WALLS:]].all()
+    assert (levels.scene.shapes.inverse_mass[:, NUM_WALLS:] > 0)[levels.scene.shapes.active[:, NUM_WALLS:]].all()
 
 
 def test_anchors_of_a_joint_meet_in_the_world(size: str) -> None:
@@ -83,40 +84,40 @@ def test_anchors_of_a_joint_meet_in_the_world(size: str) -> None:
         return levels.position[rows, body] + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
     gap = np.linalg.norm(
-        world(scene.joint_a, scene.joint_anchor_a) - world(scene.joint_b, scene.joint_anchor_b), axis=-1
+        world(scene.joints.a, scene.joints.anchor_a) - world(scene.joints.b, scene.joints.anchor_b), axis=-1
     )
-    assert gap[scene.joint_active].max() < 1e-5
-    ends = np.stack([scene.joint_a, scene.joint_b], axis=-1)[scene.joint_active]
+    assert gap[scene.joints.active].max() < 1e-5
+    ends = np.stack([scene.joints.a, scene.joints.b], axis=-1)[scene.joints.active]
     assert (ends >= NUM_WALLS).all() and (ends[:, 0] != ends[:, 1]).all()
-    active = scene.shape_active[rows, scene.joint_a] & scene.shape_active[rows, scene.joint_b]
-    assert active[scene.joint_active].all()
-    assert not scene.can_touch[rows, scene.joint_a, scene.joint_b][scene.joint_active].any()
+    active = scene.shapes.active[rows, scene.joints.a] & scene.shapes.active[rows, scene.joints.b]
+    assert active[scene.joints.active].all()
+    assert not scene.shapes.can_touch[rows, scene.joints.a, scene.joints.b][scene.joints.active].any()
 
 
 def test_thrusters_sit_inside_shapes_that_move(size: str) -> None:
     levels = levels_of(size)
     scene, rows = levels.scene, np.arange(NUM_LEVELS)[:, None]
-    assert (scene.inverse_mass[rows, scene.thruster_body] > 0)[scene.thruster_active].all()
-    assert np.linalg.norm(scene.thruster_position, axis=-1)[scene.thruster_active].max() < 1.0
-    assert (scene.thruster_power > 0)[scene.thruster_active].all()
+    assert (scene.shapes.inverse_mass[rows, scene.thrusters.body] > 0)[scene.thrusters.active].all()
+    assert np.linalg.norm(scene.thrusters.position, axis=-1)[scene.thrusters.active].max() < 1.0
+    assert (scene.thrusters.power > 0)[scene.thrusters.active].all()
 
 
 def test_limits_hold_the_starting_pose_and_powers_are_in_range(size: str) -> None:
     levels = levels_of(size)
     scene, rows = levels.scene, np.arange(NUM_LEVELS)[:, None]
-    held = scene.joint_active
-    bend = levels.angle[rows, scene.joint_b] - levels.angle[rows, scene.joint_a] - scene.joint_rest_angle
+    held = scene.joints.active
+    bend = levels.angle[rows, scene.joints.b] - levels.angle[rows, scene.joints.a] - scene.joints.rest_angle
     np.testing.assert_allclose(bend[held], 0.0, atol=1e-5)
-    limited = held & scene.has_limits
-    assert (scene.lower_limit <= 0)[limited].all() and (scene.upper_limit >= 0)[limited].all()
+    limited = held & scene.joints.has_limits
+    assert (scene.joints.lower_limit <= 0)[limited].all() and (scene.joints.upper_limit >= 0)[limited].all()
     config = GeneratorConfig()
     for values, low, high in (
-        (scene.motor_speed, config.motor_speed_min, config.motor_speed_max),
-        (scene.motor_power, config.motor_power_min, config.motor_power_max),
+        (scene.joints.motor_speed, config.motor_speed_min, config.motor_speed_max),
+        (scene.joints.motor_power, config.motor_power_min, config.motor_power_max),
     ):
         assert values[held].min() >= low and values[held].max() <= high
-    has_circle = (scene.joint_a >= SIZES[size].polygons) | (scene.joint_b >= SIZES[size].polygons)
-    assert scene.motor_power[held & has_circle].max() <= config.wheel_power_max + 1e-6
+    has_circle = (scene.joints.a >= SIZES[size].polygons) | (scene.joints.b >= SIZES[size].polygons)
+    assert scene.joints.motor_power[held & has_circle].max() <= config.wheel_power_max + 1e-6
 
 
 def test_every_scene_is_one_that_engines_take(size: str) -> None:
@@ -126,7 +127,7 @@ def test_every_scene_is_one_that_engines_take(size: str) -> None:
 def test_shapes_are_finite_and_start_inside_the_box(size: str) -> None:
     levels = levels_of(size)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(levels) if leaf.dtype.kind == "f")
-    free = levels.scene.shape_active[:, NUM_WALLS:]
+    free = levels.scene.shapes.active[:, NUM_WALLS:]
     inside = ((levels.position[:, NUM_WALLS:] > 0) & (levels.position[:, NUM_WALLS:] < 5)).all(axis=-1)
     assert inside[free].mean() > 0.98  # the fewest overlaps of eight proposals is not always none
 
@@ -136,16 +137,16 @@ def test_few_shapes_overlap_at_the_start(size: str) -> None:
     scene = levels.scene
 
     def overlaps(level: Level) -> jax.Array:
-        vertices = jnp.concatenate([level.scene.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
-        radius = jnp.concatenate([jnp.zeros(capacity.polygons), level.scene.radius])
+        vertices = jnp.concatenate([level.scene.shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
+        radius = jnp.concatenate([jnp.zeros(capacity.polygons), level.scene.shapes.radius])
         corners = world_corners(level.position, level.angle, vertices)
         against = jax.vmap(separation, in_axes=(None, None, 0, 0))
         gap = jax.vmap(lambda own, r: against(own, r, corners, radius))(corners, radius)
-        both = level.scene.shape_active[:, None] & level.scene.shape_active[None, :]
-        return ((gap < 0) & both & level.scene.can_touch).sum() / 2
+        both = level.scene.shapes.active[:, None] & level.scene.shapes.active[None, :]
+        return ((gap < 0) & both & level.scene.shapes.can_touch).sum() / 2
 
     mean_overlaps = np.mean(jax.jit(jax.vmap(overlaps))(levels))
-    assert mean_overlaps < {"s": 0.1, "m": 0.15, "l": 0.8}[size], scene.shape_active.sum()
+    assert mean_overlaps < {"s": 0.1, "m": 0.15, "l": 0.8}[size], scene.shapes.active.sum()
 
 
 def test_chances_are_those_of_the_config() -> None:
@@ -156,20 +157,20 @@ def test_chances_are_those_of_the_config() -> None:
     assert abs((floor == Role.BLUE).mean() - 0.02) < 0.019
     assert not (floor == Role.GREEN).any()
     scene = levels.scene
-    forced_motor = (scene.joint_active & scene.motor_on & ~scene.joint_is_fixed).any(axis=1)
+    forced_motor = (scene.joints.active & scene.joints.motor_on & ~scene.joints.is_kind(JointKind.FIXED)).any(axis=1)
     assert forced_motor.mean() > 2 / 3 - 0.07
-    assert scene.thruster_active.any(axis=1).mean() > 2 / 3 - 0.07
-    green_x = levels.position[..., 0][(levels.shape_role == Role.GREEN) & scene.shape_active]
+    assert scene.thrusters.active.any(axis=1).mean() > 2 / 3 - 0.07
+    green_x = levels.position[..., 0][(levels.shape_role == Role.GREEN) & scene.shapes.active]
     assert abs(green_x.mean() - 2.5) < 0.2  # swapping leaves no side to green
 
 
 def test_slots_are_in_random_order() -> None:
     levels = levels_of("l")
-    free_polygons = levels.scene.shape_active[:, NUM_WALLS : SIZES["l"].polygons]
+    free_polygons = levels.scene.shapes.active[:, NUM_WALLS : SIZES["l"].polygons]
     share = free_polygons.mean(axis=0)
     assert share.max() - share.min() < 0.15
-    assert (levels.scene.thruster_active[:, 0] & ~levels.scene.thruster_active[:, 1]).any()
-    assert (levels.scene.thruster_active[:, 1] & ~levels.scene.thruster_active[:, 0]).any()
+    assert (levels.scene.thrusters.active[:, 0] & ~levels.scene.thrusters.active[:, 1]).any()
+    assert (levels.scene.thrusters.active[:, 1] & ~levels.scene.thrusters.active[:, 0]).any()
 
 
 def test_a_level_depends_on_its_key_and_number_alone() -> None:
@@ -182,9 +183,9 @@ def test_a_level_depends_on_its_key_and_number_alone() -> None:
 
 def test_triangles_appear_when_asked_for_and_have_their_centroid_at_the_origin() -> None:
     levels = generate_levels(jax.random.key(3), 64, SIZES["s"], GeneratorConfig(triangle_chance=1.0))
-    is_free = np.asarray(levels.scene.shape_active)[:, 4]
-    assert (np.asarray(levels.scene.num_vertices)[is_free, 4] == 3).all()
-    corners = np.asarray(levels.scene.vertices)[is_free, 4]
+    is_free = np.asarray(levels.scene.shapes.active)[:, 4]
+    assert (np.asarray(levels.scene.shapes.num_vertices)[is_free, 4] == 3).all()
+    corners = np.asarray(levels.scene.shapes.vertices)[is_free, 4]
     np.testing.assert_allclose(corners[:, :3].mean(axis=1), 0.0, atol=1e-6)
     np.testing.assert_array_equal(corners[:, 3], corners[:, 2])
 

@@ -39,9 +39,9 @@ def test_public_files_come_in_with_their_size_and_contacts_and_go_out_again(
         state = document["env_state"]
         shapes = state["polygon"] + state["circle"]
         for slot, shape in enumerate(shapes):
-            assert level.scene.shape_active[slot] == shape["active"]
+            assert level.scene.shapes.active[slot] == shape["active"]
             if shape["active"]:
-                assert (level.scene.inverse_mass[slot] == 0.0) == (shape["inverse_mass"] == 0.0)
+                assert (level.scene.shapes.inverse_mass[slot] == 0.0) == (shape["inverse_mass"] == 0.0)
                 assert level.shape_role[slot] == shape["role"]
         exported = json.loads(json.dumps(export_kinetix(level)))
         # The file's own matrix is the witness that shapes joined through others do not collide.
@@ -60,7 +60,7 @@ def test_public_polygons_become_counter_clockwise_about_their_centroid_in_the_sa
         if not shape["active"]:
             continue
         count = shape["n_vertices"]
-        corners = level.scene.vertices[slot, :count]
+        corners = level.scene.shapes.vertices[slot, :count]
         following = np.roll(corners, -1, axis=0)
         assert np.sum(corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]) > 0
         public = np.array([[shape["vertices"][str(i)][axis] for axis in ("0", "1")] for i in range(count)])
@@ -74,11 +74,13 @@ def test_public_polygons_become_counter_clockwise_about_their_centroid_in_the_sa
 
 def test_discs_get_their_full_inertia_whatever_the_file_says(public_levels: Path) -> None:
     level = load_kinetix(public_levels / "s" / "h2_one_wheel_car.json")
-    moving = np.flatnonzero(level.scene.shape_active[5:] & (level.scene.inverse_mass[5:] > 0))
+    moving = np.flatnonzero(level.scene.shapes.active[5:] & (level.scene.shapes.inverse_mass[5:] > 0))
     assert len(moving) > 0
     for circle in moving:
-        mass, radius = 1 / level.scene.inverse_mass[5 + circle], level.scene.radius[circle]
-        np.testing.assert_allclose(1 / level.scene.inverse_inertia[5 + circle], 0.5 * mass * radius**2, rtol=1e-5)
+        mass, radius = 1 / level.scene.shapes.inverse_mass[5 + circle], level.scene.shapes.radius[circle]
+        np.testing.assert_allclose(
+            1 / level.scene.shapes.inverse_inertia[5 + circle], 0.5 * mass * radius**2, rtol=1e-5
+        )
 
 
 def test_a_motor_run_forward_turns_b_counter_clockwise_against_a_as_in_the_public_package() -> None:

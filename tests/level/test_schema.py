@@ -23,35 +23,35 @@ from tests.level.documents import cart_document
 def test_a_box_has_the_mass_and_inertia_of_its_formula() -> None:
     scene = level_from_json(cart_document()).scene
     mass = 1.0 * 0.2  # density 1 kg/m^2
-    np.testing.assert_allclose(1 / scene.inverse_mass[4], mass, rtol=1e-6)
-    np.testing.assert_allclose(1 / scene.inverse_inertia[4], mass * (1.0**2 + 0.2**2) / 12, rtol=1e-5)
+    np.testing.assert_allclose(1 / scene.shapes.inverse_mass[4], mass, rtol=1e-6)
+    np.testing.assert_allclose(1 / scene.shapes.inverse_inertia[4], mass * (1.0**2 + 0.2**2) / 12, rtol=1e-5)
 
 
 def test_a_disc_has_the_inertia_half_m_r_squared_and_a_fixed_one_never_moves() -> None:
     scene = level_from_json(cart_document()).scene
     mass = math.pi * 0.2**2
-    np.testing.assert_allclose(1 / scene.inverse_inertia[6], 0.5 * mass * 0.2**2, rtol=1e-5)
-    assert scene.inverse_mass[7] == 0.0 and scene.inverse_inertia[7] == 0.0
+    np.testing.assert_allclose(1 / scene.shapes.inverse_inertia[6], 0.5 * mass * 0.2**2, rtol=1e-5)
+    assert scene.shapes.inverse_mass[7] == 0.0 and scene.shapes.inverse_inertia[7] == 0.0
 
 
 def test_a_triangle_is_moved_onto_its_centroid_and_stays_where_it_was() -> None:
     level = level_from_json(cart_document())
-    corners = level.scene.vertices[5, :3]
+    corners = level.scene.shapes.vertices[5, :3]
     np.testing.assert_allclose(corners.mean(axis=0), 0.0, atol=1e-6)  # a triangle's centroid is its vertex mean
     cos, sin = math.cos(0.5), math.sin(0.5)
     world = level.position[5] + corners @ np.array([[cos, sin], [-sin, cos]])
     np.testing.assert_allclose(world[0], [3.0, 0.4], atol=1e-6)  # its first corner was its origin
-    np.testing.assert_allclose(1 / level.scene.inverse_mass[5], 2.0 * 0.5 * 0.6 * 0.3, rtol=1e-6)
-    np.testing.assert_allclose(level.scene.vertices[5, 3], corners[2])  # padding repeats the last corner
+    np.testing.assert_allclose(1 / level.scene.shapes.inverse_mass[5], 2.0 * 0.5 * 0.6 * 0.3, rtol=1e-6)
+    np.testing.assert_allclose(level.scene.shapes.vertices[5, 3], corners[2])  # padding repeats the last corner
 
 
 def test_anchors_of_joints_and_thrusters_stay_where_they_were_in_the_world() -> None:
     level = level_from_json(cart_document())
     scene = level.scene
     for body, local, expected in (
-        (scene.joint_a[0], scene.joint_anchor_a[0], [0.6, 0.9]),
-        (scene.joint_b[0], scene.joint_anchor_b[0], [0.6, 0.9]),
-        (scene.thruster_body[0], scene.thruster_position[0], [3.0, 0.4]),
+        (scene.joints.a[0], scene.joints.anchor_a[0], [0.6, 0.9]),
+        (scene.joints.b[0], scene.joints.anchor_b[0], [0.6, 0.9]),
+        (scene.thrusters.body[0], scene.thrusters.position[0], [3.0, 0.4]),
     ):
         cos, sin = math.cos(level.angle[body]), math.sin(level.angle[body])
         world = level.position[body] + np.array([[cos, -sin], [sin, cos]]) @ local
@@ -61,8 +61,8 @@ def test_anchors_of_joints_and_thrusters_stay_where_they_were_in_the_world() -> 
 def test_roles_motors_and_colours_are_read() -> None:
     level = level_from_json(cart_document())
     assert level.shape_role[4] == Role.GREEN and level.shape_role[7] == Role.BLUE
-    assert level.scene.motor_on[0] and level.motor_colour[0] == 3 and level.thruster_colour[0] == 1
-    assert (level.scene.motor_speed[0], level.scene.motor_power[0]) == (2.0, 1.5)
+    assert level.scene.joints.motor_on[0] and level.motor_colour[0] == 3 and level.thruster_colour[0] == 1
+    assert (level.scene.joints.motor_speed[0], level.scene.joints.motor_power[0]) == (2.0, 1.5)
 
 
 def test_writing_and_reading_again_gives_the_same_level(tmp_path: Path) -> None:

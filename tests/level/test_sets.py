@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax2d import JointKind
 from jax2d.scene import stack_worlds
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
@@ -38,8 +39,10 @@ def test_designed_levels_are_named_after_their_files_described_and_controllable(
             level, info = load_level(levels_root() / file)
             assert info.name == Path(file).stem and info.size == entry["size"] and info.description
             scene = level.scene
-            motors = scene.joint_active & scene.motor_on & ~scene.joint_is_fixed & ~level.motor_auto
-            assert motors.any() or scene.thruster_active.any()
+            motors = (
+                scene.joints.active & scene.joints.motor_on & ~scene.joints.is_kind(JointKind.FIXED) & ~level.motor_auto
+            )
+            assert motors.any() or scene.thrusters.active.any()
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from jax2d.scene import Capacity, Scene
+from jax2d.scene import Capacity, JointKind, Joints, Scene, Shapes, Thrusters
 from kinetix_dist.env.roles import Role
 from kinetix_dist.level.level import Level
 from kinetix_dist.telemetry.recording import Rollout
@@ -30,36 +30,42 @@ def scene() -> Scene:
     triangle = [[-0.3, -0.2], [0.3, -0.2], [0.0, 0.4], [0.0, 0.4]]
     inverse_mass = np.array([0, 1, 1, 1, 0, 1, 0, 0], np.float32)
     return Scene(
-        shape_active=np.array([1, 1, 1, 1, 1, 1, 0, 0], bool),
-        inverse_mass=inverse_mass,
-        inverse_inertia=inverse_mass,
-        density=np.ones(n, np.float32),
-        friction=np.ones(n, np.float32),
-        restitution=np.zeros(n, np.float32),
-        vertices=np.array(
-            [rectangle(5, 1), rectangle(0.8, 0.6), rectangle(1, 0.5), triangle, rectangle(0.6, 0.6)], np.float32
+        shapes=Shapes(
+            active=np.array([1, 1, 1, 1, 1, 1, 0, 0], bool),
+            inverse_mass=inverse_mass,
+            inverse_inertia=inverse_mass,
+            density=np.ones(n, np.float32),
+            friction=np.ones(n, np.float32),
+            restitution=np.zeros(n, np.float32),
+            vertices=np.array(
+                [rectangle(5, 1), rectangle(0.8, 0.6), rectangle(1, 0.5), triangle, rectangle(0.6, 0.6)], np.float32
+            ),
+            num_vertices=np.array([4, 4, 4, 3, 4], np.int32),
+            radius=np.array([0.35, 0, 0], np.float32),
+            can_touch=~np.eye(n, dtype=bool),
         ),
-        num_vertices=np.array([4, 4, 4, 3, 4], np.int32),
-        radius=np.array([0.35, 0, 0], np.float32),
-        can_touch=~np.eye(n, dtype=bool),
-        joint_active=np.array([True, False]),
-        joint_a=np.array([BLUE_BOX, 0], np.int32),
-        joint_b=np.array([GREY_BALL, 0], np.int32),
-        joint_anchor_a=np.array([[-0.4, 0.0], [0, 0]], np.float32),
-        joint_anchor_b=np.zeros((joints, 2), np.float32),
-        joint_is_fixed=np.zeros(joints, bool),
-        joint_rest_angle=np.zeros(joints, np.float32),
-        motor_on=np.array([True, False]),
-        motor_speed=np.ones(joints, np.float32),
-        motor_power=np.ones(joints, np.float32),
-        has_limits=np.zeros(joints, bool),
-        lower_limit=np.zeros(joints, np.float32),
-        upper_limit=np.zeros(joints, np.float32),
-        thruster_active=np.array([True, False]),
-        thruster_body=np.array([GREEN_BOX, 0], np.int32),
-        thruster_position=np.array([[0.0, -0.3], [0, 0]], np.float32),
-        thruster_angle=np.full(thrusters, np.pi / 2, np.float32),
-        thruster_power=np.ones(thrusters, np.float32),
+        joints=Joints(
+            active=np.array([True, False]),
+            a=np.array([BLUE_BOX, 0], np.int32),
+            b=np.array([GREY_BALL, 0], np.int32),
+            anchor_a=np.array([[-0.4, 0.0], [0, 0]], np.float32),
+            anchor_b=np.zeros((joints, 2), np.float32),
+            kind=np.where(np.zeros(joints, bool), JointKind.FIXED, JointKind.REVOLUTE).astype(np.int32),
+            rest_angle=np.zeros(joints, np.float32),
+            motor_on=np.array([True, False]),
+            motor_speed=np.ones(joints, np.float32),
+            motor_power=np.ones(joints, np.float32),
+            has_limits=np.zeros(joints, bool),
+            lower_limit=np.zeros(joints, np.float32),
+            upper_limit=np.zeros(joints, np.float32),
+        ),
+        thrusters=Thrusters(
+            active=np.array([True, False]),
+            body=np.array([GREEN_BOX, 0], np.int32),
+            position=np.array([[0.0, -0.3], [0, 0]], np.float32),
+            angle=np.full(thrusters, np.pi / 2, np.float32),
+            power=np.ones(thrusters, np.float32),
+        ),
         gravity=np.array([0, -GRAVITY], np.float32),
     )
 

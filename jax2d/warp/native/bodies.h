@@ -63,7 +63,7 @@ struct Bodies {
     limited = 0;
     for (int word = 0; word < SHAPE_WORDS; ++word) present[word] = moving[word] = 0u;
     unsigned int active[TOUCH_WORDS];  // a bit a slot
-    for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_ACTIVE + word));
+    for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_SHAPES_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
       int slot = Slot::of(i);
       if (!has(active, slot)) {
@@ -73,9 +73,9 @@ struct Bodies {
       position[i] = state.get2(STATE_POSITION + 2 * slot);
       angle[i] = state.get(STATE_ANGLE + slot);
       set_velocity(i, state.get2(STATE_VELOCITY + 2 * slot));
-      set_omega(i, state.get(STATE_OMEGA + slot));
-      at(i, INVERSE_MASS) = scene.get(SCENE_INVERSE_MASS + slot);
-      at(i, INVERSE_INERTIA) = scene.get(SCENE_INVERSE_INERTIA + slot);
+      set_omega(i, state.get(STATE_ANGULAR_VELOCITY + slot));
+      at(i, INVERSE_MASS) = scene.get(SCENE_SHAPES_INVERSE_MASS + slot);
+      at(i, INVERSE_INERTIA) = scene.get(SCENE_SHAPES_INVERSE_INERTIA + slot);
       present[i / 32] |= 1u << (i % 32);
       if (inverse_mass(i) > real(0) || inverse_inertia(i) > real(0)) moving[i / 32] |= 1u << (i % 32);
     }
@@ -88,7 +88,7 @@ struct Bodies {
       state.set2(STATE_POSITION + 2 * slot, position[i]);
       state.set(STATE_ANGLE + slot, angle[i]);
       state.set2(STATE_VELOCITY + 2 * slot, velocity(i));
-      state.set(STATE_OMEGA + slot, omega(i));
+      state.set(STATE_ANGULAR_VELOCITY + slot, omega(i));
     }
   }
 
@@ -148,7 +148,7 @@ struct Bodies {
     }
   }
 
-  KFN void push(int i, Vec2 arm, Vec2 impulse) {
+  KFN void apply_impulse(int i, Vec2 arm, Vec2 impulse) {
     set_velocity(i, velocity(i) + impulse * inverse_mass(i));
     at(i, OMEGA) += inverse_inertia(i) * arm.cross(impulse);
   }
@@ -175,7 +175,7 @@ struct Pair {
             bodies.inverse_inertia(b)};
   }
 
-  KFN void give_back(Bodies& bodies) const {
+  KFN void write_back(Bodies& bodies) const {
     bodies.set_velocity(a, velocity_a);
     bodies.set_omega(a, omega_a);
     bodies.set_velocity(b, velocity_b);
@@ -187,7 +187,7 @@ struct Pair {
     return (velocity_b + arm_b.left() * omega_b) - (velocity_a + arm_a.left() * omega_a);
   }
 
-  KFN void push(Vec2 arm_a, Vec2 arm_b, Vec2 impulse_on_b) {
+  KFN void apply_impulse(Vec2 arm_a, Vec2 arm_b, Vec2 impulse_on_b) {
     Vec2 impulse_on_a = -impulse_on_b;
     velocity_a = velocity_a + impulse_on_a * inverse_mass_a;
     omega_a += inverse_inertia_a * arm_a.cross(impulse_on_a);
@@ -195,7 +195,7 @@ struct Pair {
     omega_b += inverse_inertia_b * arm_b.cross(impulse_on_b);
   }
 
-  KFN void twist(real impulse_on_b) {
+  KFN void apply_angular_impulse(real impulse_on_b) {
     omega_a -= inverse_inertia_a * impulse_on_b;
     omega_b += inverse_inertia_b * impulse_on_b;
   }

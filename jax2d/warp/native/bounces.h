@@ -7,14 +7,14 @@
 struct Bounces {
   Vec2 velocity[BOUNCE_SHAPES];  // before anything bounced
   real omega[BOUNCE_SHAPES];
-  real most;                     // J, energy allowed; zero of height is where each body was when contacts were found
+  real max_energy;               // J, energy allowed; zero of height is where each body was when contacts were found
 
   KFN void begin(const Bodies& bodies, Vec2 gravity, real h) {
-    most = real(0);
+    max_energy = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
       Vec2 v = midway(bodies, i, bodies.velocity(i), gravity, h);
-      most += real(0.5) * (Math::inverse_or_zero(bodies.inverse_mass(i)) * v.dot(v) +
+      max_energy += real(0.5) * (Math::inverse_or_zero(bodies.inverse_mass(i)) * v.dot(v) +
                            Math::inverse_or_zero(bodies.inverse_inertia(i)) * bodies.omega(i) * bodies.omega(i));
     }
   }
@@ -41,8 +41,8 @@ struct Bounces {
       quadratic += real(0.5) * (mass * dv.dot(dv) + inertia * dw * dw);
     }
     real after = before + linear + quadratic;
-    if (after <= most * (real(1) + rounding())) return;
-    real room = Math::max(most - before, real(0));
+    if (after <= max_energy * (real(1) + ENERGY_ROUNDING)) return;
+    real room = Math::max(max_energy - before, real(0));
     real root = sqrtf(linear * linear + real(4) * quadratic * room);
     real share = quadratic > real(0) ? Math::clamp((root - linear) / (real(2) * quadratic), real(0), real(1)) : real(1);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
@@ -55,7 +55,4 @@ struct Bounces {
   KFN static Vec2 midway(const Bodies& bodies, int i, Vec2 velocity, Vec2 gravity, real h) {
     return bodies.inverse_mass(i) > real(0) ? velocity + gravity * (real(0.5) * h) : velocity;
   }
-
-  // Share of the energy that float32 sums may be wrong by.
-  KFN static real rounding() { return real(1e-5); }
 };

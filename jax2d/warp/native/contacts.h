@@ -13,7 +13,7 @@ struct Contact {
   real friction, restitution;
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
   real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
-  real most_impulse;         // largest normal impulse in this step
+  real max_impulse;         // largest normal impulse in this step
   bool against_fixed;
 };
 
@@ -21,12 +21,12 @@ struct Contacts {
   Contact list[NUM_CONTACTS + 1];
   int count, overflow;
   Pairs pairs;
-  bool swinging;    // a body with a contact turns too far in a step for contacts found once
+  bool rotates_far;    // a body with a contact turns too far in a step for contacts found once
   bool may_bounce;  // something approaches fast enough
-  bool hurried;     // a body has moved so much faster than foreseen that it may stray
-  bool settled;     // in the last pass every bounce had its speed
+  bool any_exceeds;     // a body moves so much faster than predicted that it may outrun its contacts
+  bool converged;     // in the last pass every bounce had its speed
 
-  KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << 22) | (slot_b << 12) | feature; }
+  KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << (FEATURE_BITS + SHAPE_BITS)) | (slot_b << FEATURE_BITS) | feature; }
 
   // Looks at the pairs near each other in the order of slots, so that keys ascend and old impulses are found by one
   // walk over the old list. `reach` is the distance at which a contact is prepared.
@@ -35,7 +35,7 @@ struct Contacts {
                 bool ahead) {
     count = 0;
     overflow = 0;
-    swinging = may_bounce = hurried = false;
+    rotates_far = may_bounce = any_exceeds = false;
     real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
@@ -49,12 +49,12 @@ struct Contacts {
       real margin = Pairs::margin(geometry, a, b, reach, ahead);
       Manifold m = geometry.collide(a, b, d, bodies.velocity(b) - bodies.velocity(a), bodies.omega(a), margin);
       if (m.count == 0) continue;
-      if (ahead) swinging |= swings(bodies, geometry, a, reach, dt) || swings(bodies, geometry, b, reach, dt);
+      if (ahead) rotates_far |= rotates_too_far(bodies, geometry, a, reach, dt) || rotates_too_far(bodies, geometry, b, reach, dt);
       real friction = real(0), restitution = real(0);
       if (HAS_FRICTION)
-        friction = mix_friction(scene.get(SCENE_FRICTION + slot_a), scene.get(SCENE_FRICTION + slot_b), params);
+        friction = mix_friction(scene.get(SCENE_SHAPES_FRICTION + slot_a), scene.get(SCENE_SHAPES_FRICTION + slot_b), params);
       if (HAS_RESTITUTION)
-        restitution = Math::min(scene.get(SCENE_RESTITUTION + slot_a), scene.get(SCENE_RESTITUTION + slot_b));
+        restitution = Math::min(scene.get(SCENE_SHAPES_RESTITUTION + slot_a), scene.get(SCENE_SHAPES_RESTITUTION + slot_b));
       int pair_key = key_of(slot_a, slot_b, 0);
       while (old_slot < CAPACITY_CONTACTS) {  // keys of earlier pairs are behind us for good
         int key = old_keys.get(old_slot);
@@ -83,14 +83,14 @@ struct Contacts {
         c.mass_tangent = pair_mass(bodies, c, m.normal.right());
         c.impulse_normal = real(0);
         c.impulse_tangent = real(0);
-        c.most_impulse = real(0);
+        c.max_impulse = real(0);
         c.bounce = real(0);
         for (int s = old_slot; warm && s < CAPACITY_CONTACTS; ++s) {
           int key = old_keys.get(s);
-          if (key < 0 || (key >> 12) != (pair_key >> 12)) break;
+          if (key < 0 || (key >> FEATURE_BITS) != (pair_key >> FEATURE_BITS)) break;
           if (key == c.key) {
-            c.impulse_normal = old_impulses.get(IMPULSE_CONTACT + 2 * s);
-            c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT + 2 * s + 1);
+            c.impulse_normal = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s);
+            c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s + 1);
             break;
           }
         }
@@ -101,29 +101,29 @@ struct Contacts {
   }
 
   // Whether two bodies that move on as they do for the `left` seconds of the step could meet without a contact, since
-  // they go farther than was foreseen: every margin has `reach` to spare.
-  KFN bool strays(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real left) {
+  // they go farther than was predicted: every margin has `reach` to spare.
+  KFN bool outruns_contacts(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real left) {
     if (!HAS_CONTINUOUS_COLLISION || NUM_CONTACTS == 0) return false;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();)
-      hurried |= geometry.hurries(bodies, each.shape, reach);
-    if (!hurried) return false;
-    real travel[NUM_SHAPES], most = real(0), second = real(0);
+      any_exceeds |= geometry.exceeds_prediction(bodies, each.shape, reach);
+    if (!any_exceeds) return false;
+    real travel[NUM_SHAPES], farthest = real(0), second = real(0);
     unsigned int far_shapes[SHAPE_WORDS];  // one body of such a pair goes at least half of `reach` farther
     for (int word = 0; word < SHAPE_WORDS; ++word) far_shapes[word] = 0u;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
       travel[i] = geometry.travel(bodies, i, left);
-      real farther = travel[i] - geometry.foreseen[i];
+      real farther = travel[i] - geometry.predicted_travel[i];
       if (farther > real(0.5) * reach) far_shapes[i / 32] |= 1u << (i % 32);
-      second = Math::max(second, Math::min(farther, most));
-      most = Math::max(most, farther);
+      second = Math::max(second, Math::min(farther, farthest));
+      farthest = Math::max(farthest, farther);
     }
-    if (most + second <= reach) return false;
+    if (farthest + second <= reach) return false;
     for (Bodies::Each one = Bodies::Each::of(far_shapes); one.next();) {
       for (Bodies::Each other = Bodies::Each::of(bodies.present); other.next();) {
-        int a = Math::least(one.shape, other.shape), b = Math::most(one.shape, other.shape);
+        int a = Math::min_int(one.shape, other.shape), b = Math::max_int(one.shape, other.shape);
         real both = (bodies.is_dynamic(a) ? travel[a] : real(0)) + (bodies.is_dynamic(b) ? travel[b] : real(0));
-        if (both - geometry.foreseen[a] - geometry.foreseen[b] <= reach) continue;
+        if (both - geometry.predicted_travel[a] - geometry.predicted_travel[b] <= reach) continue;
         Vec2 d = bodies.position[b] - bodies.position[a];
         if (geometry.bounds_overlap(a, b, d, both) && can_touch(ints, a, b) && !has_contact(a, b)) return true;
       }
@@ -133,7 +133,7 @@ struct Contacts {
 
   KFN static bool can_touch(const IntColumn& ints, int a, int b) {
     int slot_a = Slot::of(a), slot_b = Slot::of(b);
-    int partners = ints.get(INTS_PARTNERS + slot_a * TOUCH_WORDS + slot_b / 32);
+    int partners = ints.get(INTS_SHAPES_CAN_TOUCH + slot_a * TOUCH_WORDS + slot_b / 32);
     return ((unsigned int)(partners) >> (slot_b % 32) & 1u) != 0u;
   }
 
@@ -144,7 +144,7 @@ struct Contacts {
   }
 
   // Contact points and normals of a step hold for small turns only: a rod that spins fast sweeps over what they say.
-  KFN static bool swings(const Bodies& bodies, const Geometry& geometry, int i, real reach, real dt) {
+  KFN static bool rotates_too_far(const Bodies& bodies, const Geometry& geometry, int i, real reach, real dt) {
     real turn = bodies.omega(i) * dt;
     return (geometry.extent[i] - geometry.core[i]) * turn * turn > reach;
   }
@@ -164,8 +164,8 @@ struct Contacts {
     for (int i = 0; i < count; ++i) {
       const Contact& c = list[i];
       Pair pair = Pair::of(bodies, c.a, c.b);
-      pair.push(c.arm_a, c.arm_b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
-      pair.give_back(bodies);
+      pair.apply_impulse(c.arm_a, c.arm_b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+      pair.write_back(bodies);
     }
   }
 
@@ -188,10 +188,10 @@ struct Contacts {
   }
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
-  // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves, and rubs
+  // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves, with friction
   // in one of them.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round, bool rub) {
-    settled = true;
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round, bool with_friction) {
+    converged = true;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       Pair pair = Pair::of(bodies, c.a, c.b);
@@ -209,16 +209,16 @@ struct Contacts {
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
       if (bounces) {
         bias = -c.bounce;
-        settled &= aim(bodies, c, vn, round);
+        converged &= update_secant_mass(bodies, c, vn, round);
       }
       real impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
       real total = Math::max(c.impulse_normal + impulse, real(0));
       impulse = total - c.impulse_normal;
       c.impulse_normal = total;
-      c.most_impulse = Math::max(c.most_impulse, total);
-      pair.push(c.arm_a, c.arm_b, c.normal * impulse);
-      if (!use_bias && (rub || !bounces)) solve_friction(pair, c);
-      pair.give_back(bodies);
+      c.max_impulse = Math::max(c.max_impulse, total);
+      pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
+      if (!use_bias && (with_friction || !bounces)) solve_friction(pair, c);
+      pair.write_back(bodies);
     }
   }
 
@@ -226,23 +226,23 @@ struct Contacts {
     if (!HAS_FRICTION || c.friction == real(0)) return;
     Vec2 tangent = c.normal.right();
     real vt = tangent.dot(pair.relative(c.arm_a, c.arm_b));
-    real most = c.friction * c.impulse_normal;
-    real total = Math::clamp(c.impulse_tangent - c.mass_tangent * vt, -most, most);
+    real max_friction = c.friction * c.impulse_normal;
+    real total = Math::clamp(c.impulse_tangent - c.mass_tangent * vt, -max_friction, max_friction);
     real impulse = total - c.impulse_tangent;
     c.impulse_tangent = total;
-    pair.push(c.arm_a, c.arm_b, tangent * impulse);
+    pair.apply_impulse(c.arm_a, c.arm_b, tangent * impulse);
   }
 
   // What the last pass gave a bounce, joints and other contacts have shared out since. The next pass pushes as if the
   // contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone.
   // True if it has its speed, or no push can give it any more.
-  KFN static bool aim(const Bodies& bodies, Contact& c, real vn, int round) {
+  KFN static bool update_secant_mass(const Bodies& bodies, Contact& c, real vn, int round) {
     real kept = (vn - c.approach) / (c.bounce - c.approach);
     c.approach = vn;
     if (round == 1) return false;
-    if (Math::abs(vn - c.bounce) <= real(0.002) * c.bounce || Math::abs(kept) < real(0.001)) return true;
-    bool is_seen = kept > real(0) && kept < real(2);
-    c.mass_normal = is_seen ? c.mass_normal / Math::max(kept, real(0.125)) : pair_mass(bodies, c, c.normal);
+    if (Math::abs(vn - c.bounce) <= BOUNCE_TOLERANCE * c.bounce || Math::abs(kept) < MIN_KEPT_SHARE) return true;
+    bool is_seen = kept > real(0) && kept < MAX_SECANT_SHARE;
+    c.mass_normal = is_seen ? c.mass_normal / Math::max(kept, MIN_SECANT_SHARE) : pair_mass(bodies, c, c.normal);
     return false;
   }
 
@@ -257,7 +257,7 @@ struct Contacts {
     bool any = false;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
-      if (!hits(c, threshold) || c.most_impulse == real(0)) continue;
+      if (!hits(c, threshold) || c.max_impulse == real(0)) continue;
       c.bounce = c.restitution * impact_speed(bodies, c, gravity, h);
       any = true;
     }
@@ -289,10 +289,10 @@ struct Contacts {
       real total = Math::max(c.impulse_normal + c.mass_normal * (-vn + bias - wanted), real(0));
       real impulse = total - c.impulse_normal;
       c.impulse_normal = total;
-      c.most_impulse = Math::max(c.most_impulse, total);
-      pair.push(c.arm_a, c.arm_b, c.normal * impulse);
+      c.max_impulse = Math::max(c.max_impulse, total);
+      pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
       solve_friction(pair, c);
-      pair.give_back(bodies);
+      pair.write_back(bodies);
     }
   }
 
@@ -302,12 +302,12 @@ struct Contacts {
       if (s < count) {
         keys.set(s, list[s].key);
         bool lasts = list[s].bounce == real(0);
-        impulses.set(IMPULSE_CONTACT + 2 * s, lasts ? list[s].impulse_normal : real(0));
-        impulses.set(IMPULSE_CONTACT + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
+        impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, lasts ? list[s].impulse_normal : real(0));
+        impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
       } else if (keys.get(s) >= 0) {
         keys.set(s, -1);
-        impulses.set(IMPULSE_CONTACT + 2 * s, real(0));
-        impulses.set(IMPULSE_CONTACT + 2 * s + 1, real(0));
+        impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, real(0));
+        impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, real(0));
       } else {
         break;  // used slots are always the first ones
       }

@@ -9,12 +9,12 @@ struct Thrusters {
     count = 0;
     for (int t = 0; t < NUM_THRUSTERS; ++t) {
       real control = controls.get(CAPACITY_JOINTS + t);
-      int owner = ints.get(INTS_THRUSTERS + t);  // -1: empty slot
-      if (owner < 0 || control == real(0) || !Slot::in_use(owner)) continue;
+      int word = ints.get(INTS_THRUSTERS + t), owner = word >> THRUSTERS_BODY_SHIFT & THRUSTERS_BODY_MASK;
+      if ((word >> THRUSTERS_ACTIVE_SHIFT & 1) == 0 || control == real(0) || !Slot::in_use(owner)) continue;
       body[count] = Slot::shape(owner);
-      local_position[count] = scene.get2(SCENE_THRUSTER_POSITION + 2 * t);
-      real angle = scene.get(SCENE_THRUSTER_ANGLE + t);
-      real force = control * scene.get(SCENE_THRUSTER_POWER + t) * params.get(PARAM_BASE_THRUSTER_POWER);
+      local_position[count] = scene.get2(SCENE_THRUSTERS_POSITION + 2 * t);
+      real angle = scene.get(SCENE_THRUSTERS_ANGLE + t);
+      real force = control * scene.get(SCENE_THRUSTERS_POWER + t) * params.get(PARAM_BASE_THRUSTER_POWER);
       local_force[count] = {force * cosf(angle), force * sinf(angle)};
       ++count;
     }
@@ -23,7 +23,7 @@ struct Thrusters {
   KFN void apply(Bodies& bodies, real dt) const {
     for (int k = 0; k < count; ++k) {
       Rotation q = bodies.rotation[body[k]];
-      bodies.push(body[k], q.apply(local_position[k]), q.apply(local_force[k]) * dt);
+      bodies.apply_impulse(body[k], q.apply(local_position[k]), q.apply(local_force[k]) * dt);
     }
   }
 

@@ -10,19 +10,24 @@ struct Joint {
   Vec2 centre_gap;        // centre of b from centre of a at the start of the step
   real start_angle;       // at the start of the step
   real axial_mass;
-  real motor_target, motor_most;  // rad/s; largest impulse of one sub-step, N m s
+  real motor_target, max_motor_impulse;  // rad/s; largest impulse of one sub-step, N m s
   real lower, upper;
   Vec2 impulse;
-  real twist, impulse_lower, impulse_upper;  // twist: of the motor, or of a fixed joint's angle
+  real angular_impulse, impulse_lower, impulse_upper;  // of the motor, or of a fixed joint's angle; of limits
 };
 
 struct Joints {
+  enum { MOTOR_BIT = 1 << JOINTS_MOTOR_ON_SHIFT };
   Joint list[NUM_JOINTS + 1];
   int count;
 
-  KFN static bool is_fixed(int flags) { return HAS_FIXED_JOINTS && (!HAS_REVOLUTE_JOINTS || (flags & JOINT_FIXED) != 0); }
+  KFN static int kind_of(int word) { return word >> JOINTS_KIND_SHIFT & JOINTS_KIND_MASK; }
 
-  KFN static bool is_limited(int flags) { return HAS_JOINT_LIMITS && (flags & JOINT_LIMITED) != 0; }
+  KFN static bool is_fixed(int word) { return HAS_FIXED_JOINTS && (!HAS_REVOLUTE_JOINTS || kind_of(word) == KIND_FIXED); }
+
+  KFN static bool is_driven(int word) { return HAS_MOTORS && (word & MOTOR_BIT) != 0; }
+
+  KFN static bool is_limited(int word) { return HAS_JOINT_LIMITS && (word >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0; }
 
   KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
                 const Column& impulses) {
@@ -30,9 +35,9 @@ struct Joints {
     bool warm = params.get(PARAM_WARM_START) != real(0);
     for (int j = 0; j < NUM_JOINTS; ++j) {
       int packed = ints.get(INTS_JOINTS + j);
-      if ((packed & JOINT_ACTIVE) == 0) continue;
-      if ((packed & JOINT_FIXED) != 0 ? !HAS_FIXED_JOINTS : !HAS_REVOLUTE_JOINTS) continue;
-      int slot_a = (packed >> 8) & 0xfff, slot_b = (packed >> 20) & 0x7ff;
+      if ((packed >> JOINTS_ACTIVE_SHIFT & 1) == 0) continue;
+      if (kind_of(packed) == KIND_FIXED ? !HAS_FIXED_JOINTS : !HAS_REVOLUTE_JOINTS) continue;
+      int slot_a = packed >> JOINTS_A_SHIFT & JOINTS_A_MASK, slot_b = packed >> JOINTS_B_SHIFT & JOINTS_B_MASK;
       if (!Slot::in_use(slot_a) || !Slot::in_use(slot_b)) continue;
       Joint& joint = list[count];
       joint.index = j;
@@ -41,15 +46,15 @@ struct Joints {
       joint.b = Slot::shape(slot_b);
       if (!bodies.is_dynamic(joint.a) && !bodies.is_dynamic(joint.b)) continue;  // nothing to hold
       ++count;
-      joint.local_a = scene.get2(SCENE_ANCHOR_A + 2 * j);
-      joint.local_b = scene.get2(SCENE_ANCHOR_B + 2 * j);
-      joint.lower = scene.get(SCENE_LOWER + j);
-      joint.upper = scene.get(SCENE_UPPER + j);
+      joint.local_a = scene.get2(SCENE_JOINTS_ANCHOR_A + 2 * j);
+      joint.local_b = scene.get2(SCENE_JOINTS_ANCHOR_B + 2 * j);
+      joint.lower = scene.get(SCENE_JOINTS_LOWER_LIMIT + j);
+      joint.upper = scene.get(SCENE_JOINTS_UPPER_LIMIT + j);
       if (warm) {
-        recall(joint, impulses);
+        load_impulses(joint, impulses);
       } else {
         joint.impulse = {real(0), real(0)};
-        joint.twist = joint.impulse_lower = joint.impulse_upper = real(0);
+        joint.angular_impulse = joint.impulse_lower = joint.impulse_upper = real(0);
       }
       joint.axial_mass =
           Math::inverse_or_zero(bodies.inverse_inertia(joint.a) + bodies.inverse_inertia(joint.b));
@@ -57,14 +62,14 @@ struct Joints {
   }
 
   // The impulses as they were last stored.
-  KFN void recall(const Column& impulses) {
-    for (int k = 0; k < count; ++k) recall(list[k], impulses);
+  KFN void load_impulses(const Column& impulses) {
+    for (int k = 0; k < count; ++k) load_impulses(list[k], impulses);
   }
 
-  KFN static void recall(Joint& joint, const Column& impulses) {
-    int row = IMPULSE_JOINT + 5 * joint.index;
+  KFN static void load_impulses(Joint& joint, const Column& impulses) {
+    int row = IMPULSE_JOINT_IMPULSE + 5 * joint.index;
     joint.impulse = impulses.get2(row);
-    joint.twist = impulses.get(row + 2);
+    joint.angular_impulse = impulses.get(row + 2);
     joint.impulse_lower = impulses.get(row + 3);
     joint.impulse_upper = impulses.get(row + 4);
   }
@@ -72,10 +77,10 @@ struct Joints {
   KFN void store(const Column& impulses) const {
     for (int k = 0; k < count; ++k) {
       const Joint& joint = list[k];
-      impulses.set2(IMPULSE_JOINT + 5 * joint.index, joint.impulse);
-      impulses.set(IMPULSE_JOINT + 5 * joint.index + 2, joint.twist);
-      impulses.set(IMPULSE_JOINT + 5 * joint.index + 3, joint.impulse_lower);
-      impulses.set(IMPULSE_JOINT + 5 * joint.index + 4, joint.impulse_upper);
+      impulses.set2(IMPULSE_JOINT_IMPULSE + 5 * joint.index, joint.impulse);
+      impulses.set(IMPULSE_JOINT_IMPULSE + 5 * joint.index + 2, joint.angular_impulse);
+      impulses.set(IMPULSE_JOINT_IMPULSE + 5 * joint.index + 3, joint.impulse_lower);
+      impulses.set(IMPULSE_JOINT_IMPULSE + 5 * joint.index + 4, joint.impulse_upper);
     }
   }
 
@@ -83,16 +88,16 @@ struct Joints {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       joint.centre_gap = bodies.position[joint.b] - bodies.position[joint.a];
-      joint.start_angle = bodies.angle[joint.b] - bodies.angle[joint.a] - scene.get(SCENE_REST_ANGLE + joint.index);
+      joint.start_angle = bodies.angle[joint.b] - bodies.angle[joint.a] - scene.get(SCENE_JOINTS_REST_ANGLE + joint.index);
       turn_arms(bodies, joint);
       real control = controls.get(joint.index);
-      bool driven = HAS_MOTORS && (joint.flags & JOINT_MOTOR) != 0 && !is_fixed(joint.flags) && control != real(0);
-      if (!driven) joint.flags &= ~JOINT_MOTOR;
-      joint.motor_target = control * scene.get(SCENE_MOTOR_SPEED + joint.index) * params.get(PARAM_BASE_MOTOR_SPEED);
+      bool driven = is_driven(joint.flags) && !is_fixed(joint.flags) && control != real(0);
+      if (!driven) joint.flags &= ~MOTOR_BIT;
+      joint.motor_target = control * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index) * params.get(PARAM_BASE_MOTOR_SPEED);
       // The power is the angular acceleration that the motor can give to the pair of bodies alone.
-      joint.motor_most = h * params.get(PARAM_BASE_MOTOR_POWER) * scene.get(SCENE_MOTOR_POWER + joint.index) *
+      joint.max_motor_impulse = h * params.get(PARAM_BASE_MOTOR_POWER) * scene.get(SCENE_JOINTS_MOTOR_POWER + joint.index) *
                          joint.axial_mass;
-      if (!driven && !is_fixed(joint.flags)) joint.twist = real(0);
+      if (!driven && !is_fixed(joint.flags)) joint.angular_impulse = real(0);
     }
   }
 
@@ -106,9 +111,9 @@ struct Joints {
       Joint& joint = list[k];
       turn_arms(bodies, joint);
       Pair pair = Pair::of(bodies, joint.a, joint.b);
-      pair.push(joint.arm_a, joint.arm_b, joint.impulse);
-      pair.twist(joint.twist + joint.impulse_lower - joint.impulse_upper);
-      pair.give_back(bodies);
+      pair.apply_impulse(joint.arm_a, joint.arm_b, joint.impulse);
+      pair.apply_angular_impulse(joint.angular_impulse + joint.impulse_lower - joint.impulse_upper);
+      pair.write_back(bodies);
     }
   }
 
@@ -124,23 +129,23 @@ struct Joints {
       if (is_fixed(joint.flags)) {
         solve_angle(pair, joint, current_angle(bodies, joint), soft, use_bias);
       } else {
-        if (HAS_MOTORS && motors && (joint.flags & JOINT_MOTOR) != 0) solve_motor(pair, joint);
+        if (motors && is_driven(joint.flags)) solve_motor(pair, joint);
         if (is_limited(joint.flags))
           solve_limits(pair, joint, current_angle(bodies, joint), soft, use_bias);
       }
       solve_point(bodies, pair, joint, soft, use_bias);
-      pair.give_back(bodies);
+      pair.write_back(bodies);
     }
   }
 
   // Velocity constraint with a bounded torque: dt changes neither its target nor its strength.
   KFN static void solve_motor(Pair& pair, Joint& joint) {
     real speed = pair.omega_b - pair.omega_a;
-    real total = Math::clamp(joint.twist - joint.axial_mass * (speed - joint.motor_target), -joint.motor_most,
-                             joint.motor_most);
-    real twist = total - joint.twist;
-    joint.twist = total;
-    pair.twist(twist);
+    real total = Math::clamp(joint.angular_impulse - joint.axial_mass * (speed - joint.motor_target), -joint.max_motor_impulse,
+                             joint.max_motor_impulse);
+    real angular_impulse = total - joint.angular_impulse;
+    joint.angular_impulse = total;
+    pair.apply_angular_impulse(angular_impulse);
   }
 
   // J, what motors have added to the bodies' energy in this sub-step.
@@ -148,30 +153,30 @@ struct Joints {
     real work = real(0);
     for (int k = 0; k < count && HAS_MOTORS; ++k) {
       const Joint& joint = list[k];
-      if ((joint.flags & JOINT_MOTOR) == 0) continue;
-      work += Math::max(joint.twist * (bodies.omega(joint.b) - bodies.omega(joint.a)), real(0));
+      if (!is_driven(joint.flags)) continue;
+      work += Math::max(joint.angular_impulse * (bodies.omega(joint.b) - bodies.omega(joint.a)), real(0));
     }
     return work;
   }
 
   KFN static void solve_angle(Pair& pair, Joint& joint, real angle, const Soft& soft, bool use_bias) {
-    real most = soft.turn_back_speed;
-    real bias = use_bias ? Math::clamp(soft.joint.bias_rate * angle, -most, most) : real(0);
+    real max_speed = soft.turn_back_speed;
+    real bias = use_bias ? Math::clamp(soft.joint.bias_rate * angle, -max_speed, max_speed) : real(0);
     real mass_scale = use_bias ? soft.joint.mass_scale : real(1);
     real impulse_scale = use_bias ? soft.joint.impulse_scale : real(0);
     real speed = pair.omega_b - pair.omega_a;
-    real twist = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * joint.twist;
-    joint.twist += twist;
-    pair.twist(twist);
+    real angular_impulse = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * joint.angular_impulse;
+    joint.angular_impulse += angular_impulse;
+    pair.apply_angular_impulse(angular_impulse);
   }
 
   KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Soft& soft, bool use_bias) {
     real speed = pair.omega_b - pair.omega_a;
     real lower = limit_impulse(joint, angle - joint.lower, speed, joint.impulse_lower, soft, use_bias);
-    pair.twist(lower);
+    pair.apply_angular_impulse(lower);
     speed = pair.omega_b - pair.omega_a;
     real upper = limit_impulse(joint, joint.upper - angle, -speed, joint.impulse_upper, soft, use_bias);
-    pair.twist(-upper);
+    pair.apply_angular_impulse(-upper);
   }
 
   // One-sided: room is what is left before the limit, speed that at which room grows.
@@ -197,18 +202,18 @@ struct Joints {
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
       Vec2 gap = joint.centre_gap + (bodies.delta(joint.b) - bodies.delta(joint.a)) + (joint.arm_b - joint.arm_a);
-      wrong = wrong + no_longer(gap * soft.joint.bias_rate, soft.pull_speed);
+      wrong = wrong + clamp_length(gap * soft.joint.bias_rate, soft.pull_speed);
       mass_scale = soft.joint.mass_scale;
       impulse_scale = soft.joint.impulse_scale;
     }
     Vec2 impulse = -(point_mass_times(pair, joint, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
-    pair.push(joint.arm_a, joint.arm_b, impulse);
+    pair.apply_impulse(joint.arm_a, joint.arm_b, impulse);
   }
 
-  KFN static Vec2 no_longer(Vec2 v, real most) {
+  KFN static Vec2 clamp_length(Vec2 v, real max_length) {
     real squared = v.dot(v);
-    return squared > most * most ? v * (most / sqrtf(squared)) : v;
+    return squared > max_length * max_length ? v * (max_length / sqrtf(squared)) : v;
   }
 
   // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.

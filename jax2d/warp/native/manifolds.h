@@ -1,13 +1,7 @@
 // Contact manifolds: where and along which normal two convex shapes meet. C = (pB - pA) . n >= 0
 //
-// GRAZING (m): shapes that are level to within it, or miss each other by it, slide past rather than meet.
-// STANDING (m/s): slower than this, what overlaps or is about to meet rests where it is.
-//
 // Everything is computed relative to the centre of mass of shape a, so that worlds far from the origin
 // keep their precision. Normals point from a to b; a separation below zero is a penetration depth.
-
-#define GRAZING real(0.005)
-#define STANDING real(0.1)
 
 // Contact points lie midway between the surfaces; for `paper` where its appendix has them (Collision Manifolds): on the
 // surface of circle a, on the polygon that meets a circle, on the incident edge of two polygons.
@@ -34,7 +28,7 @@ struct Geometry {
   Vec2 lower[NUM_SHAPES], upper[NUM_SHAPES];  // axis-aligned bounds relative to the centre of mass
   real core[NUM_SHAPES];    // least distance from centre to surface: what a fast body may not step over
   real extent[NUM_SHAPES];  // largest distance from centre to surface
-  real foreseen[NUM_SHAPES];  // how far the surface goes in `ahead` seconds at the speed that it has, at most
+  real predicted_travel[NUM_SHAPES];  // how far the surface goes in `ahead` seconds at the speed that it has, at most
   real ahead;
 
   KFN int successor(int polygon, int k) const { return k + 1 < corners[polygon] ? k + 1 : 0; }
@@ -43,18 +37,18 @@ struct Geometry {
   KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies, bool fixed_too) {
     for (int p = 0; p < NUM_POLYGONS; ++p) {
       if (!bodies.is_active(p) || (!fixed_too && !bodies.is_dynamic(p))) continue;
-      corners[p] = ints.get(INTS_NUM_VERTICES + p);
+      corners[p] = ints.get(INTS_SHAPES_NUM_VERTICES + p);
       Rotation q = bodies.rotation[p];
-      Vec2 lo = {real(1e30), real(1e30)}, hi = {real(-1e30), real(-1e30)};
+      Vec2 lo = {FAR_DISTANCE, FAR_DISTANCE}, hi = {-FAR_DISTANCE, -FAR_DISTANCE};
       real far_squared = real(0);
       for (int k = 0; k < corners[p]; ++k) {
-        Vec2 v = q.apply(scene.get2(SCENE_VERTICES + 2 * (p * MAX_VERTICES + k)));
+        Vec2 v = q.apply(scene.get2(SCENE_SHAPES_VERTICES + 2 * (p * MAX_VERTICES + k)));
         corner[p * MAX_VERTICES + k] = v;
         lo = {Math::min(lo.x, v.x), Math::min(lo.y, v.y)};
         hi = {Math::max(hi.x, v.x), Math::max(hi.y, v.y)};
         far_squared = Math::max(far_squared, v.dot(v));
       }
-      real nearest = real(1e30);
+      real nearest = FAR_DISTANCE;
       for (int k = 0; k < corners[p]; ++k) {
         Vec2 v = corner[p * MAX_VERTICES + k];
         Vec2 n = (corner[p * MAX_VERTICES + successor(p, k)] - v).right();
@@ -66,32 +60,32 @@ struct Geometry {
       upper[p] = hi;
       core[p] = nearest;
       extent[p] = sqrtf(far_squared);
-      foreseen[p] = real(0);
+      predicted_travel[p] = real(0);
     }
     for (int c = 0; c < NUM_CIRCLES; ++c) {
       if (!bodies.is_active(NUM_POLYGONS + c)) continue;
-      real r = scene.get(SCENE_RADIUS + c);
+      real r = scene.get(SCENE_SHAPES_RADIUS + c);
       radius[c] = r;
       lower[NUM_POLYGONS + c] = {-r, -r};
       upper[NUM_POLYGONS + c] = {r, r};
       core[NUM_POLYGONS + c] = r;
       extent[NUM_POLYGONS + c] = r;
-      foreseen[NUM_POLYGONS + c] = real(0);
+      predicted_travel[NUM_POLYGONS + c] = real(0);
     }
   }
 
-  KFN void foresee(const Bodies& bodies, real seconds) {
+  KFN void predict_travel(const Bodies& bodies, real seconds) {
     ahead = seconds;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
-      foreseen[i] = travel(bodies, i, seconds);
+      predicted_travel[i] = travel(bodies, i, seconds);
     }
   }
 
-  // A body that never did since `foresee` gets by less than half of `reach` farther. Spares two roots a body.
-  KFN bool hurries(const Bodies& bodies, int i, real reach) const {
-    real most = foreseen[i] + real(0.5) * reach - (extent[i] - core[i]) * Math::abs(bodies.omega(i)) * ahead;
-    return most < real(0) || bodies.velocity(i).dot(bodies.velocity(i)) * ahead * ahead > most * most;
+  // A body that never did since `predict_travel` gets by less than half of `reach` farther. Spares two roots a body.
+  KFN bool exceeds_prediction(const Bodies& bodies, int i, real reach) const {
+    real room = predicted_travel[i] + real(0.5) * reach - (extent[i] - core[i]) * Math::abs(bodies.omega(i)) * ahead;
+    return room < real(0) || bodies.velocity(i).dot(bodies.velocity(i)) * ahead * ahead > room * room;
   }
 
   // How far a surface gets by the end of the step, at most: a disc's does not leave its place by turning.
@@ -127,7 +121,7 @@ struct Geometry {
     real separation = distance - radius[a] - radius[b];
     if (separation > margin) return m;
     // Coincident centres have no direction of their own: any fixed one separates them.
-    m.normal = distance > real(1e-9) ? d * (real(1) / distance) : Vec2{real(0), real(1)};
+    m.normal = distance > COINCIDENT_DISTANCE ? d * (real(1) / distance) : Vec2{real(0), real(1)};
     m.count = 1;
     m.points[0] = {m.normal * (radius[a] + HALFWAY * separation), separation, 0};
     return m;
@@ -136,7 +130,7 @@ struct Geometry {
   // A disc that moves on as it does leaves the corner beside it, or grazes it: the corner of the next tile of a floor.
   KFN static bool rolls_past(Vec2 away, Vec2 motion, real r) {
     real speed = motion.length(), beside = away.cross(motion);
-    return speed > STANDING && Math::abs(beside) >= (r - Math::min(GRAZING, real(0.05) * r)) * speed;
+    return speed > RESTING_SPEED && Math::abs(beside) >= (r - Math::min(GRAZING_DISTANCE, GRAZING_SHARE * r)) * speed;
   }
 
   KFN Manifold polygon_circle(int polygon, int circle, Vec2 centre, Vec2 motion, real spin, real margin) const {
@@ -145,7 +139,7 @@ struct Geometry {
     const Vec2* v = corner + polygon * MAX_VERTICES;
     const Vec2* n = normal + polygon * MAX_VERTICES;
     int face = 0;
-    real face_distance = real(-1e30);
+    real face_distance = -FAR_DISTANCE;
     for (int k = 0; k < corners[polygon]; ++k) {
       real s = n[k].dot(centre - v[k]);
       if (s > face_distance) {
@@ -158,7 +152,7 @@ struct Geometry {
     Vec2 from = v[face], to = v[successor(polygon, face)];
     Vec2 closest = {real(0), real(0)};
     bool at_corner = false;
-    if (face_distance > real(1e-7)) {  // outside: the closest feature may be a corner of the face
+    if (face_distance > ON_FACE_DISTANCE) {  // outside: the closest feature may be a corner of the face
       if ((centre - from).dot(to - from) < real(0)) {
         closest = from;
         at_corner = true;
@@ -182,27 +176,27 @@ struct Geometry {
     return m;
   }
 
-  // About to meet (or just met) along the reference face's normal, and level with one of its ends to within GRAZING:
+  // About to meet (or just met) along the reference face's normal, and level with one of its ends to within GRAZING_DISTANCE:
   // what lies ahead there is the next tile of a floor rather than a wall. Such a pair slides along the neighbouring
   // face, which gives the normal then; with the reference face's every seam of a floor would stop what slides over it.
   // upper_end, lower_end: the incident edge, relative to the centre of ref; u: how far along the reference face.
   KFN bool slides_past(int ref, int inc, int edge, Vec2 inc_from_ref, Vec2 lower_end, Vec2 upper_end, real u_lower,
                        real u_upper, real length, real closing, real margin, Manifold& m) const {
     real overlap = Math::min(u_upper, length) - Math::max(u_lower, real(0));
-    if (overlap > GRAZING || overlap < -GRAZING) return false;
-    if (overlap > real(0.5) * Math::min(u_upper - u_lower, length)) return false;  // a thin shape, met in full
+    if (overlap > GRAZING_DISTANCE || overlap < -GRAZING_DISTANCE) return false;
+    if (overlap > THIN_SHARE * Math::min(u_upper - u_lower, length)) return false;  // a thin shape, met in full
     bool at_start = u_upper < length - u_lower;
     Vec2 end = at_start ? upper_end : lower_end;
     int ref_corner = at_start ? edge : successor(ref, edge);
     Vec2 origin = corner[ref * MAX_VERTICES + ref_corner];
     real separation = normal[ref * MAX_VERTICES + edge].dot(end - origin);
-    if (separation <= (closing > STANDING ? -GRAZING : real(0))) return false;
+    if (separation <= (closing > RESTING_SPEED ? -GRAZING_DISTANCE : real(0))) return false;
     int neighbour = at_start ? (edge > 0 ? edge - 1 : corners[ref] - 1) : ref_corner;
     Vec2 n = normal[ref * MAX_VERTICES + neighbour];
-    real gap = real(1e30);
+    real gap = FAR_DISTANCE;
     for (int j = 0; j < corners[inc]; ++j)
       gap = Math::min(gap, n.dot(corner[inc * MAX_VERTICES + j] + inc_from_ref - origin));
-    if (gap < -GRAZING || gap > margin) return false;
+    if (gap < -GRAZING_DISTANCE || gap > margin) return false;
     gap = Math::max(gap, real(0));
     m.normal = n;
     m.count = 1;
@@ -211,17 +205,17 @@ struct Geometry {
   }
 
   // Largest over the edges of one polygon of the least distance of the other's corners to that edge.
-  KFN real deepest_axis(int one, Vec2 one_at, int other, Vec2 other_at, int& edge) const {
-    real best = real(-1e30);
+  KFN real max_separation(int one, Vec2 one_at, int other, Vec2 other_at, int& edge) const {
+    real best = -FAR_DISTANCE;
     edge = 0;
     for (int k = 0; k < corners[one]; ++k) {
       Vec2 n = normal[one * MAX_VERTICES + k];
       Vec2 origin = corner[one * MAX_VERTICES + k] + one_at - other_at;
-      real least = real(1e30);
+      real nearest = FAR_DISTANCE;
       for (int j = 0; j < corners[other]; ++j)
-        least = Math::min(least, n.dot(corner[other * MAX_VERTICES + j] - origin));
-      if (least > best) {
-        best = least;
+        nearest = Math::min(nearest, n.dot(corner[other * MAX_VERTICES + j] - origin));
+      if (nearest > best) {
+        best = nearest;
         edge = k;
       }
     }
@@ -233,15 +227,15 @@ struct Geometry {
     m.count = 0;
     Vec2 zero = {real(0), real(0)};
     int edge_a, edge_b;
-    real depth_a = deepest_axis(a, zero, b, d, edge_a);
+    real depth_a = max_separation(a, zero, b, d, edge_a);
     if (depth_a > margin) return m;
-    real depth_b = deepest_axis(b, d, a, zero, edge_b);
+    real depth_b = max_separation(b, d, a, zero, edge_b);
     if (depth_b > margin) return m;
 
     // The reference face is that of the clearly larger shape (a's if neither is) unless the other's is clearly better:
     // no flicker between near-equal axes, and a floor holds its normal while what stands on it rocks.
-    bool larger_b = extent[b] > real(1.1) * extent[a];
-    bool flipped = depth_b > depth_a + (larger_b ? real(-0.0005) : real(0.0005));
+    bool larger_b = extent[b] > CLEARLY_LARGER * extent[a];
+    bool flipped = depth_b > depth_a + (larger_b ? -FLIP_ADVANTAGE : FLIP_ADVANTAGE);
     int ref = flipped ? b : a, inc = flipped ? a : b;
     Vec2 ref_at = flipped ? d : zero, inc_at = flipped ? zero : d;
     int edge = flipped ? edge_b : edge_a;
@@ -251,13 +245,13 @@ struct Geometry {
 
     // The incident edge is the one that faces the reference face most, for `paper` the one whose corners are deepest.
     int incident = 0;
-    real most_opposed = real(1e30);
+    real min_alignment = FAR_DISTANCE;
     for (int k = 0; k < corners[inc]; ++k) {
       Vec2 v = normal[inc * MAX_VERTICES + k];
       if (!SOFT_STEP) v = corner[inc * MAX_VERTICES + k] + corner[inc * MAX_VERTICES + successor(inc, k)];
-      real opposed = n.dot(v);
-      if (opposed < most_opposed) {
-        most_opposed = opposed;
+      real alignment = n.dot(v);
+      if (alignment < min_alignment) {
+        min_alignment = alignment;
         incident = k;
       }
     }
@@ -278,13 +272,13 @@ struct Geometry {
     }
 
     m.normal = flipped ? -n : n;
-    int base = (flipped ? 64 : 0) + edge * 8;
+    int base = (flipped ? FEATURE_FLIPPED : 0) + edge * FEATURE_EDGE;
     real closing = n.dot(flipped ? motion : -motion);
     if (SOFT_STEP && slides_past(ref, inc, edge, inc_at - ref_at, lower_end - ref_at, upper_end - ref_at, u_lower,
                                  u_upper, length, closing, margin, m)) {
       m.normal = flipped ? -m.normal : m.normal;
       m.points[0].point = m.points[0].point + ref_at;
-      m.points[0].feature += 384 + base;
+      m.points[0].feature += FEATURE_SEAM + base;
       return m;
     }
     if (u_upper < real(0) || u_lower > length) {
@@ -299,11 +293,11 @@ struct Geometry {
         n = gap * (real(1) / distance);
         m.normal = flipped ? -n : n;
         m.count = 1;
-        m.points[0] = {(ref_corner + inc_corner) * real(0.5), distance, 128 + base + (u_upper < real(0) ? 0 : 1)};
+        m.points[0] = {(ref_corner + inc_corner) * real(0.5), distance, FEATURE_CORNER_OUTSIDE + base + (u_upper < real(0) ? 0 : 1)};
       } else {
         m.count = 1;
         m.points[0] = {inc_corner - n * (HALFWAY * face_separation), face_separation,
-                       256 + base + (u_upper < real(0) ? 0 : 1)};
+                       FEATURE_CORNER_INSIDE + base + (u_upper < real(0) ? 0 : 1)};
       }
       return m;
     }
@@ -311,12 +305,12 @@ struct Geometry {
     // Clip the incident edge to the sides of the reference face; depth follows the clipped point.
     real span = u_upper - u_lower;
     Vec2 lower_point = lower_end, upper_point = upper_end;
-    if (u_lower < real(0) && span > real(1e-9))
+    if (u_lower < real(0) && span > MIN_SPAN)
       lower_point = lower_end + (upper_end - lower_end) * (-u_lower / span);
-    if (u_upper > length && span > real(1e-9))
+    if (u_upper > length && span > MIN_SPAN)
       upper_point = lower_end + (upper_end - lower_end) * ((length - u_lower) / span);
     real s_lower = n.dot(lower_point - r1), s_upper = n.dot(upper_point - r1);
-    int feature = base + incident * 512;
+    int feature = base + incident * FEATURE_INCIDENT;
     if (s_lower <= margin) m.points[m.count++] = {lower_point - n * (HALFWAY * s_lower), s_lower, feature};
     if (s_upper <= margin) m.points[m.count++] = {upper_point - n * (HALFWAY * s_upper), s_upper, feature + 1};
     return m;

@@ -13,7 +13,7 @@ struct Pairs {
     for (int a = 0; a < NUM_SHAPES; ++a) {
       for (int word = first_word(a); word < TOUCH_WORDS; word = next_word(a, word)) {
         unsigned int partners = 0u, near = 0u;
-        if (bodies.is_active(a)) partners = (unsigned int)(ints.get(INTS_PARTNERS + Slot::of(a) * TOUCH_WORDS + word));
+        if (bodies.is_active(a)) partners = (unsigned int)(ints.get(INTS_SHAPES_CAN_TOUCH + Slot::of(a) * TOUCH_WORDS + word));
         if (SWEEP) partners &= sweep.nearby(a, word);
         for (; partners != 0u; partners &= partners - 1u) {
           int slot_b = word * 32 + Math::lowest_bit(partners);
@@ -37,8 +37,8 @@ struct Pairs {
   // both for a body that could step over what is in its way.
   KFN static real margin(const Geometry& geometry, int a, int b, real reach, bool ahead) {
     if (!ahead) return reach;
-    real motion = geometry.foreseen[a] + geometry.foreseen[b];
-    real safe = real(0.5) * Math::min(geometry.core[a], geometry.core[b]);
+    real motion = geometry.predicted_travel[a] + geometry.predicted_travel[b];
+    real safe = SAFE_CORE_SHARE * Math::min(geometry.core[a], geometry.core[b]);
     return motion > safe ? reach + motion : Math::max(reach, motion);
   }
 };

@@ -7,11 +7,11 @@ struct PaperJoints {
   // "Parallelised Computation"): no motor sees what another does in the same step.
   KFN void apply_motors(Bodies& bodies, const Column& scene, const Column& controls, const Column& params) {
     if (!HAS_MOTORS) return;
-    real twist[NUM_JOINTS + 1];
+    real angular_impulse[NUM_JOINTS + 1];
     for (int k = 0; k < joints.count; ++k) {
       const Joint& joint = joints.list[k];
-      if ((joint.flags & JOINT_MOTOR) == 0) continue;
-      real power = joint.motor_most;
+      if (!Joints::is_driven(joint.flags)) continue;
+      real power = joint.max_motor_impulse;
       if (Joints::is_limited(joint.flags)) {
         real fade = params.get(PARAM_MOTOR_FADE_ANGLE);
         real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower + fade, joint.upper - fade);
@@ -19,14 +19,14 @@ struct PaperJoints {
         if (into_limit) power *= Math::max(real(0), real(1) - fabsf(beyond) / fade);
       }
       real excess = bodies.omega(joint.b) - bodies.omega(joint.a) - joint.motor_target;
-      twist[k] = -power * tanhf(excess * params.get(PARAM_MOTOR_DECAY));
+      angular_impulse[k] = -power * tanhf(excess * params.get(PARAM_MOTOR_DECAY));
     }
     for (int k = 0; k < joints.count; ++k) {
       const Joint& joint = joints.list[k];
-      if ((joint.flags & JOINT_MOTOR) == 0) continue;
+      if (!Joints::is_driven(joint.flags)) continue;
       Pair pair = Pair::of(bodies, joint.a, joint.b);
-      pair.twist(twist[k]);
-      pair.give_back(bodies);
+      pair.apply_angular_impulse(angular_impulse[k]);
+      pair.write_back(bodies);
     }
   }
 
@@ -34,9 +34,9 @@ struct PaperJoints {
     for (int k = 0; k < joints.count; ++k) {
       Joint& joint = joints.list[k];
       Pair pair = Pair::of(bodies, joint.a, joint.b);
-      pair.push(joint.arm_a, joint.arm_b, joint.impulse);
-      if (Joints::is_fixed(joint.flags)) pair.twist(joint.twist);
-      pair.give_back(bodies);
+      pair.apply_impulse(joint.arm_a, joint.arm_b, joint.impulse);
+      if (Joints::is_fixed(joint.flags)) pair.apply_angular_impulse(joint.angular_impulse);
+      pair.write_back(bodies);
       joint.impulse_lower = joint.impulse_upper = real(0);
     }
   }
@@ -60,11 +60,11 @@ struct PaperJoints {
       real effective = ma + mb + ca * ca * bodies.inverse_inertia(a) + cb * cb * bodies.inverse_inertia(b);
       Vec2 impulse = (relative + gap * params.get(PARAM_JOINT_VELOCITY_CORRECTION)) *
                      (-params.get(PARAM_JOINT_STIFFNESS) * Math::inverse_or_zero(effective));
-      pair.push(joint.arm_a, joint.arm_b, impulse);
+      pair.apply_impulse(joint.arm_a, joint.arm_b, impulse);
       joint.impulse = joint.impulse + impulse;
 
-      solve_twist(pair, joint, params);
-      pair.give_back(bodies);
+      solve_angular(pair, joint, params);
+      pair.write_back(bodies);
 
       Vec2 correction = gap * (params.get(PARAM_JOINT_POSITION_CORRECTION) / (ma + mb));
       bodies.set_delta(a, bodies.delta(a) + correction * ma);
@@ -72,16 +72,16 @@ struct PaperJoints {
     }
   }
 
-  KFN static void solve_twist(Pair& pair, Joint& joint, const Column& params) {
+  KFN static void solve_angular(Pair& pair, Joint& joint, const Column& params) {
     real speed = pair.omega_b - pair.omega_a;
     if (Joints::is_fixed(joint.flags)) {
-      real twist = -joint.axial_mass * (speed + joint.start_angle * params.get(PARAM_FIXED_ANGLE_RATE));
-      joint.twist += twist;
-      pair.twist(twist);
+      real angular_impulse = -joint.axial_mass * (speed + joint.start_angle * params.get(PARAM_FIXED_ANGLE_RATE));
+      joint.angular_impulse += angular_impulse;
+      pair.apply_angular_impulse(angular_impulse);
     } else if (Joints::is_limited(joint.flags)) {
       real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower, joint.upper);
       if (beyond * speed > real(0))  // not while it already returns
-        pair.twist(-joint.axial_mass * (speed + beyond * params.get(PARAM_LIMIT_ANGLE_RATE)));
+        pair.apply_angular_impulse(-joint.axial_mass * (speed + beyond * params.get(PARAM_LIMIT_ANGLE_RATE)));
     }
   }
 };

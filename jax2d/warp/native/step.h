@@ -18,7 +18,7 @@ struct World {
   unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
   unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
   bool first;       // nothing has been prepared in this call yet
-  bool noting_now;  // in the last step of the call
+  bool is_last_step;  // in the last step of the call
   int overflow;
 
   KFN void run(int num_steps, const IntColumn& out) {
@@ -29,7 +29,7 @@ struct World {
     first = true;
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {
-      noting_now = step == num_steps - 1;
+      is_last_step = step == num_steps - 1;
       joints.load(bodies, scene, ints, params, impulses);
       if (SOFT_STEP)
         soft_step();
@@ -56,23 +56,23 @@ struct World {
     int substeps = (int)(params.get(PARAM_SUBSTEPS));
     Vec2 gravity = scene.get2(SCENE_GRAVITY);
 
-    bool anew = false;  // contacts are found for every sub-step, where a body turns too far for those found once
-    bool find = true, begun = false;
-    int stops = 0;
+    bool every_substep = false;  // contacts are found in each, where a body turns too far for those found once
+    bool find = true, interrupted = false;
+    int interruptions = 0;
     for (int substep = 0; substep < substeps;) {
-      // One call of each function: what is inlined twice is twice the code.
-      real left = anew ? h : h * (real)(substeps - substep);
+      // Each function is called once: what is inlined twice is twice the code.
+      real left = every_substep ? h : h * (real)(substeps - substep);
       if (find) {
         bodies.begin_step(first);
         geometry.build(scene, ints, bodies, first);
-        geometry.foresee(bodies, left);
+        geometry.predict_travel(bodies, left);
         first = false;
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true);
         joints.prepare(bodies, scene, controls, params, h);
-        if (substep == 0 && !begun) anew = contacts.swinging;
+        if (substep == 0 && !interrupted) every_substep = contacts.rotates_far;
         if (contacts.may_bounce) bounces.begin(bodies, gravity, h);
       }
-      if (!begun) {
+      if (!interrupted) {
         bodies.apply_gravity(gravity, h);
         thrusters.apply(bodies, h);
         joints.warm_start(bodies);
@@ -81,18 +81,18 @@ struct World {
       // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
       joints.solve_soft(bodies, soft, true, true);
       contacts.solve_soft(bodies, soft, true, 0, false);
-      // Where a body would now go farther than was foreseen, contacts are found anew before anything moves.
-      begun = stops < MOST_STOPS && contacts.strays(bodies, geometry, ints, reach, left);
-      if (begun) {
-        ++stops;
+      // Where a body would now go farther than was predicted, contacts are found again before anything moves.
+      interrupted = interruptions < MAX_INTERRUPTIONS && contacts.outruns_contacts(bodies, geometry, ints, reach, left);
+      if (interrupted) {
+        ++interruptions;
       } else {
-        bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
+        bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
         ++substep;
       }
-      find = begun || anew || substep == substeps;
+      find = interrupted || every_substep || substep == substeps;
       relax(gravity, h, find);
       if (find) {
-        bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
+        bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
         bodies.end_step();
       }
     }
@@ -103,34 +103,34 @@ struct World {
   // does not last.
   KFN void relax(Vec2 gravity, real h, bool is_last) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
-    bool bouncing = false, rubbed = false;
+    bool bouncing = false, friction_applied = false;
     for (int round = 0; round <= rounds; ++round) {
-      int joint_passes = round == 0 ? 1 : 2;  // along a chain a bounce goes joint by joint
-      bool rub = round > 0 && !rubbed && (contacts.settled || round == rounds);
+      int joint_passes = round == 0 ? 1 : JOINT_PASSES_OF_BOUNCE;
+      bool with_friction = round > 0 && !friction_applied && (contacts.converged || round == rounds);
       for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0);
-      contacts.solve_soft(bodies, soft, false, round, rub);
+      contacts.solve_soft(bodies, soft, false, round, with_friction);
       if (round > 0) {
-        if (rubbed && contacts.settled) break;
-        rubbed |= rub;
+        if (friction_applied && contacts.converged) break;
+        friction_applied |= with_friction;
         continue;
       }
-      if (contacts.may_bounce) bounces.most += joints.motor_work(bodies) + thrusters.work(bodies, h);
+      if (contacts.may_bounce) bounces.max_energy += joints.motor_work(bodies) + thrusters.work(bodies, h);
       if (!is_last) break;
       if (contacts.may_bounce) bouncing = contacts.begin_bounces(bodies, params, gravity, h);
       finish_contacts();
       if (!bouncing) break;
-      contacts.settled = false;
+      contacts.converged = false;
       bounces.keep_velocities(bodies);
       joints.store(impulses);
     }
     if (!bouncing) return;
     bounces.limit(bodies, gravity, h);
-    joints.recall(impulses);
+    joints.load_impulses(impulses);
   }
 
   // Notes who touched, and keeps the impulses for the contacts found next.
   KFN void finish_contacts() {
-    note_touching();
+    record_touches();
     contacts.store(keys, impulses);
     overflow += contacts.overflow;
   }
@@ -155,22 +155,22 @@ struct World {
       paper.solve(bodies, params);
       contacts.solve_hard(bodies, correction_rate, slop);
     }
-    bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_OMEGA));
+    bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
     finish_contacts();
     bodies.end_step();
   }
 
   // Shapes touch when their contact carried an impulse in the step or they overlap.
-  KFN void note_touching() {
+  KFN void record_touches() {
     for (int k = 0; k < contacts.count; ++k) {
       const Contact& c = contacts.list[k];
-      if (c.most_impulse <= real(0) && c.separation > real(0)) continue;
+      if (c.max_impulse <= real(0) && c.separation > real(0)) continue;
       int slot_a = Slot::of(c.a), slot_b = Slot::of(c.b);
       int row_a = c.a * TOUCH_WORDS + slot_b / 32, row_b = c.b * TOUCH_WORDS + slot_a / 32;
       unsigned int bit_a = 1u << (slot_a % 32), bit_b = 1u << (slot_b % 32);
       touching_ever[row_a] |= bit_b;
       touching_ever[row_b] |= bit_a;
-      if (!noting_now) continue;
+      if (!is_last_step) continue;
       touching_now[row_a] |= bit_b;
       touching_now[row_b] |= bit_a;
     }

@@ -44,10 +44,10 @@ struct Sweep {
   // Margins of pairs are at most the sum of both shapes' shares: half the reach, and how far the surface moves.
   KFN void widen(const Bodies& bodies, const Geometry& geometry, int i, real reach, bool ahead) {
     real share = real(0.5) * reach;
-    if (ahead && geometry.foreseen[i] > real(0)) share += geometry.foreseen[i];  // not a number: no pair has such a margin
+    if (ahead && geometry.predicted_travel[i] > real(0)) share += geometry.predicted_travel[i];  // not a number: no pair has such a margin
     Vec2 at = bodies.position[i];
-    // 2^-20 is sixteen times the rounding of one operation, of which neither search does as many.
-    real rounding = (Math::abs(at.x) + Math::abs(at.y) + geometry.extent[i] + share) * real(9.5367432e-7);
+    // Neither search does sixteen roundings.
+    real rounding = (Math::abs(at.x) + Math::abs(at.y) + geometry.extent[i] + share) * SWEEP_ROUNDING;
     share += rounding;
     lower[i] = at + geometry.lower[i] - Vec2{share, share};
     upper[i] = at + geometry.upper[i] + Vec2{share, share};

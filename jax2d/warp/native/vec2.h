@@ -56,8 +56,8 @@ struct Math {
   static KFN real abs(real v) { return v < real(0) ? -v : v; }
   static KFN real clamp(real v, real lo, real hi) { return v < lo ? lo : (v > hi ? hi : v); }
   static KFN real inverse_or_zero(real v) { return v > real(0) ? real(1) / v : real(0); }
-  static KFN int least(int a, int b) { return a < b ? a : b; }
-  static KFN int most(int a, int b) { return a < b ? b : a; }
+  static KFN int min_int(int a, int b) { return a < b ? a : b; }
+  static KFN int max_int(int a, int b) { return a < b ? b : a; }
   static KFN int lowest_bit(unsigned int word) {
 #if defined(__CUDA_ARCH__)
     return __ffs((int)word) - 1;

@@ -37,7 +37,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity, Scene, touch_matrix
+from jax2d.scene import Array, Capacity, JointKind, Scene, touch_matrix
 from kinetix_dist.env.reward import pack_bits
 from kinetix_dist.env.roles import Role
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
@@ -145,15 +145,15 @@ def dynamic_obs(position: Array, angle: Array, velocity: Array, angular_velocity
 def static_obs(levels: Level) -> StaticObs:
     """Features of a batch of levels ([W, ...] on every field) that no step can change."""
     scene = levels.scene
-    num_polygons = scene.vertices.shape[1]
+    num_polygons = scene.shapes.vertices.shape[1]
     shape = jnp.concatenate(
         [
-            _compressed(scene.inverse_mass)[..., None],
-            _compressed(scene.inverse_inertia)[..., None],
-            scene.density[..., None],
+            _compressed(scene.shapes.inverse_mass)[..., None],
+            _compressed(scene.shapes.inverse_inertia)[..., None],
+            scene.shapes.density[..., None],
             jax.nn.one_hot(levels.shape_role, len(Role)),
-            scene.friction[..., None],
-            scene.restitution[..., None],
+            scene.shapes.friction[..., None],
+            scene.shapes.restitution[..., None],
         ],
         axis=-1,
     )
@@ -161,21 +161,21 @@ def static_obs(levels: Level) -> StaticObs:
     polygon_shape, circle_shape = shape[:, :num_polygons], shape[:, num_polygons:]
     polygon_gravity, circle_gravity = gravity[:, :num_polygons], gravity[:, num_polygons:]
     polygons = jnp.concatenate([polygon_shape, _polygon_features(scene), polygon_gravity], axis=-1)
-    radius = scene.radius[..., None]
+    radius = scene.shapes.radius[..., None]
     circles = jnp.concatenate([circle_shape, radius, jnp.ones_like(radius), circle_gravity], axis=-1)
-    joint_mask = jnp.concatenate([scene.joint_active, scene.joint_active], axis=1)
+    joint_mask = jnp.concatenate([scene.joints.active, scene.joints.active], axis=1)
     connected_one, connected_any = connections(scene)
     return StaticObs(
-        polygons=_masked(polygons, scene.shape_active[:, :num_polygons]),
-        circles=_masked(circles, scene.shape_active[:, num_polygons:]),
+        polygons=_masked(polygons, scene.shapes.active[:, :num_polygons]),
+        circles=_masked(circles, scene.shapes.active[:, num_polygons:]),
         joints=_masked(_joint_features(levels), joint_mask),
-        thrusters=_masked(_thruster_features(levels), scene.thruster_active),
-        shape_mask=scene.shape_active,
+        thrusters=_masked(_thruster_features(levels), scene.thrusters.active),
+        shape_mask=scene.shapes.active,
         joint_mask=joint_mask,
-        thruster_mask=scene.thruster_active,
-        joint_from=jnp.where(joint_mask, jnp.concatenate([scene.joint_a, scene.joint_b], axis=1), 0),
-        joint_to=jnp.where(joint_mask, jnp.concatenate([scene.joint_b, scene.joint_a], axis=1), 0),
-        thruster_owner=jnp.where(scene.thruster_active, scene.thruster_body, 0),
+        thruster_mask=scene.thrusters.active,
+        joint_from=jnp.where(joint_mask, jnp.concatenate([scene.joints.a, scene.joints.b], axis=1), 0),
+        joint_to=jnp.where(joint_mask, jnp.concatenate([scene.joints.b, scene.joints.a], axis=1), 0),
+        thruster_owner=jnp.where(scene.thrusters.active, scene.thrusters.body, 0),
         connected_any=pack_bits(connected_any),
         connected_one=pack_bits(connected_one),
     )
@@ -187,10 +187,10 @@ def connections(scene: Scene) -> tuple[Array, Array]:
     Both are symmetric and True on the diagonal of active shapes. Squaring the relation doubles the length of the
     chains it covers, so that log2(n) squarings cover all.
     """
-    active = scene.shape_active
+    active = scene.shapes.active
     num_shapes = active.shape[-1]
-    ends_a = jax.nn.one_hot(scene.joint_a, num_shapes) * scene.joint_active[..., None]
-    ends_b = jax.nn.one_hot(scene.joint_b, num_shapes) * scene.joint_active[..., None]
+    ends_a = jax.nn.one_hot(scene.joints.a, num_shapes) * scene.joints.active[..., None]
+    ends_b = jax.nn.one_hot(scene.joints.b, num_shapes) * scene.joints.active[..., None]
     directed = jnp.einsum("wja,wjb->wab", ends_a, ends_b) > 0
     both_active = active[:, :, None] & active[:, None, :]
     one = (directed | directed.swapaxes(1, 2) | np.eye(num_shapes, dtype=bool)) & both_active
@@ -206,9 +206,9 @@ def connections(scene: Scene) -> tuple[Array, Array]:
 
 def _polygon_features(scene: Scene) -> Array:
     """0 for polygon, vertices with -1 in unused slots, is triangle: [W, P, 2 V + 2]."""
-    num_vertices = scene.num_vertices[..., None]
-    is_used = jnp.arange(scene.vertices.shape[2]) < num_vertices
-    vertices = jnp.where(is_used[..., None], scene.vertices, -1.0)
+    num_vertices = scene.shapes.num_vertices[..., None]
+    is_used = jnp.arange(scene.shapes.vertices.shape[2]) < num_vertices
+    vertices = jnp.where(is_used[..., None], scene.shapes.vertices, -1.0)
     flat = vertices.reshape(*vertices.shape[:2], -1)
     return jnp.concatenate([jnp.zeros_like(flat[..., :1]), flat, (num_vertices <= 3).astype(flat.dtype)], axis=-1)
 
@@ -216,20 +216,20 @@ def _polygon_features(scene: Scene) -> Array:
 def _joint_features(levels: Level) -> Array:
     """[W, 2 J, 22]: joints from a to b, then the same joints from b to a."""
     scene = levels.scene
-    is_free = 1.0 - scene.joint_is_fixed
-    is_limited = is_free * scene.has_limits
+    is_free = 1.0 - scene.joints.is_kind(JointKind.FIXED)
+    is_limited = is_free * scene.joints.has_limits
     limits = [
-        jnp.sin(scene.lower_limit),
-        jnp.cos(scene.lower_limit),
-        jnp.sin(scene.upper_limit),
-        jnp.cos(scene.upper_limit),
-        scene.lower_limit - scene.joint_rest_angle,
-        scene.upper_limit - scene.joint_rest_angle,
+        jnp.sin(scene.joints.lower_limit),
+        jnp.cos(scene.joints.lower_limit),
+        jnp.sin(scene.joints.upper_limit),
+        jnp.cos(scene.joints.upper_limit),
+        scene.joints.lower_limit - scene.joints.rest_angle,
+        scene.joints.upper_limit - scene.joints.rest_angle,
     ]
-    motor = [scene.motor_speed, scene.motor_power, scene.motor_on, scene.has_limits]
+    motor = [scene.joints.motor_speed, scene.joints.motor_power, scene.joints.motor_on, scene.joints.has_limits]
     colour = jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS)
-    kind = jnp.stack([scene.joint_active, scene.joint_is_fixed], axis=-1).astype(jnp.float32)
-    rest = jnp.stack([jnp.sin(scene.joint_rest_angle), jnp.cos(scene.joint_rest_angle)], axis=-1)
+    kind = jnp.stack([scene.joints.active, scene.joints.is_kind(JointKind.FIXED)], axis=-1).astype(jnp.float32)
+    rest = jnp.stack([jnp.sin(scene.joints.rest_angle), jnp.cos(scene.joints.rest_angle)], axis=-1)
     revolute = jnp.concatenate(
         [
             jnp.stack(motor, axis=-1) * is_free[..., None],
@@ -238,17 +238,19 @@ def _joint_features(levels: Level) -> Array:
         ],
         axis=-1,
     )
-    a_to_b = jnp.concatenate([kind, scene.joint_anchor_a, scene.joint_anchor_b, rest, revolute], axis=-1)
-    b_to_a = jnp.concatenate([kind, scene.joint_anchor_b, scene.joint_anchor_a, rest, revolute], axis=-1)
+    a_to_b = jnp.concatenate([kind, scene.joints.anchor_a, scene.joints.anchor_b, rest, revolute], axis=-1)
+    b_to_a = jnp.concatenate([kind, scene.joints.anchor_b, scene.joints.anchor_a, rest, revolute], axis=-1)
     return jnp.concatenate([a_to_b, b_to_a], axis=1)
 
 
 def _thruster_features(levels: Level) -> Array:
     scene = levels.scene
     colour = jax.nn.one_hot(levels.thruster_colour, NUM_THRUSTER_COLOURS)
-    direction = jnp.stack([jnp.sin(scene.thruster_angle), jnp.cos(scene.thruster_angle), scene.thruster_power], axis=-1)
-    active = scene.thruster_active[..., None].astype(jnp.float32)
-    return jnp.concatenate([active, scene.thruster_position, colour, direction], axis=-1)
+    direction = jnp.stack(
+        [jnp.sin(scene.thrusters.angle), jnp.cos(scene.thrusters.angle), scene.thrusters.power], axis=-1
+    )
+    active = scene.thrusters.active[..., None].astype(jnp.float32)
+    return jnp.concatenate([active, scene.thrusters.position, colour, direction], axis=-1)
 
 
 def _compressed(inverse_mass: Array) -> Array:

@@ -34,6 +34,7 @@ from jax2d.draw import (
     shape_colours,
     thruster_outline,
 )
+from jax2d.scene import JointKind
 from kinetix_dist.telemetry.recording import Rollout
 
 if TYPE_CHECKING:
@@ -94,11 +95,11 @@ def log_rollout(stream: rr.RecordingStream, rollout: Rollout) -> None:
     stream.log("summary", rr.TextDocument(summary(rollout), media_type=rr.MediaType.MARKDOWN), static=True)
     _log_camera(stream)
     scene = rollout.level.scene
-    for i in np.flatnonzero(np.asarray(scene.shape_active)):
+    for i in np.flatnonzero(np.asarray(scene.shapes.active)):
         _log_shape(stream, rollout, int(i))
-    for k in np.flatnonzero(np.asarray(scene.joint_active)):
+    for k in np.flatnonzero(np.asarray(scene.joints.active)):
         _log_joint(stream, rollout, int(k))
-    for k in np.flatnonzero(np.asarray(scene.thruster_active)):
+    for k in np.flatnonzero(np.asarray(scene.thrusters.active)):
         _log_thruster(stream, rollout, int(k))
     _log_plots(stream, rollout)
 
@@ -131,7 +132,7 @@ def rollout_blueprint(rollout: Rollout) -> rrb.Blueprint:
     plots: list[Any] = [rrb.TimeSeriesView(name="reward", origin="/", contents=["/reward", "/return"])]
     if _motors(rollout).size:
         plots.append(rrb.TimeSeriesView(name="motors, share of target speed", origin="motor"))
-    if np.asarray(scene.thruster_active).any():
+    if np.asarray(scene.thrusters.active).any():
         plots.append(rrb.TimeSeriesView(name="thrusters, share of power", origin="thruster"))
     plots.append(rrb.TimeSeriesView(name="actions", origin="actions"))
     text = rrb.TextDocumentView(name="rollout", origin="summary")
@@ -151,7 +152,7 @@ def _recording_id(rollout: Rollout) -> str:
 def _motors(rollout: Rollout) -> np.ndarray:
     """Joints with a motor."""
     scene = rollout.level.scene
-    return np.flatnonzero(np.asarray(scene.joint_active) & np.asarray(scene.motor_on))
+    return np.flatnonzero(np.asarray(scene.joints.active) & np.asarray(scene.joints.motor_on))
 
 
 def _times(rollout: Rollout, rows: slice) -> list[Any]:
@@ -205,12 +206,12 @@ def _log_shape(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
     import rerun as rr
 
     scene, path = rollout.level.scene, _shape_path(i)
-    num_polygons = np.asarray(scene.vertices).shape[0]
+    num_polygons = np.asarray(scene.shapes.vertices).shape[0]
     if i < num_polygons:
-        outline = np.asarray(scene.vertices)[i, : int(np.asarray(scene.num_vertices)[i])]
+        outline = np.asarray(scene.shapes.vertices)[i, : int(np.asarray(scene.shapes.num_vertices)[i])]
         spokes = []
     else:
-        radius = float(np.asarray(scene.radius)[i - num_polygons])
+        radius = float(np.asarray(scene.shapes.radius)[i - num_polygons])
         outline = _circle(radius)
         spokes = [_at_depth(np.array([[0.0, 0.0], [0.9 * radius, 0.0]]), OUTLINE_DEPTH)]
     colour = shape_colours(scene, rollout.level.shape_role)[i]
@@ -226,7 +227,7 @@ def _log_shape(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
         static=True,
     )
     # Fixed shapes lie behind the others, and every shape in a plane of its own.
-    is_fixed = np.asarray(scene.inverse_mass)[i] == 0
+    is_fixed = np.asarray(scene.shapes.inverse_mass)[i] == 0
     depth = (SHAPE_SPACING * rollout.num_shapes if is_fixed else 0.0) - SHAPE_SPACING * i
     translation = np.concatenate(
         [rollout.position[:, i], np.full((rollout.num_steps + 1, 1), depth, np.float32)], axis=-1
@@ -245,9 +246,9 @@ def _log_joint(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
     import rerun as rr
 
     scene = rollout.level.scene
-    path = f"{_shape_path(int(np.asarray(scene.joint_a)[k]))}/joint_{k}"
-    anchor = np.asarray(scene.joint_anchor_a, float)[k]
-    if np.asarray(scene.joint_is_fixed)[k]:
+    path = f"{_shape_path(int(np.asarray(scene.joints.a)[k]))}/joint_{k}"
+    anchor = np.asarray(scene.joints.anchor_a, float)[k]
+    if np.asarray(scene.joints.is_kind(JointKind.FIXED))[k]:
         arms = JOINT_RADIUS_M * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]]) / np.sqrt(2)
         strips = [_at_depth(anchor + arm, MARK_DEPTH) for arm in arms]
         stream.log(path, rr.LineStrips3D(strips, colors=[INK], radii=rr.Radius.ui_points(1.5)), static=True)
@@ -258,7 +259,7 @@ def _log_joint(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
     )
     stream.log(f"{path}/rim", rr.Mesh3D(**rim, albedo_factor=INK), static=True)
     motor_path = f"{path}/motor"
-    if not np.asarray(scene.motor_on)[k]:
+    if not np.asarray(scene.joints.motor_on)[k]:
         stream.log(motor_path, rr.Mesh3D(**middle, albedo_factor=MOTOR_IDLE), static=True)
         return
     stream.log(motor_path, rr.Mesh3D(**middle), static=True)
@@ -273,7 +274,7 @@ def _log_thruster(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
     import rerun as rr
 
     scene = rollout.level.scene
-    path = _shape_path(int(np.asarray(scene.thruster_body)[k]))
+    path = _shape_path(int(np.asarray(scene.thrusters.body)[k]))
     nozzle, flame = (_at_depth(part, MARK_DEPTH) for part in thruster_outline(scene, k))
     stream.log(
         f"{path}/thruster_{k}",
@@ -310,7 +311,7 @@ def _log_plots(stream: rr.RecordingStream, rollout: Rollout) -> None:
     ]
     for k in _motors(rollout):
         lines.append((f"motor/{k}", f"joint {k}", rollout.motor[:, k], before, MOTOR_PALETTE[k % len(MOTOR_PALETTE)]))
-    for k in np.flatnonzero(np.asarray(scene.thruster_active)):
+    for k in np.flatnonzero(np.asarray(scene.thrusters.active)):
         colour = THRUSTER_PALETTE[k % len(THRUSTER_PALETTE)]
         lines.append((f"thruster/{k}", f"thruster {k}", rollout.thruster[:, k], before, colour))
     for k in range(rollout.actions.shape[1]):

@@ -1,0 +1,124 @@
+"""Numbers that the solver's code fixes: tolerances, feature codes and keys, each with its unit and its reason.
+
+Both backends take them from here: the reference reads `CONSTANTS`, the kernel gets them as C++ macros of the same names
+in capitals (`cpp_macros`). Numbers that a user may choose are `Settings` instead.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+
+def _constant(value: float, unit: str, reason: str, beyond: str = "") -> Any:
+    """`beyond`: what breaks with another value."""
+    return dataclasses.field(default=value, metadata={"unit": unit, "reason": reason, "beyond": beyond})
+
+
+@dataclasses.dataclass(frozen=True)
+class Constants:
+    """See the fields; `unit`, `reason` and `beyond` stand in their metadata."""
+
+    # Geometry
+    far_distance: float = _constant(
+        1e30, "m", "a distance of what does not exist", "float32 overflows when squared: compared only"
+    )
+    coincident_distance: float = _constant(
+        1e-9,
+        "m",
+        "centres closer than this have no direction of their own",
+        "larger: touching points lose their normal",
+    )
+    on_face_distance: float = _constant(
+        1e-7, "m", "a circle's centre this near a face counts as inside", "0: the normal of a corner has no length"
+    )
+    min_span: float = _constant(
+        1e-9, "m", "an incident edge shorter along the face is not clipped", "0: division by zero"
+    )
+    flip_advantage: float = _constant(
+        0.0005, "m", "the other face must be better by it to become the reference", "0: normals flicker near a tie"
+    )
+    clearly_larger: float = _constant(
+        1.1, "ratio of extents", "from here on the larger shape's face is the reference", "1: equal boxes flicker"
+    )
+    grazing_distance: float = _constant(
+        0.005,
+        "m",
+        "shapes that are level to within it, or miss each other by it, slide past rather than meet",
+        "0: seams of a tiled floor stop what slides over them; larger: steps of that height become seamless",
+    )
+    grazing_share: float = _constant(
+        0.05,
+        "of a radius",
+        "for small discs instead of grazing_distance",
+        "1: a small disc misses what it hits squarely",
+    )
+    thin_share: float = _constant(
+        0.5,
+        "of an edge",
+        "a face covered by more is met in full, however thin",
+        "1: thin shapes pass each other's ends",
+    )
+    resting_speed: float = _constant(
+        0.1,
+        "m/s",
+        "slower than this, what overlaps or is about to meet rests where it is",
+        "0: resting shapes slide off",
+    )
+    # Contacts found ahead of motion
+    safe_core_share: float = _constant(
+        0.5, "of the smaller core", "a pair that moves farther in a step could pass through", "1: thin pairs tunnel"
+    )
+    max_interruptions: int = _constant(
+        8,
+        "a step",
+        "sub-steps are stopped so often to find contacts again",
+        "fewer: fast crowds tunnel; more: time only",
+    )
+    sweep_rounding: float = _constant(
+        2.0**-20,
+        "of a coordinate",
+        "sixteen times the rounding of one float32 operation",
+        "0: sweep and pair test differ",
+    )
+    # Bounces
+    joint_passes_of_bounce: int = _constant(2, "a round", "along a chain a bounce goes joint by joint")
+    bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")
+    min_kept_share: float = _constant(
+        0.001,
+        "of a push",
+        "a push that leaves less than this changes nothing any more",
+        "0: jammed bounces use all rounds",
+    )
+    min_secant_share: float = _constant(
+        0.125, "of a push", "the effective mass grows by eight a round at most", "0: one bad round throws a body"
+    )
+    max_secant_share: float = _constant(
+        2.0, "of a push", "more than this is no answer to the push", "larger: oscillation"
+    )
+    energy_rounding: float = _constant(
+        1e-5, "of the energy", "sums in float32 may be wrong by it", "0: exact bounces shrink"
+    )
+    # Features tell a contact's points apart between steps; points of a pair ascend in them.
+    feature_edge: int = _constant(8, "a step of the reference edge's number", "8 vertices at most")
+    feature_flipped: int = _constant(64, "flag", "the reference face is that of b")
+    feature_corner_outside: int = _constant(128, "flag", "corner against corner, apart")
+    feature_corner_inside: int = _constant(256, "flag", "corner against corner, overlapping")
+    feature_seam: int = _constant(384, "flag", "a seam between faces")
+    feature_incident: int = _constant(512, "a step of the incident edge's number", "4,096 features fill the key's bits")
+    # Keys: shape a, shape b, feature, in one positive int32
+    feature_bits: int = _constant(12, "bits", "of the feature, the lowest ones")
+    shape_bits: int = _constant(10, "bits", "of a shape's number", "512 shapes: a's number keeps the sign bit free")
+
+
+CONSTANTS = Constants()
+
+
+def cpp_macros() -> str:
+    """One `#define` a constant, float32 for floats."""
+    lines = []
+    for field in dataclasses.fields(CONSTANTS):
+        value = getattr(CONSTANTS, field.name)
+        text = f"real({value!r})" if isinstance(value, float) else str(value)
+        lines.append(f"#define {field.name.upper()} {text}")
+    return "\n".join(lines)

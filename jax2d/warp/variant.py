@@ -1,0 +1,98 @@
+"""What a kernel is compiled for and how: everything that is not a run-time number."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from jax2d.effects import Effects
+from jax2d.scene import Capacity
+from jax2d.settings import Settings, Solver
+
+# How many numbers of a body a GPU keeps in shared memory (all that solving uses; all but what it has moved), and from
+# how many worlds on that is faster: what is shared is taken from the cache, which few worlds make better use of.
+SHARED_RECORDS = ((8, 65536), (5, 131072))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CompileOptions:
+    """How a kernel is compiled and launched. They change its speed, and no result but for `fast_math` and `fuse_fp`."""
+
+    block_dim: int = 64  # threads a block on a GPU, one a world
+    shared_bytes: int = 20480  # of shared memory for a block: with more, fewer blocks run at a time
+    shared_record: int | None = None  # numbers of a body in shared memory; None: by shapes and worlds
+    sweep_above_shapes: int = 32  # up to here testing every pair costs less than a sweep (docs: how cost grows)
+    max_registers: int | None = None  # a thread
+    min_blocks: int | None = None  # a multiprocessor, for which the compiler limits registers
+    spills_in_shared: bool = False
+    fast_math: bool = False
+    fuse_fp: bool = True
+
+    @property
+    def module_options(self) -> dict[str, Any]:
+        """Of a Warp module. Loops over compile-time constants would be unrolled 86 s deep; gradients are the reference
+        backend's job."""
+        return {
+            "max_unroll": 0,
+            "enable_backward": False,
+            **({"fast_math": True} if self.fast_math else {}),
+            **({} if self.fuse_fp else {"fuse_fp": False}),
+        }
+
+    @property
+    def kernel_options(self) -> dict[str, Any]:
+        """Of a Warp kernel."""
+        options: dict[str, Any] = {}
+        if self.max_registers is not None:
+            options["cuda_max_registers"] = self.max_registers
+        if self.min_blocks is not None:
+            options["launch_bounds"] = (self.block_dim, self.min_blocks)
+        if self.spills_in_shared:
+            options["enable_cuda_smem_spilling"] = True
+        return options
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KernelVariant:
+    """One kernel. Hashable: kernels are built once a process."""
+
+    capacity: Capacity
+    effects: Effects
+    solver: Solver
+    friction_mixing: str
+    shared_record: int = 0  # numbers of a body in a GPU's shared memory
+    options: CompileOptions = CompileOptions()
+
+    @classmethod
+    def of(
+        cls, capacity: Capacity, settings: Settings, effects: Effects, options: CompileOptions | None = None
+    ) -> KernelVariant:
+        return cls(
+            capacity=capacity,
+            effects=effects,
+            solver=settings.solver,
+            friction_mixing=settings.friction_mixing,
+            shared_record=(options.shared_record or 0) if options is not None else 0,
+            options=options if options is not None else CompileOptions(),
+        )
+
+    @property
+    def is_soft(self) -> bool:
+        return self.solver == "soft_step"
+
+    def for_worlds(self, worlds: int) -> KernelVariant:
+        """The variant that a GPU steps so many worlds with."""
+        if self.options.shared_record is not None:
+            return self
+        shapes = self.effects.polygon_slots + self.effects.circle_slots
+        record = shared_record(shapes, worlds, self.options)
+        return dataclasses.replace(self, shared_record=record)
+
+
+def shared_record(shapes: int, worlds: int, options: CompileOptions | None = None) -> int:
+    """How many numbers of a body a kernel for so many shapes keeps in a GPU's shared memory."""
+    options = options if options is not None else CompileOptions()
+    for numbers, min_worlds in SHARED_RECORDS:
+        if 4 * numbers * shapes * options.block_dim <= options.shared_bytes:
+            return numbers if worlds >= min_worlds else 0
+    return 0

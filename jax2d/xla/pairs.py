@@ -1,0 +1,89 @@
+"""All pairs of shapes of a capacity, and the contact points of those that are near each other."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Capacity
+from jax2d.xla.bodies import Bodies
+from jax2d.xla.geometry import Geometry
+from jax2d.xla.manifolds import Points, circle_circle, polygon_circle, polygon_polygon
+from jax2d.xla.rules import Rules
+
+
+class PairList(NamedTuple):
+    """All pairs a < b of a capacity by kind, and where each of their points stands in the kernel's order. Numpy."""
+
+    polygon_polygon: np.ndarray  # [:, 2] shape indices
+    polygon_circle: np.ndarray
+    circle_circle: np.ndarray
+    order: np.ndarray  # [points] position among points by kind, for each point in order of pairs
+    point_a: np.ndarray  # [points] shape indices of each point, in order of pairs
+    point_b: np.ndarray
+
+
+@functools.cache
+def pair_list(capacity: Capacity) -> PairList:
+    n, polygons = capacity.shapes, capacity.polygons
+    a, b = np.triu_indices(n, 1)
+    pairs = np.stack([a, b], -1).astype(np.int32)
+    kinds = [pairs[b < polygons], pairs[(a < polygons) & (b >= polygons)], pairs[a >= polygons]]
+    points = np.concatenate([np.repeat(kinds[0], 2, axis=0), *kinds[1:]])
+    order = np.lexsort((points[:, 1], points[:, 0])).astype(np.int32)  # stable: the two points of a pair stay in order
+    return PairList(*kinds, order=order, point_a=points[order, 0], point_b=points[order, 1])
+
+
+def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, rules: Rules) -> Points:
+    """Points of all pairs, in order of pairs. margin [n, n] m: points farther apart than this are left out.
+
+    For soft step points lie midway, and what slides over the seams of a floor is not stopped by them. For `paper` they
+    lie where its appendix says (Collision Manifolds), and only what penetrates has any.
+    """
+    pairs = pair_list(capacity)
+    velocity, omega = bodies.velocities
+    first_circle = capacity.polygons
+    found = []
+    for kind, collide_one, geometry_a, geometry_b, first_a, first_b in (
+        (pairs.polygon_polygon, polygon_polygon, geometry.polygons, geometry.polygons, 0, 0),
+        (pairs.polygon_circle, polygon_circle, geometry.polygons, geometry.radius, 0, first_circle),
+        (pairs.circle_circle, circle_circle, geometry.radius, geometry.radius, first_circle, first_circle),
+    ):
+        if not len(kind):
+            continue
+        a, b = kind[:, 0], kind[:, 1]
+        d = bodies.position[b] - bodies.position[a]
+        one = jax.tree.map(lambda x, i=a - first_a: x[i], geometry_a)
+        other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
+        relative_velocity, spin = velocity[b] - velocity[a], omega[a]
+        if collide_one is polygon_polygon:
+            points = jax.vmap(functools.partial(polygon_polygon, rules=rules))(
+                one, other, d, relative_velocity, margin[a, b]
+            )
+        elif collide_one is polygon_circle:
+            collide_circle = functools.partial(polygon_circle, rules=rules)
+            points = jax.vmap(collide_circle)(one, other, d, relative_velocity, spin, margin[a, b])
+        else:
+            points = jax.vmap(functools.partial(circle_circle, rules=rules))(one, other, d, margin[a, b])
+        near = bounds_overlap(geometry, a, b, d, margin[a, b])
+        points = points._replace(exists=points.exists & near[:, None])
+        found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))
+    return jax.tree.map(lambda *xs: jnp.concatenate(xs)[pairs.order], *found)
+
+
+class Bounds(Protocol):
+    """What has axis-aligned bounds relative to centres of mass."""
+
+    lower: jax.Array  # [n, 2] m
+    upper: jax.Array
+
+
+def bounds_overlap(geometry: Bounds, a: np.ndarray, b: np.ndarray, d: jax.Array, margin: jax.Array) -> jax.Array:
+    reach = margin[:, None]
+    below = geometry.lower[b] + d <= geometry.upper[a] + reach
+    above = geometry.upper[b] + d >= geometry.lower[a] - reach
+    return jnp.all(below & above, axis=-1)

@@ -1,0 +1,131 @@
+"""The order in which the published package solves contacts, for `Settings.published_details` solve_order, last_pair."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Capacity, Scene
+from jax2d.xla.bodies import Velocities
+from jax2d.xla.pairs import PairList, pair_list
+from jax2d.xla.published import is_fixed_pair
+from jax2d.xla.rules import Rules
+
+if TYPE_CHECKING:
+    from jax2d.xla.contact_solver import Row
+
+
+class SolveOrder(NamedTuple):
+    """When the points of a step are solved."""
+
+    batch: jax.Array  # [points] int32, number of the batch in an iteration
+    is_forgotten: jax.Array  # [points] bool, its impulse is dropped after every iteration
+
+
+class Queue(NamedTuple):
+    """Points in the order in which the published package goes through them. Numpy, of one capacity.
+
+    It has four groups, one after another: the deepest point of every polygon pair, the other points of polygon pairs,
+    circle and polygon (circle by circle), circle and circle. Each is cut into batches of its own.
+    """
+
+    group: np.ndarray  # [points] of the group
+    is_before: np.ndarray  # [points, points] bool, the other stands earlier in the same group
+    is_beside: np.ndarray  # [points, points] bool, the other is in the same group
+    first_batch: np.ndarray  # [4] number of the group's first batch
+    batches: np.ndarray  # [4]
+    pairs: np.ndarray  # [4] of the group, in contact or not
+    is_last: np.ndarray  # [points] bool, of the last pair of its group, whose last batches are not full
+
+
+def num_batches(capacity: Capacity, rules: Rules) -> int:
+    return int(_queue(pair_list(capacity), capacity, rules).batches.sum())
+
+
+def _queue(pairs: PairList, capacity: Capacity, rules: Rules) -> Queue:
+    a, b = pairs.point_a, pairs.point_b
+    is_circle_a, is_circle_b = a >= capacity.polygons, b >= capacity.polygons
+    is_second = ~is_circle_b & (np.arange(len(a)) > 0) & (a == np.roll(a, 1)) & (b == np.roll(b, 1))
+    group = np.where(is_circle_a, 3, np.where(is_circle_b, 2, np.where(is_second, 1, 0)))
+    is_listed = np.ones(len(a), bool)
+    if "fixed_slots" in rules.published_details:
+        is_listed = ~is_fixed_pair(pairs, capacity)
+    # Circle and polygon go circle by circle, all others by their first shape.
+    major, minor = np.where(group == 2, b, a), np.where(group == 2, a, b)
+    place = major * capacity.shapes + minor
+    is_beside = (group[:, None] == group) & is_listed
+    is_before = is_beside & (place < place[:, None])
+    count = np.array([np.sum((group == g) & is_listed) for g in range(4)])
+    batches = -(-count // rules.solver_batch_size)
+    is_last = np.zeros(len(a), bool)
+    for g in range(4):
+        if count[g] % rules.solver_batch_size:
+            is_last |= (group == g) & (place == np.max(place, where=(group == g) & is_listed, initial=-1))
+    return Queue(group, is_before, is_beside, np.cumsum(batches) - batches, batches, count, is_last)
+
+
+def solve_order(
+    overlaps: jax.Array, scene: Scene, is_dynamic: jax.Array, pairs: PairList, capacity: Capacity, rules: Rules
+) -> SolveOrder | None:
+    """When all points are solved; `overlaps` [points] bool says which exist. None where nothing depends on them.
+
+    Pairs in contact are spread over the batches of their group. Those of one body, held by joints, count too, although
+    they are not solved.
+    """
+    if not rules.published_details & {"solve_order", "last_pair"}:
+        return None
+    queue = _queue(pairs, capacity, rules)
+    a, b = pairs.point_a, pairs.point_b
+    is_one_body = _bodies_of_joints(scene, capacity.shapes)
+    both_fixed = ~is_dynamic[a] & ~is_dynamic[b] & scene.shapes.active[a] & scene.shapes.active[b]
+    in_contact = overlaps & (scene.shapes.can_touch[a, b] | is_one_body[a, b] | both_fixed)
+    # The two points of a pair are solved in the order of the first.
+    first = np.where(queue.group == 1, np.arange(len(a)) - 1, np.arange(len(a)))
+    counted = in_contact[first].astype(jnp.int32)
+    rank = jnp.sum(jnp.where(queue.is_before, counted, 0), axis=1)
+    total = jnp.sum(jnp.where(queue.is_beside, counted, 0), axis=1)
+    group = queue.group
+    spread = (queue.pairs[group] - total + rank) % np.maximum(queue.batches[group], 1)
+    return SolveOrder(batch=queue.first_batch[group] + spread, is_forgotten=jnp.asarray(queue.is_last))
+
+
+def _bodies_of_joints(scene: Scene, num_shapes: int) -> jax.Array:
+    """[n, n] bool: shapes that joints connect, however many lie between."""
+    body = jnp.arange(num_shapes)
+    for joint in range(scene.joints.active.shape[0]):
+        a, b = body[scene.joints.a[joint]], body[scene.joints.b[joint]]
+        merged = jnp.where(body == b, a, body)
+        body = jnp.where(scene.joints.active[joint], merged, body)
+    index = jnp.arange(num_shapes)
+    return (body[:, None] == body) & (index[:, None] != index)
+
+
+def in_turn(
+    solve: Callable,
+    velocities: Velocities,
+    rows: Row,
+    wanted: jax.Array,
+    order: SolveOrder | None,
+    num_batches: int,
+) -> tuple[Velocities, Any]:
+    """Solves in the published package's order: one batch after another, the contacts of each from the same
+    velocities."""
+    assert order is not None
+    pair, batch = rows.pair, order.batch
+
+    def solve_batch(carry: tuple, now: jax.Array) -> tuple[tuple, None]:
+        velocities, (normal, tangent) = carry
+        is_due = batch == now
+        due = pair._replace(is_a=pair.is_a & is_due[:, None], is_b=pair.is_b & is_due[:, None])
+        row = rows._replace(pair=due, impulse_normal=normal, impulse_tangent=tangent)
+        velocities, totals = solve(velocities, (row, wanted))
+        return (velocities, jax.tree.map(lambda x, y: jnp.where(is_due, x, y), totals, (normal, tangent))), None
+
+    batches = jnp.arange(num_batches)
+    start = (velocities, (rows.impulse_normal, rows.impulse_tangent))
+    (velocities, totals), _ = jax.lax.scan(solve_batch, start, batches)
+    return velocities, totals

@@ -1,0 +1,33 @@
+"""What is compiled into the reference's programs: choices of the settings that are no run-time numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jax2d.settings import Settings
+
+
+class Rules(NamedTuple):
+    """What is compiled in."""
+
+    solver: str
+    friction_mixing: str
+    substeps: int
+    bounce_rounds: int
+    solver_batch_size: int
+    published_details: frozenset[str]  # of jax2d/published_details.py
+
+    @property
+    def is_soft(self) -> bool:
+        return self.solver == "soft_step"
+
+
+def rules_of(settings: Settings) -> Rules:
+    return Rules(
+        settings.solver,
+        settings.friction_mixing,
+        settings.substeps,
+        settings.bounce_rounds,
+        settings.solver_batch_size,
+        frozenset(settings.published_details),
+    )
