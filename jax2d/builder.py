@@ -157,21 +157,26 @@ class SceneBuilder:
         """Holds a and b together at the world point `at`. With `motor_speed` (in units of
         settings.base_motor_speed) a control drives b relative to a; `limits` bound angle_b - angle_a, counted
         from how they stand now, in rad."""
-        values: dict[str, float] = {}
-        if motor_speed is not None:
-            values |= {"motor_on": True, "motor_speed": _number("motor_speed", motor_speed)}
-            values |= {"motor_power": _positive("motor_power", motor_power)}
-        if limits is not None:
-            lower, upper = _finite("limits", limits, 2)
-            if lower > upper:
-                raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller angle first")
-            if not lower <= 0 <= upper:
-                raise SceneError(
-                    f"limits {lower:g} to {upper:g} leave out 0, which is how the shapes stand now; limits count from "
-                    "there: add the shapes at angles within the limits"
-                )
-            values |= {"has_limits": True, "lower_limit": lower, "upper_limit": upper}
-        return self._add_joint(a, b, at, values)
+        return self._add_joint(a, b, at, _drive(motor_speed, motor_power, limits))
+
+    def add_prismatic_joint(
+        self,
+        a: int,
+        b: int,
+        *,
+        at: Point,
+        axis_angle: float,
+        motor_speed: float | None = None,
+        motor_power: float = 1.0,
+        limits: tuple[float, float] | None = None,
+    ) -> int:
+        """Lets b slide along the world angle `axis_angle` (rad), which turns with a, without turning against a. With
+        `motor_speed` (in units of settings.base_slider_speed) a control drives b along the axis; `limits` bound how
+        far it has slid from where it stands now, in m."""
+        a = self._shape("a", a)
+        local_axis = _number("axis_angle", axis_angle) - float(self._angle[a])
+        values = {"kind": JointKind.PRISMATIC, "axis_angle": local_axis}
+        return self._add_joint(a, b, at, values | _drive(motor_speed, motor_power, limits))
 
     def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
         """Welds a and b together as they stand."""
@@ -258,6 +263,27 @@ class SceneBuilder:
 
     def _to_local(self, body: int, at: Point) -> np.ndarray:
         return _rotate(np.asarray(_finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
+
+
+def _drive(
+    motor_speed: float | None, motor_power: float, limits: tuple[float, float] | None
+) -> dict[str, float]:
+    """Fields of `Joints` for a motor and limits."""
+    values: dict[str, float] = {}
+    if motor_speed is not None:
+        values |= {"motor_on": True, "motor_speed": _number("motor_speed", motor_speed)}
+        values |= {"motor_power": _positive("motor_power", motor_power)}
+    if limits is not None:
+        lower, upper = _finite("limits", limits, 2)
+        if lower > upper:
+            raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller number first")
+        if not lower <= 0 <= upper:
+            raise SceneError(
+                f"limits {lower:g} to {upper:g} leave out 0, which is how the shapes stand now; limits count from "
+                "there: add the shapes where they are within the limits"
+            )
+        values |= {"has_limits": True, "lower_limit": lower, "upper_limit": upper}
+    return values
 
 
 def _body(

@@ -43,6 +43,7 @@ OUTLINE_SHADE = 0.6
 DEFAULT_VIEW: Box = (-0.12, -0.12, 5.12, 5.12)  # the 5 x 5 m box with a rim of its walls
 THRUSTER_LENGTH_M = 0.16
 JOINT_RADIUS_M = 0.06
+RAIL_M = 0.5  # of a slider without limits, to each side
 
 
 def shape_colours(scene: Scene, roles: Any = None, palette: Sequence[Colour] = ROLE_PALETTE) -> np.ndarray:
@@ -211,6 +212,21 @@ def _draw_shapes(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.
             canvas.line(position[i], rim, outline, 1.6)  # a spoke: how far it has rolled
 
 
+def slider_outline(scene: Scene, position: np.ndarray, angle: np.ndarray, k: int) -> np.ndarray:
+    """Ends of the rail of prismatic joint k in the world, [2, 2] m: between its limits, or a body's length to each side
+    of where b is."""
+    joints = scene.joints
+    a, b = joints.a[k], joints.b[k]
+    origin = position[a] + rotate(np.asarray(joints.anchor_a, float)[k], angle[a])
+    axis = rotate(np.array([1.0, 0.0]), angle[a] + float(joints.axis_angle[k]))
+    if joints.has_limits[k]:
+        reach = np.array([joints.lower_limit[k], joints.upper_limit[k]], float)
+    else:
+        at = position[b] + rotate(np.asarray(joints.anchor_b, float)[k], angle[b])
+        reach = float((at - origin) @ axis) + np.array([-RAIL_M, RAIL_M])
+    return origin + reach[:, None] * axis
+
+
 def thruster_outline(scene: Scene, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Nozzle [3, 2] and flame [3, 2] of thruster k in the frame of its body, m: the push is from base to tip."""
     at, angle = np.asarray(scene.thrusters.position, float)[k], float(np.asarray(scene.thrusters.angle)[k])
@@ -235,7 +251,11 @@ def _draw_thrusters(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: 
 def _draw_joints(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray) -> None:
     places = joint_positions(scene, position, angle)
     for k in np.flatnonzero(scene.joints.active):
-        if scene.joints.is_kind(JointKind.FIXED)[k]:  # a weld: a small cross
+        if scene.joints.is_kind(JointKind.PRISMATIC)[k]:  # a slider: a rail on a, and a block on it
+            for start, end in itertools.pairwise(slider_outline(scene, position, angle, k)):
+                canvas.line(start, end, INK, 1.6)
+            canvas.disc(places[k], JOINT_RADIUS_M * 0.7, MOTOR_PALETTE[0] if scene.joints.motor_on[k] else INK)
+        elif scene.joints.is_kind(JointKind.FIXED)[k]:  # a weld: a small cross
             for turn in (0.25 * np.pi, 0.75 * np.pi):
                 arm = rotate(np.array([JOINT_RADIUS_M, 0.0]), turn)
                 canvas.line(places[k] - arm, places[k] + arm, INK, 2.4)

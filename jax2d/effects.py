@@ -30,6 +30,7 @@ EFFECTS = (
     "continuous_collision",
     "revolute_joints",
     "fixed_joints",
+    "prismatic_joints",
     "joint_limits",
     "motors",
     "thrusters",
@@ -54,8 +55,9 @@ class Effects:
     continuous_collision: bool = False  # bodies that could step over what is in their way: wherever shapes may touch
     revolute_joints: bool = False
     fixed_joints: bool = False
-    joint_limits: bool = False  # of revolute joints
-    motors: bool = False  # of revolute joints
+    prismatic_joints: bool = False
+    joint_limits: bool = False  # of joints that are not fixed
+    motors: bool = False  # of joints that are not fixed
     thrusters: bool = False
     gravity: bool = False  # that acts on a mass
     # Number of slots, from the first, in which anything is active
@@ -76,6 +78,10 @@ class Effects:
             thruster_slots=capacity.thrusters,
             contact_slots=capacity.contact_slots,
         )
+
+    def known_to(self, solver: str) -> Effects:
+        """These effects as far as a solver has them: the paper's appendix knows no prismatic joints."""
+        return self if solver == "soft_step" else self.without("prismatic_joints")
 
     def missing(self, other: Effects) -> tuple[str, ...]:
         """Names of what `other` calls for and this has not, in the order of EFFECTS and SLOTS."""

@@ -79,15 +79,17 @@ class Engine:
         backend: str | BackendFactory = "warp",
         dtype: Any = jnp.float32,
     ):
-        """`effects`: what the kernel is compiled for, `effects_of(scenes)`; everything by default. `backend`: "warp",
-        the fused kernel, or "xla", the reference in plain JAX (slow, differentiable, also in float64), or what makes
-        another. `dtype` is that of states and of the arithmetic."""
+        """`effects`: what the kernel is compiled for, `effects_of(scenes)`; by default everything that the solver has
+        (the paper's has no prismatic joints). `backend`: "warp", the fused kernel, or "xla", the reference in plain JAX
+        (slow, differentiable, also in float64), or what makes another. `dtype` is that of states and of the
+        arithmetic."""
         if isinstance(backend, str) and backend not in BACKENDS:
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity
         self.settings = settings if settings is not None else preset("standard")
-        self.effects = effects if effects is not None else Effects.full(capacity)
-        check_effects(self.effects, capacity)
+        wanted = effects if effects is not None else Effects.full(capacity)
+        check_effects(wanted, capacity)
+        self.effects = wanted.known_to(self.settings.solver)
         self.dtype = np.dtype(dtype)
         factory = BACKENDS[backend] if isinstance(backend, str) else backend
         self.backend = factory(capacity, self.settings, self.dtype, self.effects)

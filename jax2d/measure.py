@@ -60,14 +60,18 @@ def work_at_most(
     after, and what it adds itself.
     """
     inverse_mass, inverse_inertia = jnp.asarray(scene.shapes.inverse_mass), jnp.asarray(scene.shapes.inverse_inertia)
-    yielding = inverse_inertia[scene.joints.a] + inverse_inertia[scene.joints.b]
-    inertia = jnp.where(yielding > 0, 1.0 / jnp.where(yielding > 0, yielding, 1.0), 0.0)
-    driven = (
-        jnp.asarray(scene.joints.active) & scene.joints.motor_on & ~jnp.asarray(scene.joints.is_kind(JointKind.FIXED))
-    )
-    torque = settings.base_motor_power * jnp.asarray(scene.joints.motor_power) * inertia
-    target = settings.base_motor_speed * jnp.abs(controls.motor * scene.joints.motor_speed)
-    motors = jnp.where(driven, torque * target * seconds, 0.0)
+    joints = scene.joints
+    slides = jnp.asarray(joints.is_kind(JointKind.PRISMATIC))
+    # Of a slider at most, since turning bodies yield more.
+    inverse = jnp.where(slides, inverse_mass[joints.a], inverse_inertia[joints.a])
+    inverse += jnp.where(slides, inverse_mass[joints.b], inverse_inertia[joints.b])
+    mass = jnp.where(inverse > 0, 1.0 / jnp.where(inverse > 0, inverse, 1.0), 0.0)
+    driven = jnp.asarray(joints.active) & joints.motor_on & ~jnp.asarray(joints.is_kind(JointKind.FIXED))
+    base_power = jnp.where(slides, settings.base_slider_power, settings.base_motor_power)
+    base_speed = jnp.where(slides, settings.base_slider_speed, settings.base_motor_speed)
+    force = base_power * jnp.asarray(joints.motor_power) * mass
+    target = base_speed * jnp.abs(controls.motor * joints.motor_speed)
+    motors = jnp.where(driven, force * target * seconds, 0.0)
 
     body = scene.thrusters.body
     force = settings.base_thruster_power * jnp.asarray(scene.thrusters.power) * controls.thruster
@@ -84,7 +88,7 @@ def work_at_most(
 
 
 def joint_gaps(scene: Scene, state: State) -> jax.Array:
-    """Distance between the two anchors of each joint, [J] m; zero for inactive joints."""
+    """Distance between the two anchors of each joint, of a slider across its axis, [J] m; zero for inactive joints."""
 
     def anchor(body: Array, local: Array) -> jax.Array:
         c, s = jnp.cos(state.angle[body]), jnp.sin(state.angle[body])
@@ -92,7 +96,10 @@ def joint_gaps(scene: Scene, state: State) -> jax.Array:
         return state.position[body] + turned
 
     gap = anchor(scene.joints.b, scene.joints.anchor_b) - anchor(scene.joints.a, scene.joints.anchor_a)
-    return jnp.where(scene.joints.active, jnp.linalg.norm(gap, axis=-1), 0.0)
+    axis_angle = scene.joints.axis_angle + state.angle[scene.joints.a]
+    across = jnp.abs(jnp.cos(axis_angle) * gap[:, 1] - jnp.sin(axis_angle) * gap[:, 0])
+    distance = jnp.where(scene.joints.is_kind(JointKind.PRISMATIC), across, jnp.linalg.norm(gap, axis=-1))
+    return jnp.where(scene.joints.active, distance, 0.0)
 
 
 def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:

@@ -34,6 +34,7 @@ class JointKind(enum.IntEnum):
 
     REVOLUTE = 0  # turning about the common point; may have a motor and limits
     FIXED = 1  # nothing: a weld
+    PRISMATIC = 2  # sliding along an axis of a; may have a motor and limits
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -114,7 +115,8 @@ class Shapes:
 class Joints:
     """`J` joints: body b is held to body a. A joint of a shape that is not active does nothing.
 
-    Limits and rest are of angle_b - angle_a - rest_angle. A motor drives that angle forward at positive speed.
+    What limits bound and a motor drives forward at positive speed: of a revolute joint angle_b - angle_a - rest_angle
+    (rad), of a prismatic one how far the anchor of b lies along the axis from that of a (m).
     """
 
     active: Array = array("J", bool, "padded slots are False", empty=False, bits=1)
@@ -123,15 +125,24 @@ class Joints:
     b: Array = array("J", int, "shape index", refers_to="n", bits=SHAPE_INDEX_BITS)
     anchor_a: Array = array("J 2", float, "frame of a", unit="m")
     anchor_b: Array = array("J 2", float, "frame of b", unit="m")
-    rest_angle: Array = array("J", float, "angle_b - angle_a at which a weld rests; zero of limits", unit="rad")
+    rest_angle: Array = array(
+        "J", float, "angle_b - angle_a that a weld or a slider holds; zero of a revolute joint's limits", unit="rad"
+    )
+    axis_angle: Array = array("J", float, "frame of a: along which b slides, of prismatic joints", unit="rad")
     motor_on: Array = array("J", bool, "it has a motor", empty=False, bits=1)
-    motor_speed: Array = array("J", float, "target", unit="settings.base_motor_speed", empty=1)
+    motor_speed: Array = array("J", float, "target", unit="settings.base_motor_speed or base_slider_speed", empty=1)
     motor_power: Array = array(
-        "J", float, "strength", unit="settings.base_motor_power", empty=1, at_least=0, only_where="motor_on"
+        "J",
+        float,
+        "strength",
+        unit="settings.base_motor_power or base_slider_power",
+        empty=1,
+        at_least=0,
+        only_where="motor_on",
     )
     has_limits: Array = array("J", bool, "it has limits", empty=False, bits=1)
-    lower_limit: Array = array("J", float, "at most upper_limit", unit="rad")
-    upper_limit: Array = array("J", float, "at least lower_limit", unit="rad")
+    lower_limit: Array = array("J", float, "at most upper_limit", unit="rad or m")
+    upper_limit: Array = array("J", float, "at least lower_limit", unit="rad or m")
 
     def is_kind(self, kind: JointKind) -> Array:
         """[..., J] bool, joints of this kind, active or not."""
@@ -175,7 +186,10 @@ class State:
     velocity: Array = array("n 2", float, "of the centre of mass", unit="m/s")
     angular_velocity: Array = array("n", float, "counter-clockwise", unit="rad/s")
     joint_impulse: Array = array(
-        "J 5", float, "point x, point y, angle or motor, lower limit, upper limit", unit="N s and N m s"
+        "J 5",
+        float,
+        "point x, point y (prismatic: across the axis, angle), angle or motor, lower limit, upper limit",
+        unit="N s and N m s",
     )
     contact_key: Array = array("K", int, "which pair and feature a slot belongs to; -1 for an unused slot", empty=-1)
     contact_impulse: Array = array("K 2", float, "normal, tangent", unit="N s")

@@ -33,6 +33,8 @@ class Settings:
     friction_mixing: Literal["geometric_mean", "root_sum_square"] = "geometric_mean"
     base_motor_speed: float = 6.0  # rad/s at motor_speed 1
     base_motor_power: float = 900.0  # rad/s^2 that a motor of power 1 gives to its two bodies alone
+    base_slider_speed: float = 2.0  # m/s at motor_speed 1 of a prismatic joint
+    base_slider_power: float = 100.0  # m/s^2 that its motor of power 1 gives to its two bodies alone
     base_thruster_power: float = 10.0  # N at thruster_power 1
 
     warm_start: bool = True  # steps begin with the impulses of the step before; off is for studying what that is worth

@@ -31,6 +31,8 @@ class SolverNumbers(NamedTuple):
     base_friction: Scalar
     base_motor_speed: Scalar
     base_motor_power: Scalar
+    base_slider_speed: Scalar
+    base_slider_power: Scalar
     base_thruster_power: Scalar
     max_speed: Scalar
     max_angular_speed: Scalar

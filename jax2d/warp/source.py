@@ -27,6 +27,8 @@ NATIVE_FILES = (
     "sweep.h",
     "pairs.h",
     "contacts.h",
+    "joint.h",
+    "sliders.h",
     "joints.h",
     "forces.h",
     "bounces.h",
@@ -47,7 +49,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
     if polygons + circles == 0:  # arrays need a length: a shape that is never active
         polygons, circles = min(1, capacity.polygons), min(1, capacity.circles)
     has_pairs = effects.polygon_pairs or effects.polygon_circle_pairs or effects.circle_pairs
-    has_joints = effects.revolute_joints or effects.fixed_joints
+    has_joints = effects.revolute_joints or effects.fixed_joints or effects.prismatic_joints
     sweep = has_pairs and polygons + circles > variant.options.sweep_above_shapes
     values = {
         "CAPACITY_POLYGONS": capacity.polygons,

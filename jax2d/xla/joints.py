@@ -1,11 +1,16 @@
-"""Joints of one world: motor, limits, the relative angle of fixed joints, and the common point.
+"""Joints of one world: motor, limits, the relative angle of welds, and what holds the two bodies together.
 
-Body b is held to body a. Angles are angle_b - angle_a - rest angle. Solved one after another, in slot order.
+Body b is held to body a. Angles are angle_b - angle_a - rest angle. Solved one after another, in slot order. Every
+constraint is a row of a Jacobian, so that all kinds of joints are one code path:
+
+                       driven and limited along            held by two rows
+    revolute, fixed    the angle                           x and y of the common point
+    prismatic          the axis                            across the axis, and the angle
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,12 +23,9 @@ from jax2d.xla.bodies import (
     Pair,
     PairVelocities,
     Velocities,
-    apply_angular_impulse,
-    apply_impulse,
     pair_up,
     pair_velocities,
     pick,
-    relative_velocity,
     scatter_velocities,
 )
 
@@ -31,9 +33,9 @@ from jax2d.xla.bodies import (
 class JointImpulses(NamedTuple):
     """Accumulated over steps."""
 
-    point: jax.Array  # [J, 2] N s
-    angular_impulse: jax.Array  # [J] N m s, of the motor, or of a fixed joint's angle
-    lower: jax.Array  # [J] N m s
+    point: jax.Array  # [J, 2] N s; of a slider across its axis (N s) and about it (N m s)
+    angular_impulse: jax.Array  # [J] N m s, of the motor (of a slider N s), or of a fixed joint's angle
+    lower: jax.Array  # [J] N m s, of a slider N s
     upper: jax.Array
 
 
@@ -42,20 +44,22 @@ class Joints(NamedTuple):
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
+    is_prismatic: jax.Array  # [J] bool
     is_driven: jax.Array  # [J] bool, a motor with a control
     is_limited: jax.Array  # [J] bool
     pair: Pair  # of [J]
+    axis_angle: jax.Array  # [J] rad, frame of a
     local_a: jax.Array  # [J, 2] m, anchors in the bodies' frames
     local_b: jax.Array
     angle_a: jax.Array  # [J] rad, of the bodies at the start of the step
     angle_b: jax.Array
     centre_gap: jax.Array  # [J, 2] m, centre of b from centre of a at the start of the step
     start_angle: jax.Array  # [J] rad, at the start of the step
-    axial_mass: jax.Array  # [J] kg m^2
+    axial_mass: jax.Array  # [J] kg m^2, of a slider kg
     control: jax.Array  # [J]
-    motor_target: jax.Array  # [J] rad/s
-    max_motor_impulse: jax.Array  # [J] N m s, largest impulse of one sub-step
-    lower: jax.Array  # [J] rad
+    motor_target: jax.Array  # [J] rad/s, of a slider m/s
+    max_motor_impulse: jax.Array  # [J] N m s, largest impulse of one sub-step; of a slider N s
+    lower: jax.Array  # [J] rad, of a slider m
     upper: jax.Array
     impulses: JointImpulses
 
@@ -69,30 +73,37 @@ def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Con
     a, b = scene.joints.a, scene.joints.b
     is_held = scene.joints.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
-    axial_mass = vec2.inverse_or_zero(pair.inertia_a + pair.inertia_b)
-    is_driven = scene.joints.motor_on & ~scene.joints.is_kind(JointKind.FIXED) & (controls.motor != 0)
-    angular_impulse = jnp.where(is_driven | scene.joints.is_kind(JointKind.FIXED), impulses.angular_impulse, 0)
-    return Joints(
+    is_fixed, is_prismatic = (scene.joints.is_kind(kind) for kind in (JointKind.FIXED, JointKind.PRISMATIC))
+    is_driven = scene.joints.motor_on & ~is_fixed & (controls.motor != 0)
+    angular_impulse = jnp.where(is_driven | is_fixed, impulses.angular_impulse, 0)
+    speed = jnp.where(is_prismatic, params.base_slider_speed, params.base_motor_speed)
+    joints = Joints(
         is_held=is_held,
-        is_fixed=scene.joints.is_kind(JointKind.FIXED),
+        is_fixed=is_fixed,
+        is_prismatic=is_prismatic,
         is_driven=is_driven,
         is_limited=scene.joints.has_limits,
         pair=pair,
+        axis_angle=scene.joints.axis_angle,
         local_a=scene.joints.anchor_a,
         local_b=scene.joints.anchor_b,
         angle_a=bodies.angle[a],
         angle_b=bodies.angle[b],
         centre_gap=bodies.position[b] - bodies.position[a],
         start_angle=bodies.angle[b] - bodies.angle[a] - scene.joints.rest_angle,
-        axial_mass=axial_mass,
+        axial_mass=jnp.zeros_like(controls.motor),
         control=controls.motor,
-        motor_target=controls.motor * scene.joints.motor_speed * params.base_motor_speed,
-        # The power is the angular acceleration that the motor can give to the pair of bodies alone.
-        max_motor_impulse=params.h * params.base_motor_power * scene.joints.motor_power * axial_mass,
+        motor_target=controls.motor * scene.joints.motor_speed * speed,
+        max_motor_impulse=jnp.zeros_like(controls.motor),
         lower=scene.joints.lower_limit,
         upper=scene.joints.upper_limit,
         impulses=impulses._replace(angular_impulse=angular_impulse),
     )
+    axial = constraints(bodies, joints).axial
+    axial_mass = vec2.inverse_or_zero(inverse_mass(pair, axial, axial))
+    # The power is the acceleration that the motor can give to the pair of bodies alone.
+    power = scene.joints.motor_power * jnp.where(is_prismatic, params.base_slider_power, params.base_motor_power)
+    return joints._replace(axial_mass=axial_mass, max_motor_impulse=params.h * power * axial_mass)
 
 
 def store(joints: Joints, state: State) -> jax.Array:
@@ -120,13 +131,84 @@ def current_gap(bodies: Bodies, joints: Joints, arm_a: jax.Array, arm_b: jax.Arr
     return joints.centre_gap + moved + (arm_b - arm_a)
 
 
-def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
-    arm_a, arm_b = arms(bodies, joints)
-    before = pair_velocities(joints.pair, bodies.velocities)
-    after = apply_impulse(before, joints.pair, arm_a, arm_b, joints.impulses.point)
-    after = apply_angular_impulse(
-        after, joints.pair, joints.impulses.angular_impulse + joints.impulses.lower - joints.impulses.upper
+class Jacobian(NamedTuple):
+    """One row of each joint: speed = direction . (v_b - v_a) + lever_b omega_b - lever_a omega_a."""
+
+    direction: jax.Array  # [..., 2], zero for an angle
+    lever_a: jax.Array  # [...] m, 1 for an angle
+    lever_b: jax.Array
+
+
+def speed_along(row: Jacobian, of: PairVelocities) -> jax.Array:
+    angular = row.lever_b * of.omega_b - row.lever_a * of.omega_a
+    return vec2.dot(row.direction, of.velocity_b - of.velocity_a) + angular
+
+
+def push(of: PairVelocities, pair: Pair, row: Jacobian, impulse: jax.Array) -> PairVelocities:
+    """Velocities after an impulse [...] on b, and its opposite on a."""
+    linear = row.direction * impulse[..., None]
+    return PairVelocities(
+        velocity_a=of.velocity_a - linear * pair.mass_a[..., None],
+        velocity_b=of.velocity_b + linear * pair.mass_b[..., None],
+        omega_a=of.omega_a - pair.inertia_a * row.lever_a * impulse,
+        omega_b=of.omega_b + pair.inertia_b * row.lever_b * impulse,
     )
+
+
+def inverse_mass(pair: Pair, row: Jacobian, other: Jacobian) -> jax.Array:
+    """What an impulse along one row does to the speed along another."""
+    linear = vec2.dot(row.direction, other.direction) * (pair.mass_a + pair.mass_b)
+    return linear + pair.inertia_a * row.lever_a * other.lever_a + pair.inertia_b * row.lever_b * other.lever_b
+
+
+class Constraints(NamedTuple):
+    """Rows of all joints, [J], as the bodies stand now."""
+
+    axial: Jacobian  # what motors drive and limits bound
+    first: Jacobian  # what is held
+    second: Jacobian
+    position: jax.Array  # [J] rad or m, along the axial row
+    error: jax.Array  # [J, 2], of the two that are held
+
+
+def constraints(bodies: Bodies, joints: Joints) -> Constraints:
+    arm_a, arm_b = arms(bodies, joints)
+    gap, angle = current_gap(bodies, joints, arm_a, arm_b), current_angle(bodies, joints)
+    local_axis = vec2.rotated(vec2.from_angle(joints.axis_angle), joints.angle_a)
+    axis = vec2.rotated(local_axis, pick(joints.pair.is_a, bodies.turn))
+    # Impulses of a slider act on both bodies at the anchor of b.
+    common_a = jnp.where(joints.is_prismatic[:, None], arm_a + gap, arm_a)
+
+    def along(direction: jax.Array) -> Jacobian:
+        return Jacobian(direction, vec2.cross(common_a, direction), vec2.cross(arm_b, direction))
+
+    one = jnp.ones_like(angle)
+    turning = Jacobian(jnp.zeros_like(gap), one, one)
+    x, y = (along(jnp.broadcast_to(unit, gap.shape)) for unit in jnp.eye(2, dtype=gap.dtype))
+
+    def by_kind(prismatic: Any, other: Any) -> Any:
+        return jax.tree.map(lambda p, o: jnp.where(_like(joints.is_prismatic, p), p, o), prismatic, other)
+
+    across = vec2.left(axis)
+    return Constraints(
+        axial=by_kind(along(axis), turning),
+        first=by_kind(along(across), x),
+        second=by_kind(turning, y),
+        position=by_kind(vec2.dot(axis, gap), angle),
+        error=by_kind(jnp.stack([vec2.dot(across, gap), angle], -1), gap),
+    )
+
+
+def _like(mask: jax.Array, x: jax.Array) -> jax.Array:
+    return mask.reshape(mask.shape + (1,) * (x.ndim - mask.ndim))
+
+
+def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
+    rows, impulses = constraints(bodies, joints), joints.impulses
+    before = pair_velocities(joints.pair, bodies.velocities)
+    after = push(before, joints.pair, rows.first, impulses.point[:, 0])
+    after = push(after, joints.pair, rows.second, impulses.point[:, 1])
+    after = push(after, joints.pair, rows.axial, impulses.angular_impulse + impulses.lower - impulses.upper)
     return bodies._replace(velocities=scatter_velocities(bodies.velocities, joints.pair, before, after))
 
 
@@ -137,130 +219,120 @@ class Row(NamedTuple):
     is_fixed: jax.Array
     is_driven: jax.Array
     is_limited: jax.Array
+    axial: Jacobian
+    first: Jacobian
+    second: Jacobian
     axial_mass: jax.Array
+    held_mass: jax.Array  # [2, 2], of the two rows that are held
     motor_target: jax.Array
     max_motor_impulse: jax.Array
+    return_speed: jax.Array  # rad/s or m/s at which a weld's angle and what is beyond a limit is brought back
     angle: jax.Array  # rad
-    lower_room: jax.Array  # rad left before the limit, negative beyond it
+    lower_room: jax.Array  # rad or m left before the limit, negative beyond it
     upper_room: jax.Array
-    arm_a: jax.Array
-    arm_b: jax.Array
-    gap: jax.Array  # m
-    point_mass: jax.Array  # [2, 2], inverse of K
+    correction: jax.Array  # [2] m/s and rad/s at which the errors of the two rows are undone
 
 
 def solve_soft(
     bodies: Bodies, joints: Joints, params: SolverNumbers, *, use_bias: bool, motors: bool = True
 ) -> tuple[Bodies, Joints]:
-    """One pass over all joints: motor and limits, or the angle of a fixed joint; then the common point. No `motors`
-    in a bounce: a torque does nothing in an instant."""
-    arm_a, arm_b = arms(bodies, joints)
-    angle = current_angle(bodies, joints)
+    """One pass over all joints: motor and limits, or the angle of a fixed joint; then what is held. No `motors` in a
+    bounce: a force or torque does nothing in an instant."""
+    soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
+    now = constraints(bodies, joints)
     rows = Row(
         pair=joints.pair,
         is_fixed=joints.is_fixed,
         is_driven=joints.is_driven & motors,
         is_limited=joints.is_limited & ~joints.is_fixed,
+        axial=now.axial,
+        first=now.first,
+        second=now.second,
         axial_mass=joints.axial_mass,
+        held_mass=held_mass(joints.pair, now),
         motor_target=joints.motor_target,
         max_motor_impulse=joints.max_motor_impulse,
-        angle=angle,
-        lower_room=angle - joints.lower,
-        upper_room=joints.upper - angle,
-        arm_a=arm_a,
-        arm_b=arm_b,
-        gap=current_gap(bodies, joints, arm_a, arm_b),
-        point_mass=point_mass(joints.pair, arm_a, arm_b),
+        return_speed=jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed),
+        angle=current_angle(bodies, joints),
+        lower_room=now.position - joints.lower,
+        upper_room=joints.upper - now.position,
+        correction=correction_speed(now.error * soft.bias_rate, joints.is_prismatic, params),
     )
-    soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
 
     def solve(velocities: Velocities, row_and_impulses: tuple[Row, JointImpulses]) -> tuple[Velocities, JointImpulses]:
         row, impulses = row_and_impulses
         before = of = pair_velocities(row.pair, velocities)
-        of, impulses = solve_motor_or_angle(of, row, impulses, params, soft)
+        of, impulses = solve_motor_or_angle(of, row, impulses, soft)
         of, impulses = solve_limits(of, row, impulses, params, soft, use_bias=use_bias)
-        of, impulses = solve_point(of, row, impulses, params, soft)
+        of, impulses = solve_held(of, row, impulses, soft)
         return scatter_velocities(velocities, row.pair, before, of), impulses
 
     velocities, impulses = jax.lax.scan(solve, bodies.velocities, (rows, joints.impulses))
     return bodies._replace(velocities=velocities), joints._replace(impulses=impulses)
 
 
+def correction_speed(wanted: jax.Array, is_prismatic: jax.Array, params: SolverNumbers) -> jax.Array:
+    """[J, 2] speeds that undo errors, within their limits: of a point as a whole, of a slider each on its own."""
+    point = jax.vmap(vec2.clamp_length, (0, None))(wanted, params.joint_pull_speed)
+    max_speed = jnp.stack([jnp.asarray(params.joint_pull_speed), jnp.asarray(params.joint_turn_speed)])
+    return jnp.where(is_prismatic[:, None], jnp.clip(wanted, -max_speed, max_speed), point)
+
+
 def solve_motor_or_angle(
-    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, soft: Softness
+    of: PairVelocities, row: Row, impulses: JointImpulses, soft: Softness
 ) -> tuple[PairVelocities, JointImpulses]:
-    """A motor is a velocity constraint with a bounded torque: dt changes neither its target nor its strength."""
-    speed = of.omega_b - of.omega_a
-    driven = jnp.clip(
-        impulses.angular_impulse - row.axial_mass * (speed - row.motor_target),
-        -row.max_motor_impulse,
-        row.max_motor_impulse,
-    )
-    turn_back = jnp.clip(soft.bias_rate * row.angle, -params.joint_turn_speed, params.joint_turn_speed)
-    corrected = row.axial_mass * soft.mass_scale * (speed + turn_back)
-    held = impulses.angular_impulse - corrected - soft.impulse_scale * impulses.angular_impulse
-    total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, impulses.angular_impulse))
-    return apply_angular_impulse(of, row.pair, total - impulses.angular_impulse), impulses._replace(
-        angular_impulse=total
-    )
+    """A motor is a velocity constraint with a bounded impulse: dt changes neither its target nor its strength."""
+    speed, before = speed_along(row.axial, of), impulses.angular_impulse
+    driven = before - row.axial_mass * (speed - row.motor_target)
+    driven = jnp.clip(driven, -row.max_motor_impulse, row.max_motor_impulse)
+    turn_back = jnp.clip(soft.bias_rate * row.angle, -row.return_speed, row.return_speed)
+    held = before - row.axial_mass * soft.mass_scale * (speed + turn_back) - soft.impulse_scale * before
+    total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, before))
+    return push(of, row.pair, row.axial, total - before), impulses._replace(angular_impulse=total)
 
 
 def solve_limits(
     of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, soft: Softness, *, use_bias: bool
 ) -> tuple[PairVelocities, JointImpulses]:
-    speed = of.omega_b - of.omega_a
-    lower = limit_impulse(row, row.lower_room, speed, impulses.lower, params, soft, use_bias=use_bias)
-    of = apply_angular_impulse(of, row.pair, lower - impulses.lower)
-    speed = of.omega_a - of.omega_b
-    upper = limit_impulse(row, row.upper_room, speed, impulses.upper, params, soft, use_bias=use_bias)
-    of = apply_angular_impulse(of, row.pair, impulses.upper - upper)
+    def total(room: jax.Array, speed: jax.Array, accumulated: jax.Array) -> jax.Array:
+        """Of a one-sided limit; `speed` is that at which room grows."""
+        # Not softened when violated: a strong motor would lean into a limit that yields.
+        back = jnp.maximum(soft.bias_rate * room, -row.return_speed) if use_bias else 0
+        impulse = -row.axial_mass * (speed + jnp.where(room > 0, room / params.h, back))
+        return jnp.where(row.is_limited, jnp.maximum(accumulated + impulse, 0), accumulated)
+
+    lower = total(row.lower_room, speed_along(row.axial, of), impulses.lower)
+    of = push(of, row.pair, row.axial, lower - impulses.lower)
+    upper = total(row.upper_room, -speed_along(row.axial, of), impulses.upper)
+    of = push(of, row.pair, row.axial, impulses.upper - upper)
     return of, impulses._replace(lower=lower, upper=upper)
 
 
-def limit_impulse(
-    row: Row,
-    room: jax.Array,
-    speed: jax.Array,
-    accumulated: jax.Array,
-    params: SolverNumbers,
-    soft: Softness,
-    *,
-    use_bias: bool,
-) -> jax.Array:
-    """New total of a one-sided limit; `speed` is that at which room grows."""
-    # Not softened when violated: a strong motor would lean into a limit that yields.
-    turn_back = jnp.maximum(soft.bias_rate * room, -params.joint_turn_speed) if use_bias else 0
-    bias = jnp.where(room > 0, room / params.h, turn_back)
-    impulse = -row.axial_mass * (speed + bias)
-    return jnp.where(row.is_limited, jnp.maximum(accumulated + impulse, 0), accumulated)
-
-
-def solve_point(
-    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, soft: Softness
+def solve_held(
+    of: PairVelocities, row: Row, impulses: JointImpulses, soft: Softness
 ) -> tuple[PairVelocities, JointImpulses]:
-    pull = vec2.clamp_length(row.gap * soft.bias_rate, params.joint_pull_speed)
-    wrong = relative_velocity(of, row.arm_a, row.arm_b) + pull
-    needed = jnp.stack([vec2.dot(row.point_mass[0], wrong), vec2.dot(row.point_mass[1], wrong)])
+    wrong = jnp.stack([speed_along(row.first, of), speed_along(row.second, of)]) + row.correction
+    needed = jnp.stack([vec2.dot(row.held_mass[0], wrong), vec2.dot(row.held_mass[1], wrong)])
     impulse = -needed * soft.mass_scale - impulses.point * soft.impulse_scale
-    of = apply_impulse(of, row.pair, row.arm_a, row.arm_b, impulse)
+    of = push(push(of, row.pair, row.first, impulse[0]), row.pair, row.second, impulse[1])
     return of, impulses._replace(point=impulses.point + impulse)
 
 
 def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
     """J, what motors have added to the bodies' energy in this sub-step."""
-    of = pair_velocities(joints.pair, bodies.velocities)
-    work = jnp.maximum(joints.impulses.angular_impulse * (of.omega_b - of.omega_a), 0)
+    speed = speed_along(constraints(bodies, joints).axial, pair_velocities(joints.pair, bodies.velocities))
+    work = jnp.maximum(joints.impulses.angular_impulse * speed, 0)
     return jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
 
 
-def point_mass(pair: Pair, ra: jax.Array, rb: jax.Array) -> jax.Array:
-    """Inverse of K, the 2 x 2 inverse effective mass of the common point, [J, 2, 2]."""
-    mass = pair.mass_a + pair.mass_b
-    k11 = mass + pair.inertia_a * ra[:, 1] * ra[:, 1] + pair.inertia_b * rb[:, 1] * rb[:, 1]
-    k12 = -pair.inertia_a * ra[:, 0] * ra[:, 1] - pair.inertia_b * rb[:, 0] * rb[:, 1]
-    k22 = mass + pair.inertia_a * ra[:, 0] * ra[:, 0] + pair.inertia_b * rb[:, 0] * rb[:, 0]
+def held_mass(pair: Pair, rows: Constraints) -> jax.Array:
+    """Inverse of K, the 2 x 2 inverse effective mass of the two rows that are held, [J, 2, 2]."""
+    k11 = inverse_mass(pair, rows.first, rows.first)
+    k12 = inverse_mass(pair, rows.first, rows.second)
+    k22 = inverse_mass(pair, rows.second, rows.second)
+    k22 = jnp.where(k22 > 0, k22, 1)  # two bodies that cannot turn keep their angle anyway
     determinant = k11 * k22 - k12 * k12
     is_regular = determinant != 0
     inverse = jnp.where(is_regular, 1 / jnp.where(is_regular, determinant, 1), 0)
-    rows = jnp.stack([jnp.stack([k22, -k12], -1), jnp.stack([-k12, k11], -1)], -2)
-    return inverse[:, None, None] * rows
+    rows_of_inverse = jnp.stack([jnp.stack([k22, -k12], -1), jnp.stack([-k12, k11], -1)], -2)
+    return inverse[:, None, None] * rows_of_inverse

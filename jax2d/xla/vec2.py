@@ -24,6 +24,10 @@ def right(v: jax.Array) -> jax.Array:
     return jnp.stack([v[..., 1], -v[..., 0]], -1)
 
 
+def from_angle(angle_rad: jax.Array) -> jax.Array:
+    return jnp.stack([jnp.cos(angle_rad), jnp.sin(angle_rad)], -1)
+
+
 def rotated(v: jax.Array, angle_rad: jax.Array) -> jax.Array:
     c, s = jnp.cos(angle_rad), jnp.sin(angle_rad)
     return jnp.stack([c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]], -1)

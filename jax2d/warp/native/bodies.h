@@ -195,6 +195,14 @@ struct Pair {
     omega_b += inverse_inertia_b * arm_b.cross(impulse_on_b);
   }
 
+  // The same by lever arms times impulses, N m s.
+  KFN void apply_levers(Vec2 impulse_on_b, real angular_on_a, real angular_on_b) {
+    velocity_a = velocity_a - impulse_on_b * inverse_mass_a;
+    omega_a -= inverse_inertia_a * angular_on_a;
+    velocity_b = velocity_b + impulse_on_b * inverse_mass_b;
+    omega_b += inverse_inertia_b * angular_on_b;
+  }
+
   KFN void apply_angular_impulse(real impulse_on_b) {
     omega_a -= inverse_inertia_a * impulse_on_b;
     omega_b += inverse_inertia_b * impulse_on_b;

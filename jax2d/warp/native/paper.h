@@ -10,9 +10,9 @@ struct PaperJoints {
     real angular_impulse[NUM_JOINTS + 1];
     for (int k = 0; k < joints.count; ++k) {
       const Joint& joint = joints.list[k];
-      if (!Joints::is_driven(joint.flags)) continue;
+      if (!joint.is_driven()) continue;
       real power = joint.max_motor_impulse;
-      if (Joints::is_limited(joint.flags)) {
+      if (joint.is_limited()) {
         real fade = params.get(PARAM_MOTOR_FADE_ANGLE);
         real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower + fade, joint.upper - fade);
         bool into_limit = beyond * controls.get(joint.index) > real(0);
@@ -23,7 +23,7 @@ struct PaperJoints {
     }
     for (int k = 0; k < joints.count; ++k) {
       const Joint& joint = joints.list[k];
-      if (!Joints::is_driven(joint.flags)) continue;
+      if (!joint.is_driven()) continue;
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       pair.apply_angular_impulse(angular_impulse[k]);
       pair.write_back(bodies);
@@ -35,7 +35,7 @@ struct PaperJoints {
       Joint& joint = joints.list[k];
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       pair.apply_impulse(joint.arm_a, joint.arm_b, joint.impulse);
-      if (Joints::is_fixed(joint.flags)) pair.apply_angular_impulse(joint.angular_impulse);
+      if (joint.is_fixed()) pair.apply_angular_impulse(joint.angular_impulse);
       pair.write_back(bodies);
       joint.impulse_lower = joint.impulse_upper = real(0);
     }
@@ -74,11 +74,11 @@ struct PaperJoints {
 
   KFN static void solve_angular(Pair& pair, Joint& joint, const Column& params) {
     real speed = pair.omega_b - pair.omega_a;
-    if (Joints::is_fixed(joint.flags)) {
+    if (joint.is_fixed()) {
       real angular_impulse = -joint.axial_mass * (speed + joint.start_angle * params.get(PARAM_FIXED_ANGLE_RATE));
       joint.angular_impulse += angular_impulse;
       pair.apply_angular_impulse(angular_impulse);
-    } else if (Joints::is_limited(joint.flags)) {
+    } else if (joint.is_limited()) {
       real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower, joint.upper);
       if (beyond * speed > real(0))  // not while it already returns
         pair.apply_angular_impulse(-joint.axial_mass * (speed + beyond * params.get(PARAM_LIMIT_ANGLE_RATE)));

@@ -67,6 +67,15 @@ struct Math {
   }
 };
 
+// Solves K x = v with K a symmetric 2 x 2 matrix; zero where it is singular.
+struct Symmetric {
+  static KFN Vec2 solve(real k11, real k12, real k22, Vec2 v) {
+    real determinant = k11 * k22 - k12 * k12;
+    real inverse = determinant != real(0) ? real(1) / determinant : real(0);
+    return {inverse * (k22 * v.x - k12 * v.y), inverse * (k11 * v.y - k12 * v.x)};
+  }
+};
+
 // A table of [field, world] floats or ints of which this thread reads and writes one world.
 struct Column {
   float* data;

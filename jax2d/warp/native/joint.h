@@ -1,0 +1,78 @@
+// One joint while a world is stepped, and what its packed word says.
+//
+// Body b is held to body a. Angles are angle_b - angle_a - rest angle.
+
+struct Joint {
+  int a, b, index, flags;
+  Vec2 local_a, local_b;
+  Vec2 arm_a, arm_b;      // current, world orientation
+  Vec2 centre_gap;        // centre of b from centre of a at the start of the step
+  real start_angle;       // at the start of the step
+  real axial_mass;
+  real motor_target, max_motor_impulse;  // rad/s or m/s; largest impulse of one sub-step, N m s or N s
+  real lower, upper;
+  Vec2 impulse;           // at the common point; of a slider across its axis, and about it
+  real angular_impulse, impulse_lower, impulse_upper;  // of the motor, or of a fixed joint's angle; of limits
+
+  enum { MOTOR_BIT = 1 << JOINTS_MOTOR_ON_SHIFT };
+
+  KFN static int kind_of(int word) { return word >> JOINTS_KIND_SHIFT & JOINTS_KIND_MASK; }
+
+  // In kernels for one kind of joint every joint is of that kind.
+  KFN bool is_fixed() const {
+    return HAS_FIXED_JOINTS && ((!HAS_REVOLUTE_JOINTS && !HAS_PRISMATIC_JOINTS) || kind_of(flags) == KIND_FIXED);
+  }
+  KFN bool is_prismatic() const {
+    return HAS_PRISMATIC_JOINTS && ((!HAS_REVOLUTE_JOINTS && !HAS_FIXED_JOINTS) || kind_of(flags) == KIND_PRISMATIC);
+  }
+  KFN bool is_driven() const { return HAS_MOTORS && (flags & MOTOR_BIT) != 0; }
+  KFN bool is_limited() const { return HAS_JOINT_LIMITS && (flags >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0; }
+
+  KFN static bool is_compiled_in(int word) {
+    int kind = kind_of(word);
+    return kind == KIND_FIXED ? HAS_FIXED_JOINTS : kind == KIND_PRISMATIC ? HAS_PRISMATIC_JOINTS : HAS_REVOLUTE_JOINTS;
+  }
+
+  KFN void turn_arms(const Bodies& bodies) {
+    arm_a = bodies.rotation[a].apply(local_a);
+    arm_b = bodies.rotation[b].apply(local_b);
+  }
+
+  // Anchor of b from anchor of a, with arms as they are.
+  KFN Vec2 gap(const Bodies& bodies) const { return centre_gap + (bodies.delta(b) - bodies.delta(a)) + (arm_b - arm_a); }
+
+  KFN real current_angle(const Bodies& bodies) const { return start_angle + bodies.turn(b) - bodies.turn(a); }
+
+  // Of a motor that shall bring `speed` to its target: what it adds to its bounded impulse. dt changes neither its target
+  // nor its strength.
+  KFN real motor_impulse(real speed) {
+    real total = Math::clamp(angular_impulse - axial_mass * (speed - motor_target), -max_motor_impulse, max_motor_impulse);
+    real added = total - angular_impulse;
+    angular_impulse = total;
+    return added;
+  }
+
+  KFN real lower_impulse(real room, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
+    return limit_impulse(room, speed, impulse_lower, soft, use_bias, max_return_speed);
+  }
+  KFN real upper_impulse(real room, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
+    return limit_impulse(room, speed, impulse_upper, soft, use_bias, max_return_speed);
+  }
+
+  // One-sided: room is what is left before the limit, speed that at which room grows.
+  KFN real limit_impulse(real room, real speed, real& accumulated, const Soft& soft, bool use_bias,
+                         real max_return_speed) const {
+    real bias = real(0);
+    if (room > real(0)) {
+      bias = room * soft.inverse_h;
+    } else if (use_bias) {
+      // Not softened: a strong motor would lean into a limit that yields.
+      bias = Math::max(soft.joint.bias_rate * room, -max_return_speed);
+    }
+    real impulse = -axial_mass * (speed + bias);
+    real total = Math::max(accumulated + impulse, real(0));
+    impulse = total - accumulated;
+    accumulated = total;
+    return impulse;
+  }
+};

@@ -1,0 +1,80 @@
+// Prismatic joints: body b slides along an axis of body a and keeps its angle to it (as Box2D's b2PrismaticJoint).
+//
+//   gap = anchor of b - anchor of a      C = (across . gap, angle)      translation = axis . gap
+//
+// Impulses act on both bodies at the anchor of b, a common point, so that they change no momentum of the two together.
+
+struct Slider {
+  Vec2 axis, gap;           // world frame, as the bodies stand now
+  real axis_a, axis_b;      // m, lever arms of an impulse along the axis
+  real across_a, across_b;  // m, of one across it
+
+  // The joint's arms are as the bodies stand now.
+  KFN static Slider of(const Bodies& bodies, const Joint& joint, Vec2 local_axis) {
+    Slider slider;
+    slider.axis = bodies.rotation[joint.a].apply(local_axis);
+    slider.gap = joint.gap(bodies);
+    Vec2 to_common_point = joint.arm_a + slider.gap;
+    slider.axis_a = to_common_point.cross(slider.axis);
+    slider.axis_b = joint.arm_b.cross(slider.axis);
+    slider.across_a = to_common_point.cross(slider.axis.left());
+    slider.across_b = joint.arm_b.cross(slider.axis.left());
+    return slider;
+  }
+
+  // kg, that an impulse along the axis moves.
+  KFN real axial_mass(const Bodies& bodies, const Joint& joint) const {
+    return Math::inverse_or_zero(bodies.inverse_mass(joint.a) + bodies.inverse_mass(joint.b) +
+                                 bodies.inverse_inertia(joint.a) * axis_a * axis_a +
+                                 bodies.inverse_inertia(joint.b) * axis_b * axis_b);
+  }
+
+  KFN real axial_speed(const Pair& pair) const {
+    return axis.dot(pair.velocity_b - pair.velocity_a) + axis_b * pair.omega_b - axis_a * pair.omega_a;
+  }
+
+  KFN real across_speed(const Pair& pair) const {
+    return axis.left().dot(pair.velocity_b - pair.velocity_a) + across_b * pair.omega_b - across_a * pair.omega_a;
+  }
+
+  KFN void push_along(Pair& pair, real impulse) const {
+    pair.apply_levers(axis * impulse, axis_a * impulse, axis_b * impulse);
+  }
+
+  // `impulse.x` across the axis, `impulse.y` about it.
+  KFN void push_across(Pair& pair, Vec2 impulse) const {
+    pair.apply_levers(axis.left() * impulse.x, across_a * impulse.x + impulse.y, across_b * impulse.x + impulse.y);
+  }
+
+  KFN void warm_start(Pair& pair, const Joint& joint) const {
+    push_along(pair, joint.angular_impulse + joint.impulse_lower - joint.impulse_upper);
+    push_across(pair, joint.impulse);
+  }
+
+  KFN void solve(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias, bool motors) const {
+    if (motors && joint.is_driven()) push_along(pair, joint.motor_impulse(axial_speed(pair)));
+    if (joint.is_limited()) {
+      real translation = axis.dot(gap);
+      real lower = joint.lower_impulse(translation - joint.lower, axial_speed(pair), soft, use_bias, soft.pull_speed);
+      push_along(pair, lower);
+      real upper = joint.upper_impulse(joint.upper - translation, -axial_speed(pair), soft, use_bias, soft.pull_speed);
+      push_along(pair, -upper);
+    }
+    Vec2 wrong = {across_speed(pair), pair.omega_b - pair.omega_a};
+    real mass_scale = real(1), impulse_scale = real(0);
+    if (use_bias) {
+      real angle = joint.current_angle(bodies), rate = soft.joint.bias_rate;
+      wrong.x += Math::clamp(axis.left().dot(gap) * rate, -soft.pull_speed, soft.pull_speed);
+      wrong.y += Math::clamp(angle * rate, -soft.turn_back_speed, soft.turn_back_speed);
+      mass_scale = soft.joint.mass_scale;
+      impulse_scale = soft.joint.impulse_scale;
+    }
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    real k11 = pair.inverse_mass_a + pair.inverse_mass_b + ia * across_a * across_a + ib * across_b * across_b;
+    real k12 = ia * across_a + ib * across_b;
+    real k22 = ia + ib > real(0) ? ia + ib : real(1);  // two bodies that cannot turn keep their angle anyway
+    Vec2 impulse = -(Symmetric::solve(k11, k12, k22, wrong) * mass_scale) - joint.impulse * impulse_scale;
+    joint.impulse = joint.impulse + impulse;
+    push_across(pair, impulse);
+  }
+};
