@@ -265,9 +265,7 @@ class SceneBuilder:
         return _rotate(np.asarray(_finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
 
 
-def _drive(
-    motor_speed: float | None, motor_power: float, limits: tuple[float, float] | None
-) -> dict[str, float]:
+def _drive(motor_speed: float | None, motor_power: float, limits: tuple[float, float] | None) -> dict[str, float]:
     """Fields of `Joints` for a motor and limits."""
     values: dict[str, float] = {}
     if motor_speed is not None:
