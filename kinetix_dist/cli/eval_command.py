@@ -58,7 +58,7 @@ def run(args: Args) -> int:
     _check(args)
     checkpoint, config = _load_checkpoint(args)
     from kinetix_dist.level.sets import load_level_set
-    from kinetix_dist.runtime.compile_cache import enable_compile_cache
+    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 
     enable_compile_cache("" if config is None else config.run.compile_cache)
     with user_errors(ValueError, OSError):

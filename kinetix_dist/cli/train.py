@@ -18,7 +18,7 @@ from kinetix_dist.cli.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
-    from kinetix_dist.runtime.run_directory import RunDirectory
+    from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 RUNS = Path("runs")
 DEFAULT_RECIPE = "quickstart"
@@ -64,10 +64,10 @@ def parse(argv: Sequence[str]) -> Args:
 
 def run(args: Args) -> int:
     from kinetix_dist.checkpoint import CheckpointError
-    from kinetix_dist.runtime.compile_cache import enable_compile_cache
-    from kinetix_dist.runtime.placement import PlacementError, count_gpus, plan, resolve_device
-    from kinetix_dist.runtime.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.training_run import train
+    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+    from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
+    from kinetix_dist.runtime.driver.training_run import train
+    from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
 
     config = args.config
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
@@ -104,7 +104,7 @@ def _override(base: TrainConfig, overrides: list[str]) -> TrainConfig:
 
 def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
     from kinetix_dist.config import from_dict
-    from kinetix_dist.runtime.run_directory import newest_run
+    from kinetix_dist.runtime.driver.run_directory import newest_run
 
     if run is None:
         run = newest_run(RUNS, name)
@@ -131,7 +131,7 @@ def _check_levels(config: TrainConfig) -> None:
 
 
 def _open(args: Args) -> RunDirectory:
-    from kinetix_dist.runtime.run_directory import RunDirectory
+    from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
     if args.resume:
         assert args.run is not None

@@ -11,11 +11,11 @@ from rich.console import Console
 from jax2d.effects import Effects, effects_of
 from kinetix_dist.config import ConfigError, differences, from_dict, to_dict
 from kinetix_dist.recipes import RECIPES, recipe
-from kinetix_dist.runtime.clock import RoleClock
-from kinetix_dist.runtime.levels import fixed_levels, make_environment
-from kinetix_dist.runtime.placement import PlacementError, plan, resolve_device
-from kinetix_dist.runtime.weight_sync import WeightStore
-from kinetix_dist.runtime.work_buffer import Work, WorkBuffer, WorkBufferFullError
+from kinetix_dist.runtime.cores.levels import fixed_levels, make_environment
+from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.weight_sync import WeightStore
+from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer, WorkBufferFullError
+from kinetix_dist.runtime.processes.placement import PlacementError, plan, resolve_device
 from kinetix_dist.telemetry.names import METRICS, UnknownMetricError, check_metrics
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink, read_jsonl

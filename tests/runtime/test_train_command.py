@@ -9,7 +9,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
 from kinetix_dist.config import to_dict
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 
 @pytest.fixture(autouse=True)

@@ -25,86 +25,27 @@ a lost curator and a lost driver are all the same case: restore, re-issue what w
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from kinetix_dist.checkpoint import (
     Checkpoint,
     CheckpointError,
+    flatten_arrays,
     newest_good,
     save_checkpoint,
     select_arrays,
 )
 from kinetix_dist.config import TrainConfig, differences, from_dict, to_dict
-from kinetix_dist.runtime.clock import RoleClock
-from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.weight_sync import nested, resolve
+from kinetix_dist.runtime.processes.backend import WorkerLostError
 
 PENDING = "pending"  # arrays of a checkpoint: weights of the refresh that was in flight
-
-
-class WorkerLostError(RuntimeError):
-    """A process that holds worlds or a learner shard died or hung."""
-
-
-class Trainer(Protocol):
-    """Whatever plays and learns."""
-
-    policy_lag: int
-    dropped_steps: int
-
-    def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
-        """Builds everything at an update boundary: from a checkpoint's arrays, or afresh. Also after a loss."""
-
-    def weights(self) -> Any:
-        """The parameters now, or a reference to them: what a curator is given."""
-
-    def adopt(self, buffer: Any) -> None:
-        """Uses a curator's buffer for every batch drawn from now on."""
-
-    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
-        """One rollout and one policy update: (metrics, seconds by role). Raises WorkerLostError."""
-
-    def snapshot(self) -> dict[str, np.ndarray]:
-        """All arrays that `start` needs to go on from here bit for bit."""
-
-    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
-        """Solve rates by level set, of the current policy or of random actions."""
-
-    def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
-        """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
-
-    def facts(self) -> dict[str, Any]:
-        """For the report: "device" (platform, kind and number of those that learn) and "compile_seconds"."""
-
-    def stop(self) -> None: ...
-
-
-class Curator(Protocol):
-    """Whatever scores levels."""
-
-    num_restarts: int
-
-    def request(self, weights: Any, policy_version: int) -> None:
-        """Starts scoring; does not wait where there is a process to do it."""
-
-    def take(self) -> Any:
-        """The buffer asked for last; waits for it. None when it was lost for good."""
-
-    def cancel(self) -> None: ...
-
-    def stop(self) -> None: ...
-
-
-class Reporter(Protocol):
-    """Where progress goes: console and metric files."""
-
-    def phase(self, name: str) -> None: ...
-
-    def note(self, message: str) -> None: ...
-
-    def metrics(self, num_updates: int, metrics: Mapping[str, float], seconds_left: float | None) -> None: ...
 
 
 class Controller:
@@ -296,8 +237,6 @@ class Controller:
     def _in_flight(self) -> dict[str, np.ndarray]:
         if self._pending is None or self.curator is None:
             return {}
-        from kinetix_dist.checkpoint import flatten_arrays
-
         return flatten_arrays({PENDING: resolve(self._pending[1])})
 
     def _newest_checkpoint(self) -> Checkpoint | None:
@@ -345,21 +284,3 @@ class Controller:
 
 def _is_due(every: int, num_updates: int) -> bool:
     return every > 0 and num_updates % every == 0
-
-
-def resolve(weights: Any) -> Any:
-    """Weights themselves, fetched first where they are a reference into the object store."""
-    fetch = getattr(weights, "fetch", None)
-    return fetch() if callable(fetch) else weights
-
-
-def nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Nested dictionaries from names with slashes: parameters of a flax module."""
-    tree: dict[str, Any] = {}
-    for name, array in arrays.items():
-        *path, last = name.split("/")
-        node = tree
-        for part in path:
-            node = node.setdefault(part, {})
-        node[last] = array
-    return tree

@@ -29,6 +29,10 @@ class ProcessPlan:
     gpu_share: float  # 0: it computes on the CPU
     env_vars: dict[str, str]
 
+    @property
+    def name(self) -> str:
+        return f"{self.role} {self.index}"
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Placement:

@@ -11,21 +11,11 @@ from typing import Any
 
 import ray
 
-from kinetix_dist.actors.rollout_actor import RolloutActor
-from kinetix_dist.curator.curator_actor import CuratorActor
-from kinetix_dist.learner.learner_actor import LearnerActor
-from kinetix_dist.runtime.controller import WorkerLostError
-from kinetix_dist.runtime.placement import ProcessPlan, count_gpus
-from kinetix_dist.runtime.supervise import Heartbeats, gather, wait_until_gone
-from kinetix_dist.runtime.watchdog import Watchdog
-from kinetix_dist.runtime.worker_actor import WorkerActor
-
-_ACTOR_CLASSES = {
-    "worker": WorkerActor,
-    "learner": LearnerActor,
-    "rollout": RolloutActor,
-    "curator": CuratorActor,
-}
+from kinetix_dist.runtime.processes.actor import ProcessActor
+from kinetix_dist.runtime.processes.backend import WorkerLostError
+from kinetix_dist.runtime.processes.placement import ProcessPlan, count_gpus
+from kinetix_dist.runtime.processes.supervise import Heartbeats, gather, wait_until_gone
+from kinetix_dist.runtime.processes.watchdog import Watchdog
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +92,7 @@ class RayBackend:
         for plan in plans:
             environment = {"KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", "1"), **plan.env_vars}
             options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
-            actors.append(_ACTOR_CLASSES[plan.role].options(**options).remote(build, plan, len(plans), *arguments))
+            actors.append(ProcessActor.options(**options).remote(plan, build, plan.index, len(plans), *arguments))
         try:
             pids = gather([actor.ping.remote() for actor in actors], actors, self._heartbeats)
             if len(actors) > 1 and plans[0].role == "worker":

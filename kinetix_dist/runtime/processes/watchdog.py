@@ -1,4 +1,6 @@
-"""Ends what a killed driver leaves behind: `python -m kinetix_dist.runtime.watchdog PID`, stdin a pipe from the driver.
+"""Ends what a killed driver leaves behind.
+
+    python -m kinetix_dist.runtime.processes.watchdog PID        stdin is a pipe from the driver
 
 Ray ends its servers and actors with the driver, but its agents can outlive a SIGKILL for minutes. This process
 remembers the descendants of the driver; when the pipe closes, whichever way the driver went, it kills those that are
@@ -26,7 +28,7 @@ class Watchdog:
 
     def __init__(self, driver_pid: int) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "kinetix_dist.runtime.watchdog", str(driver_pid)],
+            [sys.executable, "-m", "kinetix_dist.runtime.processes.watchdog", str(driver_pid)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -1,8 +1,6 @@
-"""What a process of a run is apart from its work: it joins a group, builds its core, answers calls and pings.
+"""The one Ray actor: a process of a run that joins a group, builds its core, answers calls and pings.
 
-The Ray actors (`actors/rollout_actor.py`, `learner/learner_actor.py`, `curator/curator_actor.py`,
-`runtime/worker_actor.py`) are this class with a name; the work itself is a core that knows nothing of processes and
-is called the same way in local mode.
+The work itself is a core that knows nothing of processes and is called the same way in local mode.
 """
 
 from __future__ import annotations
@@ -12,20 +10,30 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
+import ray
+
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
 HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
 
 
-class ProcessShell:
+@ray.remote(concurrency_groups={"control": 1})
+class ProcessActor:
     """Holds one core. Methods are called one at a time, except `ping`, which has a thread of its own."""
 
-    def __init__(self, build: Callable[..., Any], *arguments: Any) -> None:
+    def __init__(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> None:
         """`build(*arguments)` makes the core, later: a group has to be joined before JAX computes anything."""
+        self._plan = plan
         self._build = build
         self._arguments = arguments
         self._core: Any = None
 
+    def __repr__(self) -> str:
+        return self._plan.name  # what Ray's log files call it
+
+    @ray.method(concurrency_group="control")
     def ping(self) -> int:
-        """The process id; that it comes back says that the process is not stopped."""
+        """The process id; that it comes back, while a call runs too, says that the process is not stopped."""
         return os.getpid()
 
     def free_address(self) -> str:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from kinetix_dist.runtime.placement import ProcessPlan
+from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +42,7 @@ class LocalBackend:
     """Cores share this process and its devices."""
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle]:
-        return [LocalHandle(plan, build(plan, 1, *arguments)) for plan in plans]
+        return [LocalHandle(plan, build(plan.index, 1, *arguments)) for plan in plans]
 
     def put(self, value: Any) -> LocalTicket:
         return LocalTicket(value)

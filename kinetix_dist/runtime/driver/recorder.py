@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.sinks.mcap import McapSink
 

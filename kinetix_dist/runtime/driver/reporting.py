@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 from kinetix_dist.telemetry.sinks.tensorboard import TensorboardSink
 
 
 class RunReporter:
-    """A `controller.Reporter`. Files are opened with the first metrics, when it is known where the run goes on."""
+    """A `roles.Reporter`. Files are opened with the first metrics, when it is known where the run goes on."""
 
     def __init__(self, run: RunDirectory, console: ConsoleSink) -> None:
         self._run = run

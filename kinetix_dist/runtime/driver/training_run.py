@@ -12,14 +12,15 @@ import time
 from typing import Any
 
 from kinetix_dist.config import TrainConfig, to_dict
-from kinetix_dist.runtime.backend import Backend
-from kinetix_dist.runtime.colocated import ColocatedTrainer
-from kinetix_dist.runtime.controller import Controller, Trainer
-from kinetix_dist.runtime.curation import CuratorClient
-from kinetix_dist.runtime.placement import ProcessPlan, count_gpus, plan, resolve_device
-from kinetix_dist.runtime.recorder import Recorder
-from kinetix_dist.runtime.reporting import RunReporter
-from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.recorder import Recorder
+from kinetix_dist.runtime.driver.reporting import RunReporter
+from kinetix_dist.runtime.driver.roles import Trainer
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.processes.backend import Backend
+from kinetix_dist.runtime.processes.placement import ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
@@ -71,7 +72,7 @@ def _start_roles(config: TrainConfig) -> tuple[Backend, Trainer, CuratorClient |
     import jax
 
     if config.run.placement == "local":
-        from kinetix_dist.runtime.local import LocalBackend
+        from kinetix_dist.runtime.processes.local import LocalBackend
 
         device = resolve_device(config.run.device, num_gpus=count_gpus())
         if device == "cpu":
@@ -81,7 +82,7 @@ def _start_roles(config: TrainConfig) -> tuple[Backend, Trainer, CuratorClient |
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
         curator_plan = ProcessPlan(role="curator", index=0, gpu_share=0.0, env_vars={})
         return local, trainer, CuratorClient(config, local, curator_plan) if config.curriculum.has_buffer else None
-    from kinetix_dist.runtime.ray_backend import RayBackend
+    from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
     jax.config.update("jax_platforms", "cpu")  # the driver computes nothing and must not hold a GPU
     backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds)
@@ -91,7 +92,7 @@ def _start_roles(config: TrainConfig) -> tuple[Backend, Trainer, CuratorClient |
         backend.stop()
         raise
     if config.run.placement == "split":
-        from kinetix_dist.runtime.split import SplitTrainer
+        from kinetix_dist.runtime.driver.split import SplitTrainer
 
         trainer = SplitTrainer(config, backend, placement)
     else:

@@ -14,7 +14,7 @@ from typing import Any
 
 import ray
 
-from kinetix_dist.runtime.controller import WorkerLostError
+from kinetix_dist.runtime.processes.backend import WorkerLostError
 
 POLL_S = 1.0
 PING_EVERY_S = 5.0

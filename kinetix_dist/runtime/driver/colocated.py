@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.runtime.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.placement import ProcessPlan
-from kinetix_dist.runtime.worker import build_worker
+from kinetix_dist.runtime.cores.build import build_worker
+from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
 class ColocatedTrainer:
-    """A `controller.Trainer` of one or more workers that do everything together."""
+    """A `roles.Trainer` of one or more workers that do everything together."""
 
     policy_lag = 0
     dropped_steps = 0  # what is played is always learned from

@@ -6,7 +6,10 @@ need it: rollout actors (lag 1) the last two, a curator the one its refresh was 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 
 class WeightStore:
@@ -38,3 +41,21 @@ class WeightStore:
 
     def unpin(self, version: int) -> None:
         self._pinned.discard(version)
+
+
+def resolve(weights: Any) -> Any:
+    """Weights themselves, fetched first where they are a reference into the object store."""
+    fetch = getattr(weights, "fetch", None)
+    return fetch() if callable(fetch) else weights
+
+
+def nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Nested dictionaries from names with slashes: parameters of a flax module."""
+    tree: dict[str, Any] = {}
+    for name, array in arrays.items():
+        *path, last = name.split("/")
+        node = tree
+        for part in path:
+            node = node.setdefault(part, {})
+        node[last] = array
+    return tree

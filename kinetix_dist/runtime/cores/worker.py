@@ -1,10 +1,4 @@
-"""What a process holds: cores, and what the controller asks of them. No Ray here: local mode uses these classes too.
-
-Worker          worlds and a learner shard      colocated placement, and all of local mode
-LearnerWorker   the learner alone               split placement
-RolloutWorker   a part of the worlds            split placement
-CuratorCore     (cores.py)                      both
-"""
+"""What a process that learns holds: a learner with evaluation, and in the colocated placement worlds beside it."""
 
 from __future__ import annotations
 
@@ -19,13 +13,15 @@ from jax.sharding import Mesh
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.level_buffer import LevelBuffer, buffer_metrics
-from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, shard_worlds
+from kinetix_dist.learner.sharding import local_values, replicate, shard_worlds
 from kinetix_dist.models.policy import make_policy
-from kinetix_dist.runtime.compile_cache import compile_seconds, enable_compile_cache
-from kinetix_dist.runtime.cores import BUFFER, LEARNER, CuratorCore, LearnerCore, RolloutCore, stored_buffer
-from kinetix_dist.runtime.evaluator import Evaluator
-from kinetix_dist.runtime.levels import make_environment
-from kinetix_dist.runtime.placement import ProcessPlan
+from kinetix_dist.runtime.cores.compile_cache import compile_seconds
+from kinetix_dist.runtime.cores.evaluator import Evaluator
+from kinetix_dist.runtime.cores.learner_core import LearnerCore
+from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.stored import BUFFER, LEARNER, stored_buffer
+from kinetix_dist.runtime.cores.update_metrics import training_metrics
 
 
 class LearnerWorker:
@@ -118,74 +114,3 @@ class Worker(LearnerWorker):
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)
         return metrics, {"rollout": played - began, "learn": learned - played}
-
-
-class RolloutWorker:
-    """Part `index` of the worlds: one rollout actor of the split placement. Stateless between calls."""
-
-    def __init__(self, config: TrainConfig, mesh: Mesh, *, index: int, num_parts: int) -> None:
-        self._mesh = mesh
-        self._num_env_steps = config.rollout.steps_per_update // num_parts
-        env = make_environment(config)
-        policy = make_policy(config.policy, env.action_head_sizes)
-        num_groups = config.rollout.num_groups // num_parts
-        self._rollout = RolloutCore(config, env, policy, mesh, first_group=index * num_groups, num_groups=num_groups)
-
-    def play(
-        self, update: int, policy_version: int, params: Any, buffer: LevelBuffer | None
-    ) -> tuple[dict[str, Any], tuple[Any, ...]]:
-        """(stamp, batch as numpy) of this part of batch `update`."""
-        began = time.monotonic()
-        params, buffer = replicate(params, self._mesh), replicate(buffer, self._mesh)
-        batch = jax.device_get(self._rollout.play(params, buffer, update))
-        stamp = {
-            "update": update,
-            "policy_version": policy_version,
-            "num_env_steps": self._num_env_steps,
-            "seconds": time.monotonic() - began,
-        }
-        return stamp, batch
-
-
-# What a backend spawns
-
-
-def build_worker(plan: ProcessPlan, num_processes: int, config: TrainConfig) -> Worker:
-    del plan, num_processes
-    enable_compile_cache(config.run.compile_cache)
-    return Worker(config, data_mesh())
-
-
-def build_learner(plan: ProcessPlan, num_processes: int, config: TrainConfig) -> LearnerWorker:
-    del plan, num_processes
-    enable_compile_cache(config.run.compile_cache)
-    return LearnerWorker(config, data_mesh())
-
-
-def build_rollout(plan: ProcessPlan, num_processes: int, config: TrainConfig) -> RolloutWorker:
-    del num_processes
-    enable_compile_cache(config.run.compile_cache)
-    return RolloutWorker(config, data_mesh(), index=plan.index, num_parts=config.run.num_rollout_actors)
-
-
-def build_curator(plan: ProcessPlan, num_processes: int, config: TrainConfig) -> CuratorCore:
-    del plan, num_processes
-    enable_compile_cache(config.run.compile_cache)
-    return CuratorCore(config)
-
-
-def training_metrics(sums: Mapping[str, Any], learner_metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Metrics of one update, by the names of `telemetry.names`."""
-    finished = float(sums["finished"])
-
-    def per_episode(name: str) -> float:
-        return float(sums[name]) / finished if finished else float("nan")
-
-    metrics = {
-        "train/episodes": finished,
-        "train/solve_rate": per_episode("solved"),
-        "train/failed_rate": per_episode("failed"),
-        "train/mean_return": per_episode("return"),
-        "train/mean_reward": float(sums["reward"]) / float(sums["steps"]),
-    }
-    return metrics | {f"learner/{name}": float(value) for name, value in learner_metrics.items()}

@@ -9,14 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.runtime.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.controller import WorkerLostError, resolve
-from kinetix_dist.runtime.placement import ProcessPlan
-from kinetix_dist.runtime.worker import build_curator
+from kinetix_dist.runtime.cores.build import build_curator
+from kinetix_dist.runtime.driver.weight_sync import resolve
+from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket, WorkerLostError
+from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
 class CuratorClient:
-    """A `controller.Curator`. Its process starts with the first request."""
+    """A `roles.Curator`. Its process starts with the first request."""
 
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan) -> None:
         self._config = config

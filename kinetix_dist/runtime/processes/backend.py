@@ -9,7 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from kinetix_dist.runtime.placement import ProcessPlan
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+
+class WorkerLostError(RuntimeError):
+    """A process died or hung: what it held is gone, and it can be started again."""
 
 
 class Ticket(Protocol):
@@ -37,7 +41,7 @@ class Backend(Protocol):
     """Starts processes and ends them."""
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[Handle]:
-        """One core `build(plan, number of plans, *arguments)` a plan; several form one JAX world, in order of rank."""
+        """One core `build(plan.index, number of plans, *arguments)` a plan; several form one JAX world, by rank."""
 
     def put(self, value: Any) -> Ticket:
         """A value that many calls are given, stored once."""

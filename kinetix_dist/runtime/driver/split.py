@@ -21,19 +21,18 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.runtime.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.controller import WorkerLostError, nested, resolve
-from kinetix_dist.runtime.cores import ACTING
-from kinetix_dist.runtime.placement import Placement
-from kinetix_dist.runtime.weight_sync import WeightStore
-from kinetix_dist.runtime.work_buffer import Work, WorkBuffer
-from kinetix_dist.runtime.worker import build_learner, build_rollout
+from kinetix_dist.runtime.cores.build import build_learner, build_rollout
+from kinetix_dist.runtime.cores.stored import ACTING
+from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
+from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
+from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket, WorkerLostError
+from kinetix_dist.runtime.processes.placement import Placement
 
 _MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
 
 
 class SplitTrainer:
-    """A `controller.Trainer` of rollout actors, a bounded work buffer and a learner."""
+    """A `roles.Trainer` of rollout actors, a bounded work buffer and a learner."""
 
     policy_lag = 1
 
