@@ -98,6 +98,8 @@ class RunConfig:
     device: str = "auto"  # "auto" (gpu if there is one), "cpu" or "gpu"
     num_workers: int = 0  # learner processes; 0: one a GPU, on CPU one
     num_rollout_actors: int = 1  # split placement only
+    gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
+    curator_memory_gib: float = 0.0  # of that, for the curator; 0: by scoring_batch and size
     checkpoint_every: int = 50  # updates
     keep_checkpoints: int = 3
     max_restarts: int = 3  # of a lost process, before the run gives up
@@ -113,6 +115,8 @@ class RunConfig:
             ("max_seconds", 0),
             ("num_workers", 0),
             ("num_rollout_actors", 1),
+            ("gpu_memory_gib", 0),
+            ("curator_memory_gib", 0),
             ("checkpoint_every", 1),
             ("keep_checkpoints", 1),
             ("max_restarts", 0),

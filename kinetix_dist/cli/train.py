@@ -10,6 +10,7 @@ import argparse
 import dataclasses
 import json
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,7 +67,7 @@ def run(args: Args) -> int:
     from kinetix_dist.checkpoint import CheckpointError
     from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.driver.training_run import train
+    from kinetix_dist.runtime.driver.training_run import RunFailedError, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
 
     config = args.config
@@ -85,6 +86,9 @@ def run(args: Args) -> int:
         with user_errors(CheckpointError, PlacementError, FileNotFoundError):
             report = train(config, directory, resume=args.resume)
         _print_report(report, directory.path)
+    except RunFailedError as error:
+        print(f"kinetix-dist: {one_line(error)}", file=sys.stderr)
+        return 1
     finally:
         directory.close()
     return 0

@@ -21,8 +21,8 @@ from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
-WORKER = ProcessPlan(role="worker", index=0, gpu_share=0.0, env_vars={})
-CURATOR = ProcessPlan(role="curator", index=0, gpu_share=0.0, env_vars={})
+WORKER = ProcessPlan(role="worker", index=0)
+CURATOR = ProcessPlan(role="curator", index=0)
 
 
 def _run_local(config, path, reporter=None, *, resume=False):

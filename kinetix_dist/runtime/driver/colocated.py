@@ -59,7 +59,7 @@ class ColocatedTrainer:
         return self._first("record", num_rollouts, num_updates)
 
     def facts(self) -> dict[str, Any]:
-        return self._first("facts")
+        return {**self._first("facts"), "processes": self._backend.facts(self._handles)}
 
     def stop(self) -> None:
         self._backend.kill(self._handles)

@@ -43,7 +43,7 @@ from kinetix_dist.runtime.driver.clock import RoleClock
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
-from kinetix_dist.runtime.processes.backend import WorkerLostError
+from kinetix_dist.runtime.processes.failures import WorkerLostError
 
 PENDING = "pending"  # arrays of a checkpoint: weights of the refresh that was in flight
 
@@ -272,7 +272,7 @@ class Controller:
         self.run.event("worker_lost", update=self.num_updates, error=str(error), restart=self.num_restarts)
         self.reporter.note(f"{error}; restart {self.num_restarts} of {self.config.run.max_restarts}")
         if self.num_restarts > self.config.run.max_restarts:
-            raise error
+            raise WorkerLostError(f"{error}, once more than run.max_restarts {self.config.run.max_restarts}") from error
         began = time.monotonic()
         if self.curator is not None:
             self.curator.cancel()

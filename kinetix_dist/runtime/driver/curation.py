@@ -11,7 +11,9 @@ from typing import Any
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_curator
 from kinetix_dist.runtime.driver.weight_sync import resolve
-from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket, WorkerLostError
+from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
@@ -45,6 +47,15 @@ class CuratorClient:
 
     def cancel(self) -> None:
         self._asked = self._answer = None
+
+    def facts(self) -> list[dict[str, Any]]:
+        """Of its process; that it was lost is a fact too, since training does not depend on it."""
+        if self._handle is None or isinstance(self._backend, LocalBackend):
+            return []
+        try:
+            return self._backend.facts([self._handle])
+        except WorkerLostError as error:
+            return [{"process": self._plan.name, "lost": str(error)}]
 
     def stop(self) -> None:
         if self._handle is not None:

@@ -36,7 +36,7 @@ class Trainer(Protocol):
         """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
 
     def facts(self) -> dict[str, Any]:
-        """For the report: "device" (platform, kind and number of those that learn) and "compile_seconds"."""
+        """For the report: "device" (platform, kind and number of those that learn), "compile_seconds", "processes"."""
 
     def stop(self) -> None: ...
 
@@ -53,6 +53,9 @@ class Curator(Protocol):
         """The buffer asked for last; waits for it. None when it was lost for good."""
 
     def cancel(self) -> None: ...
+
+    def facts(self) -> list[dict[str, Any]]:
+        """For the report, of its process; nothing where it shares that of the trainer."""
 
     def stop(self) -> None: ...
 

@@ -7,6 +7,7 @@
         metrics/             metrics.jsonl and TensorBoard events
         events.jsonl         what happened: restarts, rejected checkpoints, adopted buffers
         recordings/          rollouts (.mcap), .rrd and pictures
+        logs/                tracebacks of processes that failed
         report.json          written when the run is complete
 
 The driver keeps no state of its own: from this directory a run can be resumed by any process.
@@ -100,9 +101,17 @@ class RunDirectory:
 
     def event(self, kind: str, **details: Any) -> None:
         """Appends to events.jsonl: time, kind, details."""
-        row = {"time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "event": kind, **details}
+        row = {"time": _now(), "event": kind, **details}
         with (self.path / "events.jsonl").open("a") as file:
             file.write(json.dumps(row) + "\n")
+
+    def write_log(self, name: str, text: str) -> Path:
+        """Appends to `logs/NAME.log`; returns its path."""
+        path = self.path / "logs" / f"{name}.log"
+        path.parent.mkdir(exist_ok=True)
+        with path.open("a") as file:
+            file.write(f"{_now()}\n{text.rstrip()}\n")
+        return path
 
     def write_json(self, path: Path, content: Any) -> None:
         """Writes JSON by a rename, so that a reader never sees half a file."""
@@ -126,6 +135,10 @@ def newest_run(parent: Path, name: str) -> Path | None:
         if match and (path / "config.json").is_file():
             numbered[int(match[1] or 1)] = path
     return numbered[max(numbered)] if numbered else None
+
+
+def _now() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
 def _lock(path: Path) -> IO[str]:

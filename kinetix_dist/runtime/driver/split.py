@@ -25,7 +25,8 @@ from kinetix_dist.runtime.cores.build import build_learner, build_rollout
 from kinetix_dist.runtime.cores.stored import ACTING
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
-from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket, WorkerLostError
+from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement
 
 _MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
@@ -105,7 +106,8 @@ class SplitTrainer:
         return self._ask_learner("record", num_rollouts, num_updates)
 
     def facts(self) -> dict[str, Any]:
-        return self._ask_learner("facts")
+        assert self._learner is not None
+        return {**self._ask_learner("facts"), "processes": self._backend.facts([self._learner, *self._actors])}
 
     def stop(self) -> None:
         handles = [*self._actors, *([self._learner] if self._learner is not None else [])]

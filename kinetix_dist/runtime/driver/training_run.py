@@ -20,10 +20,15 @@ from kinetix_dist.runtime.driver.reporting import RunReporter
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.processes.backend import Backend
+from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
+
+
+class RunFailedError(RuntimeError):
+    """A run that ended because a process failed, or was lost too often: which, why and what to do, in one line."""
 
 
 def train(
@@ -31,13 +36,16 @@ def train(
 ) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
 
-    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed.
+    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed, and
+    RunFailedError where a process failed.
     """
     began = time.monotonic()
     reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
     recorder = Recorder(run)
-    backend, trainer, curator = _start_roles(config)
+    started: list[Any] = []
     try:
+        backend, trainer, curator = _start_roles(config, run)
+        started = [role for role in (curator, trainer, backend) if role is not None]
         controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder)
         controller.restore(resume=resume)
         run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
@@ -57,18 +65,30 @@ def train(
             if config.recording.make_pictures:
                 recorder.make_pictures()
         controller.clock.lap()
-        report = _report(config, controller, evaluations, trainer.facts(), wall_seconds=time.monotonic() - began)
+        facts = trainer.facts()
+        facts["processes"] += curator.facts() if curator is not None else []
+        report = _report(config, controller, evaluations, facts, wall_seconds=time.monotonic() - began)
         run.write_json(run.report_path, report)
         reporter.phase("done")
         return report
+    except (ProcessFailedError, WorkerLostError) as error:
+        raise _failed_run(run, error) from error
     finally:
-        for role in (curator, trainer, backend):
-            if role is not None:
-                role.stop()
+        for role in started:
+            role.stop()
         reporter.close()
 
 
-def _start_roles(config: TrainConfig) -> tuple[Backend, Trainer, CuratorClient | None]:
+def _failed_run(run: RunDirectory, error: ProcessFailedError | WorkerLostError) -> RunFailedError:
+    """One line for the console; the traceback of a process goes to a file that the line names."""
+    run.event("run_failed", error=str(error))
+    where = ""
+    if isinstance(error, ProcessFailedError):
+        where = f"; traceback in {run.write_log(error.process.replace(' ', '_'), error.details)}"
+    return RunFailedError(f"{error}{where}; checkpoints are kept, go on with --run {run.path} --resume")
+
+
+def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Trainer, CuratorClient | None]:
     import jax
 
     if config.run.placement == "local":
@@ -77,17 +97,18 @@ def _start_roles(config: TrainConfig) -> tuple[Backend, Trainer, CuratorClient |
         device = resolve_device(config.run.device, num_gpus=count_gpus())
         if device == "cpu":
             jax.config.update("jax_platforms", "cpu")
-        worker = ProcessPlan(role="worker", index=0, gpu_share=float(device == "gpu"), env_vars={})
+        worker = ProcessPlan(role="worker", index=0)
         local = LocalBackend()
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
-        curator_plan = ProcessPlan(role="curator", index=0, gpu_share=0.0, env_vars={})
+        curator_plan = ProcessPlan(role="curator", index=0)
         return local, trainer, CuratorClient(config, local, curator_plan) if config.curriculum.has_buffer else None
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
     jax.config.update("jax_platforms", "cpu")  # the driver computes nothing and must not hold a GPU
-    backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds)
+    backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)
     try:
         placement = plan(config, num_gpus=backend.num_gpus)
+        backend.reserve(placement)
     except ValueError:
         backend.stop()
         raise

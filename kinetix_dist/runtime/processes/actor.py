@@ -1,17 +1,22 @@
 """The one Ray actor: a process of a run that joins a group, builds its core, answers calls and pings.
 
-The work itself is a core that knows nothing of processes and is called the same way in local mode.
+The work itself is a core that knows nothing of processes and is called the same way in local mode. Whatever it raises
+leaves as a `ProcessFailedError`: one line and a traceback.
 """
 
 from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Any
 
 import ray
 
+from kinetix_dist.runtime.processes.facts import facts_of, whereabouts
+from kinetix_dist.runtime.processes.failures import failure_of
+from kinetix_dist.runtime.processes.gpu_memory import Budget, budget_of, this_gpu
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
@@ -26,6 +31,7 @@ class ProcessActor:
         self._plan = plan
         self._build = build
         self._arguments = arguments
+        self._budget: Budget | None = None
         self._core: Any = None
 
     def __repr__(self) -> str:
@@ -35,6 +41,15 @@ class ProcessActor:
     def ping(self) -> int:
         """The process id; that it comes back, while a call runs too, says that the process is not stopped."""
         return os.getpid()
+
+    def prepare(self) -> dict[str, Any]:
+        """Before JAX starts: tells XLA how much of the GPU is its own. Returns where the process is and what it has."""
+        with self._failures():
+            if self._plan.memory is not None:
+                self._budget = budget_of(self._plan.name, self._plan.memory, this_gpu())
+                os.environ.pop("XLA_PYTHON_CLIENT_MEM_FRACTION", None)  # an older name of what follows
+                os.environ.update(self._budget.environment)
+            return whereabouts(self._budget)
 
     def free_address(self) -> str:
         """host:port that this process could listen on now, for the coordinator of a group."""
@@ -47,20 +62,34 @@ class ProcessActor:
         """Forms one JAX world with the other processes of the group. Waits for all of them."""
         import jax
 
-        jax.distributed.initialize(
-            coordinator,
-            num_processes,
-            rank,
-            cluster_detection_method="deactivate",
-            heartbeat_timeout_seconds=HEARTBEAT_TIMEOUT_S,
-        )
+        with self._failures():
+            jax.distributed.initialize(
+                coordinator,
+                num_processes,
+                rank,
+                cluster_detection_method="deactivate",
+                heartbeat_timeout_seconds=HEARTBEAT_TIMEOUT_S,
+            )
 
     def build(self) -> None:
-        self._core = self._build(*self._arguments)
+        with self._failures():
+            self._core = self._build(*self._arguments)
 
     def call(self, method: str, *arguments: Any) -> Any:
         """`core.method(*arguments)`. What it returns is numpy or plain Python."""
-        return getattr(self._core, method)(*arguments)
+        with self._failures():
+            return getattr(self._core, method)(*arguments)
+
+    def facts(self) -> dict[str, Any]:
+        with self._failures():
+            return facts_of(self._plan.name, self._budget)
+
+    @contextmanager
+    def _failures(self) -> Generator[None, None, None]:
+        try:
+            yield
+        except Exception as error:
+            raise failure_of(self._plan.name, error, self._budget) from None
 
 
 def _own_address() -> str:

@@ -12,15 +12,11 @@ from typing import Any, Protocol
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
-class WorkerLostError(RuntimeError):
-    """A process died or hung: what it held is gone, and it can be started again."""
-
-
 class Ticket(Protocol):
     """An answer that may not be there yet. As an argument of a call it stands for the answer and is not copied."""
 
     def fetch(self) -> Any:
-        """The answer; waits for it. Raises WorkerLostError where it will never come."""
+        """The answer; waits for it. Raises as `Backend.gather` does."""
 
     def is_ready(self) -> bool: ...
 
@@ -47,7 +43,10 @@ class Backend(Protocol):
         """A value that many calls are given, stored once."""
 
     def gather(self, tickets: Sequence[Ticket]) -> list[Any]:
-        """All answers; raises WorkerLostError as soon as one process is lost."""
+        """All answers. Raises WorkerLostError as soon as a process is lost, ProcessFailedError as soon as one fails."""
+
+    def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
+        """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""
 
     def kill(self, handles: Sequence[Handle]) -> None:
         """Ends processes and returns when they are gone."""

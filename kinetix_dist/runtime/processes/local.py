@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from kinetix_dist.runtime.processes.facts import facts_of
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
@@ -49,6 +50,10 @@ class LocalBackend:
 
     def gather(self, tickets: Sequence[LocalTicket]) -> list[Any]:
         return [ticket.value for ticket in tickets]
+
+    def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:
+        """Of this process, once: all of its cores share it."""
+        return [facts_of("local", None)] if handles else []
 
     def kill(self, handles: Sequence[LocalHandle]) -> None:
         del handles

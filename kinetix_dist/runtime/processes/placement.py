@@ -2,7 +2,7 @@
 
 colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
 split       one learner process, and rollout actors on devices of their own; lag 1
-both        one curator: on the GPU of the first worker with a share of its memory, on CPU in a process of its own
+both        one curator, on the GPU of the first worker (or rollout actor), whose memory the two share
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from __future__ import annotations
 import dataclasses
 import os
 import subprocess
+from collections.abc import Iterable, Sequence
 
 from kinetix_dist.config import TrainConfig
-
-CURATOR_GPU_SHARE = 0.25  # of a GPU's memory, when the curator scores on the GPU of a worker
+from kinetix_dist.runtime.processes.gpu_memory import GpuShare, share_of_gpu
 
 
 class PlacementError(ValueError):
@@ -26,8 +26,10 @@ class ProcessPlan:
 
     role: str  # "worker", "learner", "rollout" or "curator"
     index: int  # among those of its role
-    gpu_share: float  # 0: it computes on the CPU
-    env_vars: dict[str, str]
+    gpu: int | None = None  # which of the run's GPUs, counted from 0; None: it computes on the CPU
+    gpu_share: float = 0.0  # of that GPU, as Ray counts
+    memory: GpuShare | None = None  # all processes on that GPU, and what each needs of it
+    env_vars: dict[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -46,33 +48,36 @@ class Placement:
 
 def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
     """The processes of a run on a machine with `num_gpus` GPUs; raises PlacementError where they do not fit."""
-    use_gpu = resolve_device(config.run.device, num_gpus=num_gpus) == "gpu"
-    processes: list[ProcessPlan] = []
-    has_curator = config.curriculum.has_buffer
+    on_gpus = resolve_device(config.run.device, num_gpus=num_gpus) == "gpu"
     if config.run.placement == "colocated":
-        num_workers = config.run.num_workers or (num_gpus if use_gpu else 1)
-        if use_gpu and num_workers > num_gpus:
+        num_workers = config.run.num_workers or (num_gpus if on_gpus else 1)
+        if on_gpus and num_workers > num_gpus:
             raise PlacementError(f"run.num_workers {num_workers} needs as many GPUs; there are {num_gpus}")
         if config.rollout.num_groups % num_workers:
             raise PlacementError(
                 f"{num_workers} workers cannot share {config.rollout.num_groups} world groups evenly; "
                 "change run.num_workers or rollout.num_groups"
             )
-        share = 1.0 - CURATOR_GPU_SHARE if has_curator else 1.0
-        processes += [_process("worker", index, share if use_gpu else 0.0) for index in range(num_workers)]
+        gpus = [[("worker", index)] for index in range(num_workers)]
+        beside_curator, num_in_group = 0, num_workers
     else:
         num_rollout = config.run.num_rollout_actors
-        if use_gpu and num_gpus < 1 + num_rollout:
+        if on_gpus and num_gpus < 1 + num_rollout:
             raise PlacementError(
                 f"split placement with {num_rollout} rollout actors needs {1 + num_rollout} GPUs of {num_gpus}; "
                 "use run.placement colocated"
             )
-        share = 1.0 - CURATOR_GPU_SHARE if has_curator else 1.0
-        processes.append(_process("learner", 0, 1.0 if use_gpu else 0.0))
-        processes += [_process("rollout", index, share if use_gpu else 0.0) for index in range(num_rollout)]
-    if has_curator:
-        processes.append(_process("curator", 0, CURATOR_GPU_SHARE if use_gpu else 0.0))
-    return Placement(processes=tuple(processes))
+        gpus = [[("learner", 0)], *([("rollout", index)] for index in range(num_rollout))]
+        beside_curator, num_in_group = 1, 1
+    if config.curriculum.has_buffer:
+        gpus[beside_curator].append(("curator", 0))
+    if not on_gpus:
+        return Placement(processes=_in_order(_on_cpu(role, index) for gpu in gpus for role, index in gpu))
+    return Placement(
+        processes=_in_order(
+            process for gpu, roles in enumerate(gpus) for process in _on_gpu(config, gpu, roles, num_in_group)
+        )
+    )
 
 
 def resolve_device(device: str, *, num_gpus: int) -> str:
@@ -99,11 +104,21 @@ def count_gpus() -> int:
     return sum(line.startswith("GPU ") for line in listing.stdout.splitlines())
 
 
-def _process(role: str, index: int, gpu_share: float) -> ProcessPlan:
-    if not gpu_share:
-        return ProcessPlan(role=role, index=index, gpu_share=0.0, env_vars={"JAX_PLATFORMS": "cpu"})
-    memory = {"XLA_PYTHON_CLIENT_PREALLOCATE": "true"}
-    if gpu_share < 1.0:  # two JAX processes on this GPU: each is told its part, less what CUDA itself takes
-        memory["XLA_PYTHON_CLIENT_MEM_FRACTION"] = f"{0.95 * gpu_share:.3f}"
+def _on_cpu(role: str, index: int) -> ProcessPlan:
+    return ProcessPlan(role=role, index=index, env_vars={"JAX_PLATFORMS": "cpu"})
+
+
+def _on_gpu(config: TrainConfig, gpu: int, roles: Sequence[tuple[str, int]], num_in_group: int) -> list[ProcessPlan]:
+    """The processes of one GPU; each knows of the others, since all of them share its memory."""
     passed_on = {name: value for name, value in os.environ.items() if name.startswith(("NCCL_", "XLA_FLAGS"))}
-    return ProcessPlan(role=role, index=index, gpu_share=gpu_share, env_vars={**passed_on, **memory})
+    memory = share_of_gpu(config, [f"{role} {index}" for role, index in roles], num_in_group=num_in_group)
+    share = 1.0 / len(roles)  # for Ray's books; how much memory each gets is gpu_memory's
+    return [
+        ProcessPlan(role=role, index=index, gpu=gpu, gpu_share=share, memory=memory, env_vars=passed_on)
+        for role, index in roles
+    ]
+
+
+def _in_order(processes: Iterable[ProcessPlan]) -> tuple[ProcessPlan, ...]:
+    """The curator last: it is started when it is first needed."""
+    return tuple(sorted(processes, key=lambda process: process.role == "curator"))

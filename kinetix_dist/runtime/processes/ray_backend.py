@@ -10,12 +10,16 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import ray
+import ray.util
+from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from kinetix_dist.runtime.processes.actor import ProcessActor
-from kinetix_dist.runtime.processes.backend import WorkerLostError
-from kinetix_dist.runtime.processes.placement import ProcessPlan, count_gpus
+from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.supervise import Heartbeats, gather, wait_until_gone
 from kinetix_dist.runtime.processes.watchdog import Watchdog
+
+GPUS_TIMEOUT_S = 60
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,9 +60,14 @@ class RayHandle:
 class RayBackend:
     """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
 
-    def __init__(self, *, heartbeat_seconds: float) -> None:
+    def __init__(
+        self, *, heartbeat_seconds: float, on_event: Callable[..., None] = lambda kind, **details: None
+    ) -> None:
+        """`on_event(kind, **details)` hears of every process that starts: who, where, with how much memory."""
+        self._on_event = on_event
         self._heartbeats = Heartbeats(heartbeat_seconds)
         self._watchdog: Watchdog | None = None
+        self._group: Any = None  # the GPUs of the run, one bundle each
         if ray.is_initialized():
             self._owns_ray = False
             return
@@ -87,14 +96,37 @@ class RayBackend:
         """Of the whole cluster."""
         return int(ray.cluster_resources().get("GPU", 0))
 
+    def reserve(self, placement: Placement) -> None:
+        """Takes the GPUs of a run, so that who shares one with whom is the same after every restart.
+
+        Raises PlacementError where others hold them. Nothing to do for a run on CPUs.
+        """
+        shared: dict[int, int] = {}
+        for plan in placement.processes:
+            if plan.gpu is not None:
+                shared[plan.gpu] = shared.get(plan.gpu, 0) + 1
+        if not shared:
+            return
+        bundles = [{"GPU": 1, "CPU": shared[gpu]} for gpu in sorted(shared)]
+        group = ray.util.placement_group(bundles, strategy="PACK")
+        if not group.wait(GPUS_TIMEOUT_S):
+            ray.util.remove_placement_group(group)
+            raise PlacementError(
+                f"this run needs {len(bundles)} of the cluster's {self.num_gpus} GPUs, and they were not free within "
+                f"{GPUS_TIMEOUT_S} s; wait for the run that holds them, or lower run.num_workers"
+            )
+        self._group = group
+
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
-        actors = []
-        for plan in plans:
-            environment = {"KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", "1"), **plan.env_vars}
-            options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
-            actors.append(ProcessActor.options(**options).remote(plan, build, plan.index, len(plans), *arguments))
+        actors = [
+            ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, len(plans), *arguments)
+            for plan in plans
+        ]
         try:
-            pids = gather([actor.ping.remote() for actor in actors], actors, self._heartbeats)
+            gather([actor.ping.remote() for actor in actors], actors, self._heartbeats)
+            started = gather([actor.prepare.remote() for actor in actors], actors, self._heartbeats)
+            for plan, where in zip(plans, started, strict=True):
+                self._on_event("process_started", process=plan.name, **where)
             if len(actors) > 1 and plans[0].role == "worker":
                 coordinator = ray.get(actors[0].free_address.remote())
                 joins = [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)]
@@ -104,7 +136,23 @@ class RayBackend:
             for actor in actors:
                 ray.kill(actor, no_restart=True)
             raise
-        return [RayHandle(plan, actor, pid, self) for plan, actor, pid in zip(plans, actors, pids, strict=True)]
+        return [
+            RayHandle(plan, actor, where["pid"], self)
+            for plan, actor, where in zip(plans, actors, started, strict=True)
+        ]
+
+    def facts(self, handles: Sequence[RayHandle]) -> list[dict[str, Any]]:
+        actors = [handle.actor for handle in handles]
+        return gather([actor.facts.remote() for actor in actors], actors, self._heartbeats)
+
+    def _options(self, plan: ProcessPlan) -> dict[str, Any]:
+        environment = {"KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", "1"), **plan.env_vars}
+        options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
+        if plan.gpu is not None:
+            options["scheduling_strategy"] = PlacementGroupSchedulingStrategy(
+                self._group, placement_group_bundle_index=plan.gpu
+            )
+        return options
 
     def put(self, value: Any) -> RayTicket:
         return RayTicket(ray.put(value))
@@ -128,6 +176,8 @@ class RayBackend:
     def stop(self) -> None:
         if self._owns_ray:
             ray.shutdown()
+        elif self._group is not None:
+            ray.util.remove_placement_group(self._group)
         if self._watchdog is not None:
             self._watchdog.stop()
 

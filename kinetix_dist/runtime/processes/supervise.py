@@ -7,6 +7,7 @@ gone, start afresh from a checkpoint.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections.abc import Sequence
@@ -14,10 +15,11 @@ from typing import Any
 
 import ray
 
-from kinetix_dist.runtime.processes.backend import WorkerLostError
+from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
 
 POLL_S = 1.0
 PING_EVERY_S = 5.0
+FAILURE_GRACE_S = 3.0  # for the process that failed to say so, after another has lost it
 GONE_TIMEOUT_S = 30.0  # for the kernel to end a killed process, GPU memory included
 
 
@@ -50,12 +52,17 @@ class Heartbeats:
 
 
 def gather(references: Sequence[Any], actors: Sequence[Any], heartbeats: Heartbeats) -> list[Any]:
-    """Results in order. Raises WorkerLostError as soon as a process died or has been silent for too long."""
+    """Results in order. Raises WorkerLostError as soon as a process died or has been silent for too long, and
+    ProcessFailedError as soon as one failed at its work."""
     waiting = list(references)
     while waiting:
         ready, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=POLL_S)
         for reference in ready:
-            _result(reference)  # a loss shows at once, while the rest of the group may hang in a collective
+            try:
+                _result(reference)  # a loss shows at once, while the rest of the group may hang in a collective
+            except WorkerLostError:
+                _raise_failure_among([other for other in references if other is not reference])
+                raise
         if waiting and (silent := heartbeats.silent(actors)):
             raise WorkerLostError(f"{len(silent)} of {len(actors)} processes stopped answering")
     return [_result(reference) for reference in references]
@@ -77,9 +84,22 @@ def _result(reference: Any) -> Any:
     except ray.exceptions.RayActorError as error:
         raise WorkerLostError(f"a process died: {' '.join(str(error).split())[:200]}") from error
     except ray.exceptions.RayTaskError as error:
-        if "heartbeat" in str(error) or "Gloo" in str(error) or "gloo" in str(error) or "NCCL" in str(error):
-            raise WorkerLostError("a process lost its group in a collective") from error
-        raise
+        failure = error.cause
+        if not isinstance(failure, ProcessFailedError):
+            raise
+        if failure.is_loss_of_group:
+            raise WorkerLostError(f"{failure.process} lost its group in a collective") from None
+        raise failure from None
+
+
+def _raise_failure_among(references: Sequence[Any]) -> None:
+    """A process that fails takes its group along; whichever is heard of first, the failure is what has to be told."""
+    if not references:
+        return
+    ready, _ = ray.wait(list(references), num_returns=len(references), timeout=FAILURE_GRACE_S)
+    for reference in ready:
+        with contextlib.suppress(WorkerLostError):
+            _result(reference)
 
 
 def _exists(pid: int) -> bool:
