@@ -30,10 +30,10 @@ class RunReporter:
         if self._files is None or num_updates <= self._last_update:
             self._close_files()
             env_steps = int(metrics["progress/env_steps"])
-            self._files = (
-                JsonlSink(self._run.metrics / "metrics.jsonl", resume_at=num_updates - 1),
-                TensorboardSink(self._run.metrics, purge_after=env_steps),
-            )
+            path = self._run.metrics / "metrics.jsonl"
+            rows = JsonlSink(path, resume_at=num_updates - 1)
+            self._files = (rows, TensorboardSink(self._run.metrics, purge_after=env_steps))
+            self._run.set_aside(path, rows.num_damaged)
         self._last_update = num_updates
         self._console.set_seconds_left(seconds_left)
         for sink in (*self._files, self._console):

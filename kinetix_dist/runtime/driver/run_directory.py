@@ -24,6 +24,8 @@ import time
 from pathlib import Path
 from typing import IO, Any
 
+from kinetix_dist.telemetry.json_lines import append_line, damaged_path, mend_lines, replace_file
+
 
 class RunDirectoryError(Exception):
     """A run directory that cannot be used, and what to do about it."""
@@ -47,6 +49,10 @@ class RunDirectory:
     @property
     def checkpoints(self) -> Path:
         return self.path / "checkpoints"
+
+    @property
+    def events(self) -> Path:
+        return self.path / "events.jsonl"
 
     @property
     def metrics(self) -> Path:
@@ -75,7 +81,9 @@ class RunDirectory:
         """Locks a run directory to go on with it."""
         if not (path / "config.json").is_file():
             raise RunDirectoryError(f"{path} holds no run (no config.json); start one without --resume")
-        return cls(path, _lock(path))
+        run = cls(path, _lock(path))
+        run.set_aside(run.events, mend_lines(run.events, is_row=lambda row: "event" in row, keep=lambda row: True))
+        return run
 
     @classmethod
     def _claim(cls, path: Path, *, first_choice: bool) -> RunDirectory | None:
@@ -102,8 +110,13 @@ class RunDirectory:
     def event(self, kind: str, **details: Any) -> None:
         """Appends to events.jsonl: time, kind, details."""
         row = {"time": _now(), "event": kind, **details}
-        with (self.path / "events.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        append_line(self.events, row)
+
+    def set_aside(self, path: Path, num_lines: int) -> None:
+        """Notes that damaged lines of a file of this run were moved to the file beside it."""
+        if num_lines:
+            names = [str(file.relative_to(self.path)) for file in (path, damaged_path(path))]
+            self.event("lines_set_aside", file=names[0], lines=num_lines, to=names[1])
 
     def write_log(self, name: str, text: str) -> Path:
         """Appends to `logs/NAME.log`; returns its path."""
@@ -114,10 +127,8 @@ class RunDirectory:
         return path
 
     def write_json(self, path: Path, content: Any) -> None:
-        """Writes JSON by a rename, so that a reader never sees half a file."""
-        draft = path.with_name(f".{path.name}.draft")
-        draft.write_text(json.dumps(content, indent=2) + "\n")
-        os.replace(draft, path)
+        """Writes JSON by a rename: no reader ever sees half a file, and no kill leaves one."""
+        replace_file(path, (json.dumps(content, indent=2) + "\n").encode())
 
     def close(self) -> None:
         self._lock.close()
