@@ -113,7 +113,10 @@ class StepInfo:
     episode_return: Array  # [W] float32, of the episode so far, this step included (the final value where done)
     episode_length: Array  # [W] int32, likewise
     invalid_actions: Array  # [W] int32, numbers of this step's action that were out of range and acted as "off"
+    invalid_controls: Array  # [W] int32, controls that the engine found out of range or NaN
+    invalid_scene: Array  # [W] int32, joints, thrusters and polygons of the level that make no sense to the engine
     contact_overflow: Array  # [W] int32, contacts that found no room in the engine (0 unless built too small)
+    speed_limited: Array  # [W] int32, times that a speed limit of the physics acted
     missing_effects: Array  # [W] int32, what an engine made for fewer effects lacks, as bits: `Touching.missing`
 
 
@@ -308,7 +311,10 @@ def _step_info(
         episode_return=episode_return,
         episode_length=num_steps,
         invalid_actions=num_invalid,
+        invalid_controls=touching.invalid_controls,
+        invalid_scene=touching.invalid_scene,
         contact_overflow=touching.overflow,
+        speed_limited=touching.limited,
         missing_effects=touching.missing,
     )
 

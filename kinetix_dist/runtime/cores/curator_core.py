@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import jax
@@ -49,7 +50,9 @@ class CuratorCore:
             play=play,
         )
 
-    def refresh(self, params: Any, policy_version: int) -> LevelBuffer:
-        """A new buffer, as numpy."""
+    def refresh(self, params: Any, policy_version: int) -> tuple[dict[str, float], LevelBuffer]:
+        """({"seconds": how long it took}, a new buffer as numpy)."""
+        began = time.monotonic()
         key = jax.random.fold_in(stream(self._seed, CURATE), policy_version)
-        return jax.device_get(self._scorer.refresh(jax.device_put(params), policy_version, key))
+        buffer = jax.device_get(self._scorer.refresh(jax.device_put(params), policy_version, key))
+        return {"seconds": time.monotonic() - began}, buffer

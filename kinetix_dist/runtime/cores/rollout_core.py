@@ -55,15 +55,13 @@ class RolloutCore:
             )
         )
 
-    def play(
-        self, params: Any, buffer: LevelBuffer | None, num_updates: int
-    ) -> tuple[Any, Any, Array, dict[str, Array]]:
+    def play(self, params: Any, buffer: LevelBuffer | None, num_updates: int) -> tuple[Any, Any, Array, dict[str, Any]]:
         """(static_obs [W, ...], trajectory [T, W, ...], last_value [W], sums over all worlds) of one update."""
         return self._play(params, buffer, jnp.uint32(num_updates))
 
     def _play_shard(
         self, params: Any, buffer: LevelBuffer | None, num_updates: Array
-    ) -> tuple[Any, Any, Array, dict[str, Array]]:
+    ) -> tuple[Any, Any, Array, dict[str, Any]]:
         config, env = self._config, self._env
         worlds_per_group = config.rollout.worlds_per_group
         device = jax.lax.axis_index(DATA_AXIS)
@@ -88,7 +86,7 @@ class RolloutCore:
         return prepared.static_obs, trajectory, last_value, _sums(outcome, trajectory.rewards)
 
 
-def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Array]:
+def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Any]:
     """What the metrics need, over the worlds of all devices."""
     local = {
         "finished": outcome.num_finished.sum(),
@@ -97,5 +95,6 @@ def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Array]:
         "return": outcome.return_sum.sum(),
         "reward": rewards.sum(),
         "steps": jnp.int32(rewards.size),
+        "physics": jax.tree.map(lambda count: count.sum(dtype=jnp.float32), outcome.physics),  # beyond an int32
     }
     return jax.lax.psum(local, DATA_AXIS)

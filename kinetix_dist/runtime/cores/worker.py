@@ -84,7 +84,7 @@ class LearnerWorker:
     def _metrics(
         self, num_updates: int, sums: Mapping[str, Any], learner_metrics: Mapping[str, Any]
     ) -> dict[str, float]:
-        metrics = training_metrics(sums, learner_metrics)
+        metrics = training_metrics(sums, learner_metrics, frame_skip=self._config.env.frame_skip)
         if self._buffer is not None:
             metrics |= {name: float(np.asarray(x)) for name, x in buffer_metrics(self._buffer, num_updates).items()}
         return metrics

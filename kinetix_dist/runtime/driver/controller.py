@@ -40,6 +40,7 @@ from kinetix_dist.checkpoint import (
 )
 from kinetix_dist.config import TrainConfig, differences, from_dict, to_dict
 from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
@@ -73,8 +74,9 @@ class Controller:
         self.num_restarts = 0
         self._on_rollouts = on_rollouts
         self._pending: tuple[int, Any] | None = None  # refresh in flight: policy version, weights
-        self._pending_arrays: dict[str, np.ndarray] = {}
         self._is_stale = False
+        self._scoring_seconds: float | None = None  # of the buffer in use
+        self._physics = PhysicsWatch()
         self._recovery_seconds = 0.0
         self._saved_at: int | None = None
 
@@ -115,6 +117,11 @@ class Controller:
     def training_seconds(self) -> float:
         return self.seconds_before + self.clock.elapsed
 
+    @property
+    def physics(self) -> dict[str, int]:
+        """Physics steps of this session and what was noted in them."""
+        return self._physics.totals
+
     # One update
 
     def _one_update(self) -> None:
@@ -154,15 +161,16 @@ class Controller:
         if self._pending[0] == 0:
             self.reporter.phase("curating")
         with self.clock.role("curate"):
-            buffer = self.curator.take()
-        self._is_stale = buffer is None
-        if buffer is None:
+            refresh = self.curator.take()
+        self._is_stale = refresh is None
+        if refresh is None:
             self.run.event("refresh_lost", policy_version=self._pending[0], update=self.num_updates)
             self.reporter.note(
                 f"the refresh of policy version {self._pending[0]} was lost; the old buffer stays in use"
             )
         else:
-            self.trainer.adopt(buffer)
+            self.trainer.adopt(refresh.buffer)
+            self._scoring_seconds = refresh.seconds
             self.run.event("buffer_adopted", policy_version=self._pending[0], update=drawn_next)
         self._pending = None
 
@@ -188,9 +196,15 @@ class Controller:
         }
         if self.curator is not None:
             metrics["curriculum/buffer_is_stale"] = float(self._is_stale)
+        if self._scoring_seconds is not None:
+            metrics["curriculum/scoring_seconds"] = self._scoring_seconds
         if self._recovery_seconds:
             metrics["runtime/recovery_seconds"] = self._recovery_seconds
         self.reporter.metrics(self.num_updates, metrics, self._seconds_left())
+        physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
+        for kind, count, warning in self._physics.add(metrics, physics_steps):
+            self.run.event("physics_warning", noted=kind, count=count, update=self.num_updates)
+            self.reporter.note(warning)
 
     def _is_over(self) -> bool:
         run = self.config.run
@@ -223,6 +237,7 @@ class Controller:
                 "training_seconds": self.training_seconds,
                 "refresh_in_flight": self._pending[0] if self._pending is not None else None,
                 "buffer_is_stale": self._is_stale,
+                "scoring_seconds": self._scoring_seconds,
             }
             try:
                 save_checkpoint(
@@ -254,12 +269,13 @@ class Controller:
     def _start_from(self, checkpoint: Checkpoint | None) -> None:
         self._pending = None
         if checkpoint is None:
-            self.num_updates, self._is_stale = 0, False
+            self.num_updates, self._is_stale, self._scoring_seconds = 0, False, None
             self.trainer.start(0, None)
             return
         description = checkpoint.description
         self.num_updates = self._saved_at = description["num_updates"]
         self._is_stale = description["buffer_is_stale"]
+        self._scoring_seconds = description.get("scoring_seconds")
         self.trainer.start(self.num_updates, checkpoint.arrays)
         self.run.event("resumed", update=self.num_updates)
         version = description["refresh_in_flight"]

@@ -10,6 +10,7 @@ from typing import Any
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_curator
+from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.driver.weight_sync import resolve
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
 from kinetix_dist.runtime.processes.failures import WorkerLostError
@@ -26,7 +27,7 @@ class CuratorClient:
         self._plan = plan
         self._handle: Handle | None = None
         self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh in flight
-        self._answer: Ticket | None = None
+        self._answer: tuple[Ticket, Ticket] | None = None  # seconds of scoring, the buffer
         self.num_restarts = 0
 
     def request(self, weights: Any, policy_version: int) -> None:
@@ -34,13 +35,14 @@ class CuratorClient:
         self._asked = (stored, policy_version)
         self._ask()
 
-    def take(self) -> Ticket | None:
+    def take(self) -> Refresh | None:
         """Waits for the buffer; after `run.max_restarts` losses gives up on it."""
         while self._answer is not None:
             try:
-                self._backend.gather([self._answer])
-                answer, self._answer, self._asked = self._answer, None, None
-                return answer
+                stamp, buffer = self._answer
+                seconds = self._backend.gather([stamp])[0]["seconds"]
+                self._answer = self._asked = None
+                return Refresh(buffer=buffer, seconds=seconds)
             except WorkerLostError:
                 self._replace()
         return None
@@ -67,7 +69,7 @@ class CuratorClient:
         if self._handle is None:
             self._handle = self._backend.spawn([self._plan], build_curator, self._config)[0]
         weights, policy_version = self._asked
-        self._answer = self._handle.call("refresh", weights, policy_version)
+        self._answer = self._handle.call_stamped("refresh", weights, policy_version)
 
     def _replace(self) -> None:
         self.stop()

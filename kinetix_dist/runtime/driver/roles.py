@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -41,6 +42,14 @@ class Trainer(Protocol):
     def stop(self) -> None: ...
 
 
+@dataclasses.dataclass(frozen=True)
+class Refresh:
+    """A scored buffer."""
+
+    buffer: Any  # the buffer, or what stands for it
+    seconds: float  # that its scoring took
+
+
 class Curator(Protocol):
     """Whatever scores levels."""
 
@@ -49,8 +58,8 @@ class Curator(Protocol):
     def request(self, weights: Any, policy_version: int) -> None:
         """Starts scoring; does not wait where there is a process to do it."""
 
-    def take(self) -> Any:
-        """The buffer asked for last; waits for it. None when it was lost for good."""
+    def take(self) -> Refresh | None:
+        """What was asked for last; waits for it. None when it was lost for good."""
 
     def cancel(self) -> None: ...
 

@@ -145,6 +145,7 @@ def _report(
         "policy_updates": controller.num_updates,
         "solve_rate": {name: evaluations.get(name) for name in ("random_policy", "before", "after")},
         "seconds_by_role": seconds,
+        "physics": controller.physics,
         **facts,
         "versions": {"python": platform.python_version(), **_versions()},
         "config_hash": config.hash,
