@@ -33,8 +33,8 @@ class Trajectory:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PhysicsCounts:
-    """What the physics and the action space noted of each world, summed over steps. Zero of all but `speed_limited` is
-    what a sound run has. Fields are those of the environment's `StepInfo`."""
+    """Counters of the physics and of the action space for each world, summed over steps. All but `speed_limited` are
+    zero in a healthy run. Fields are those of the environment's `StepInfo`."""
 
     unstable: Array  # [W] int32, times that the world was not finite and was reset
     contact_overflow: Array  # [W] int32, contacts without a slot

@@ -40,9 +40,9 @@ def add_step(outcome: LevelOutcome, done: Array, info: Any) -> LevelOutcome:
 
 
 def _add_physics(counts: PhysicsCounts, info: Any) -> PhysicsCounts:
-    noted = {name: getattr(info, name) for name in PHYSICS_FIELDS}
-    noted["missing_effects"] = noted["missing_effects"] != 0  # bits of which effects
-    return jax.tree.map(lambda sum_, step: sum_ + step.astype(jnp.int32), counts, PhysicsCounts(**noted))
+    step = {name: getattr(info, name) for name in PHYSICS_FIELDS}
+    step["missing_effects"] = step["missing_effects"] != 0  # bits of which effects
+    return jax.tree.map(lambda total, count: total + count.astype(jnp.int32), counts, PhysicsCounts(**step))
 
 
 def add_outcomes(a: LevelOutcome, b: LevelOutcome) -> LevelOutcome:

@@ -1,7 +1,8 @@
 """`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]`: pretrain a policy.
 
 Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
-field of the configuration is an option; `--help` lists them with the values of the recipe.
+field of the configuration is an option; `--help` lists them with the values of the recipe. `--env.preset NAME` replaces
+all solver settings (env.physics) by those of a preset, before single fields are overridden.
 """
 
 from __future__ import annotations
@@ -40,10 +41,12 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--recipe")
     own.add_argument("--run", type=Path)
     own.add_argument("--resume", action="store_true")
+    own.add_argument("--env.preset", dest="preset")
     try:
         known, overrides = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
         raise UserError(f"{one_line(error)}; see `kinetix-dist train --help`") from None
+    from jax2d.settings import PRESETS, preset
     from kinetix_dist.recipes import RECIPES, recipe
 
     if {"-h", "--help"} & set(overrides):
@@ -51,7 +54,8 @@ def parse(argv: Sequence[str]) -> Args:
             "usage: kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]\n\n"
             f"  --recipe NAME   {', '.join(RECIPES)} (default {DEFAULT_RECIPE})\n"
             "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)\n"
-            "  --resume        go on with the run in --run, or with the newest run of the recipe\n\n"
+            "  --resume        go on with the run in --run, or with the newest run of the recipe\n"
+            f"  --env.preset NAME  all of env.physics at once: {', '.join(PRESETS)}; single fields are set after it\n\n"
             f"fields and their values in recipe {known.recipe or DEFAULT_RECIPE!r}:\n"
         )
     run = known.run
@@ -60,11 +64,15 @@ def parse(argv: Sequence[str]) -> Args:
     if known.resume:
         run, stored = _run_to_resume(run, base.run.name)
         base = stored if known.recipe is None else base
+    if known.preset is not None:
+        with user_errors(ValueError):
+            base = dataclasses.replace(base, env=dataclasses.replace(base.env, physics=preset(known.preset)))
     return Args(config=_override(base, overrides), run=run, resume=known.resume)
 
 
 def run(args: Args) -> int:
     from kinetix_dist.checkpoint import CheckpointError
+    from kinetix_dist.env.physics import describe
     from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
     from kinetix_dist.runtime.driver.training_run import RunFailedError, train
@@ -82,7 +90,11 @@ def run(args: Args) -> int:
         directory = _open(args)
     try:
         enable_compile_cache(config.run.compile_cache)
-        print(f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}", flush=True)
+        print(
+            f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}"
+            f"  physics {describe(config.env.physics)}",
+            flush=True,
+        )
         with user_errors(CheckpointError, PlacementError, FileNotFoundError):
             report = train(config, directory, resume=args.resume)
         _print_report(report, directory.path)

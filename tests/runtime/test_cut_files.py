@@ -67,12 +67,12 @@ def test_events_cut_at_every_byte_never_join_with_the_next(finished, tmp_path):
         run.close()
         rows = [json.loads(line) for line in run.events.read_text().splitlines()]
         unfinished = last[:cut].rsplit(b"\n", 1)[-1]
-        noted = [row for row in rows if row["event"] == "lines_set_aside"]
+        reported = [row for row in rows if row["event"] == "lines_set_aside"]
         if unfinished and not unfinished.endswith(b"}"):
-            assert [(row["lines"], row["to"]) for row in noted] == [(1, "events.damaged")]
+            assert [(row["lines"], row["to"]) for row in reported] == [(1, "events.damaged")]
             assert (tmp_path / "events.damaged").read_bytes() == unfinished + b"\n"
         else:
-            assert not noted
+            assert not reported
         assert rows[-1]["event"] == "resumed", cut
 
 
@@ -131,8 +131,8 @@ def test_the_command_resumes_a_run_whose_files_were_cut(finished, tmp_path, dama
     assert main(["train", "--run", str(path), "--resume", "--run.total_env_steps", more]) == 0
     updates = [json.loads(line)["update"] for line in metrics.read_text().splitlines()]
     assert updates == ([1, 2, 3, 5] if damage == "half a row" else [1, 2, 3, 4, 5])
-    noted = [row for row in map(json.loads, events.read_text().splitlines()) if row["event"] == "lines_set_aside"]
-    assert [(row["file"], row["lines"]) for row in noted] == [
+    reported = [row for row in map(json.loads, events.read_text().splitlines()) if row["event"] == "lines_set_aside"]
+    assert [(row["file"], row["lines"]) for row in reported] == [
         ("events.jsonl" if damage == "half an event" else "metrics/metrics.jsonl", 1)
     ]
     assert "Traceback" not in capsys.readouterr().err

@@ -47,7 +47,7 @@ def test_what_was_recorded_of_a_kernel_is_what_it_compiles_to():
     capacity = SIZES["s"]
     compiled = compiled_thread_bytes(capacity, preset("standard"), Effects.full(capacity), "9.0")
     assert compiled <= thread_bytes(capacity)
-    assert compiled == pytest.approx(COMPILED_THREAD_BYTES["s"], rel=0.15)  # beyond that: fit NUMBERS_OF anew
+    assert compiled == pytest.approx(COMPILED_THREAD_BYTES["s"], rel=0.15)  # beyond that: fit NUMBERS_OF again
 
 
 @pytest.mark.parametrize("size", SIZES)

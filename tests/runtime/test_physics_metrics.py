@@ -38,20 +38,20 @@ def worker():
     config = tiny_config(num_updates=1)
     worker = Worker(config, data_mesh())
     worker.start(None)
-    seconds, worker.sound_buffer = CuratorCore(config).refresh(worker.weights(), 0)
+    seconds, worker.buffer = CuratorCore(config).refresh(worker.weights(), 0)
     assert seconds["seconds"] > 0
     return worker
 
 
-def test_a_sound_rollout_counts_nothing_that_should_be_zero(worker):
-    worker.adopt(worker.sound_buffer)
+def test_a_healthy_rollout_counts_nothing_that_should_be_zero(worker):
+    worker.adopt(worker.buffer)
     metrics, _ = worker.run_update(0)
     assert {name for name in METRICS if name.startswith("physics/")} <= metrics.keys()
     assert all(metrics[f"physics/{kind}"] == 0 for kind in WARNINGS)
 
 
 def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
-    worker.adopt(_with_nan(worker.sound_buffer))
+    worker.adopt(_with_nan(worker.buffer))
     metrics, _ = worker.run_update(0)
     times = NUM_WORLDS // 2 * NUM_STEPS
     assert metrics["physics/unstable_worlds"] == times
@@ -106,7 +106,7 @@ def test_a_run_warns_once_of_each_kind_and_says_how_often_at_its_end(tmp_path):
     times = NUM_WORLDS // 2 * NUM_STEPS
     assert note.startswith(f"physics: {times} worlds were not finite and were reset in {PHYSICS_STEPS} physics steps; ")
     events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
-    assert [(e["noted"], e["count"], e["update"]) for e in events if e["event"] == "physics_warning"] == [
+    assert [(e["counter"], e["count"], e["update"]) for e in events if e["event"] == "physics_warning"] == [
         ("unstable", times, 6)
     ]
     assert [row["physics/unstable_worlds"] for row in reporter.rows] == [0] * 5 + [times] * 3

@@ -38,7 +38,7 @@ from kinetix_dist.checkpoint import (
     save_checkpoint,
     select_arrays,
 )
-from kinetix_dist.config import TrainConfig, differences, from_dict, to_dict
+from kinetix_dist.config import ConfigError, TrainConfig, differences, from_dict, to_dict
 from kinetix_dist.runtime.driver.clock import RoleClock
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
@@ -119,7 +119,7 @@ class Controller:
 
     @property
     def physics(self) -> dict[str, int]:
-        """Physics steps of this session and what was noted in them."""
+        """Physics steps of this session and what was counted in them."""
         return self._physics.totals
 
     # One update
@@ -203,7 +203,7 @@ class Controller:
         self.reporter.metrics(self.num_updates, metrics, self._seconds_left())
         physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):
-            self.run.event("physics_warning", noted=kind, count=count, update=self.num_updates)
+            self.run.event("physics_warning", counter=kind, count=count, update=self.num_updates)
             self.reporter.note(warning)
 
     def _is_over(self) -> bool:
@@ -260,7 +260,10 @@ class Controller:
             self.run.event("checkpoint_rejected", checkpoint=bad.path.name, reason=bad.reason)
             self.reporter.note(f"checkpoint {bad.path.name} passed over: {bad.reason}")
         if checkpoint is not None and checkpoint.description["config_hash"] != self.config.hash:
-            theirs = from_dict(checkpoint.description["config"])
+            try:
+                theirs = from_dict(checkpoint.description["config"])
+            except ConfigError as error:
+                raise CheckpointError(f"checkpoint {checkpoint.path} cannot be resumed: {error}") from error
             raise CheckpointError(
                 f"checkpoint {checkpoint.path} is of another config: {', '.join(differences(self.config, theirs))}"
             )

@@ -1,4 +1,4 @@
-"""What the physics noted in a session, added up, with one warning for each kind of thing that should not happen."""
+"""Counters of the physics over a session, and one warning for each that should be zero and is not."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WARNINGS = {
     ),
     "invalid_controls": (
         "controls were out of range or nan",
-        "motors and thrusters were told nonsense; look at the levels with `kinetix-dist levels validate`",
+        "look at the levels with `kinetix-dist levels validate`",
     ),
     "invalid_scene": (
         "joints, thrusters or polygons of levels made no sense, counted in every step",

@@ -12,6 +12,7 @@ import time
 from typing import Any
 
 from kinetix_dist.config import TrainConfig, to_dict
+from kinetix_dist.env.physics import describe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
@@ -145,7 +146,7 @@ def _report(
         "policy_updates": controller.num_updates,
         "solve_rate": {name: evaluations.get(name) for name in ("random_policy", "before", "after")},
         "seconds_by_role": seconds,
-        "physics": controller.physics,
+        "physics": {"settings": describe(config.env.physics), **controller.physics},
         **facts,
         "versions": {"python": platform.python_version(), **_versions()},
         "config_hash": config.hash,
