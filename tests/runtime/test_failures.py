@@ -1,28 +1,12 @@
 """`kinetix-dist train` where a process of it fails: one line that says which and why, exit status 1, nothing lost."""
 
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 
 from kinetix_dist.level.paths import levels_root
-from tests.helpers import REPOSITORY, python_path
+from tests.runtime.train_process import TINY, kill_newest, rows, start, wait_for
 
-TINY = ["--recipe", "tiny", "--run.placement", "colocated", "--evaluation.sets", "s/kick"]
-
-
-def _start(run, *options):
-    return subprocess.Popen(
-        [sys.executable, "-m", "kinetix_dist.cli.main", "train", "--run", str(run), *options],
-        env={**os.environ, "PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu"},
-        cwd=REPOSITORY,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+COLOCATED = [*TINY, "--run.placement", "colocated"]
 
 
 def _the_line(process) -> str:
@@ -40,7 +24,7 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     levels.mkdir()
     shutil.copy(levels_root() / "s" / "kick.json", levels)
     fixed = ["--curriculum.name", "fixed", "--curriculum.levels", str(levels)]
-    process = _start(tmp_path / "run", *TINY, *fixed)
+    process = start(tmp_path / "run", *COLOCATED, *fixed)
     assert process.stdout is not None and process.stdout.readline().startswith("training ")  # checked by the command
     shutil.rmtree(levels)  # while Ray starts
     line = _the_line(process)
@@ -54,14 +38,8 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
 
 def test_a_worker_that_is_lost_more_often_than_allowed(tmp_path):
     run = tmp_path / "run"
-    process = _start(run, *TINY, "--run.max_restarts", "0", "--run.total_env_steps", "10000000")
-    metrics = run / "metrics" / "metrics.jsonl"
-    deadline = time.monotonic() + 240
-    while not (metrics.exists() and metrics.stat().st_size):
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.1)
-    events = [json.loads(text) for text in (run / "events.jsonl").read_text().splitlines()]
-    (worker,) = [e for e in events if e["event"] == "process_started" and e["process"] == "worker 0"]
-    os.kill(worker["pid"], signal.SIGKILL)
+    process = start(run, *COLOCATED, "--run.max_restarts", "0", "--run.total_env_steps", "10000000")
+    wait_for(lambda: bool(rows(run)), process, "an update")
+    kill_newest(run, "worker 0")
     line = _the_line(process)
     assert "a process died" in line and "once more than run.max_restarts 0" in line and "--resume" in line
