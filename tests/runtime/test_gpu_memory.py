@@ -1,6 +1,9 @@
 """Budgets of a GPU's memory. The figures are those of one H200; no test here needs a GPU."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -20,6 +23,7 @@ from kinetix_dist.runtime.processes.gpu_memory import (
     thread_bytes,
 )
 from kinetix_dist.runtime.processes.placement import plan
+from tests.helpers import python_path
 
 # 143,771 MiB, of which the driver keeps 615.
 H200 = Gpu(name="NVIDIA H200", total_bytes=143_156 * MIB, num_sms=132, threads_per_sm=2048)
@@ -160,3 +164,14 @@ def test_other_errors_keep_their_own_words():
         "worker 1 failed: unknown level set 'x'"
     )
     assert str(failure_of("worker 1", KeyError("x"), None)) == "worker 1 failed: KeyError: 'x'"
+
+
+def test_what_a_process_imports_does_not_start_jax_before_it_is_told_its_memory():
+    code = (
+        "import kinetix_dist.runtime.processes.actor, kinetix_dist.runtime.cores.build\n"
+        "from jax._src import xla_bridge\n"
+        "assert not xla_bridge.backends_are_initialized(), 'a module computes while it is imported'"
+    )
+    environment = {**os.environ, "PYTHONPATH": python_path()}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -26,7 +26,7 @@ GIB = 1 << 30
 CONTEXT_BYTES = 640 * MIB  # a JAX process: 560 measured
 PROGRAMS_BYTES = 512 * MIB  # loaded programs: 250 measured
 NCCL_BYTES = 1536 * MIB  # channels and buffers of a rank: an estimate, a few hundred for two GPUs
-DRIVER_SHARE = 0.02  # of a GPU, to nobody: rounding, fragments, what else runs on it
+UNUSED_SHARE = 0.02  # of a GPU, to nobody: rounding, fragments, what else runs on it
 MIN_POOL_BYTES = 256 * MIB  # less is taken for a mistake
 
 # Local memory that CUDA sets aside for a thread comes on top of what the context has already.
@@ -100,12 +100,13 @@ class Budget:
         }
 
 
-def share_of_gpu(config: TrainConfig, processes: Sequence[str], *, num_in_group: int) -> GpuShare:
-    """The needs of the processes ("worker 0", "curator 0") that a run places on one GPU."""
+def share_of_gpu(config: TrainConfig, processes: Sequence[tuple[str, int]], *, num_in_group: int) -> GpuShare:
+    """The needs of the processes, (role, index) each, that a run places on one GPU."""
     thread = thread_bytes(config.env.capacity)
     needs = []
-    for process in processes:
-        if process.startswith("curator"):
+    for role, index in processes:
+        process = f"{role} {index}"
+        if role == "curator":
             by_hand = config.run.curator_memory_gib
             needs.append(
                 MemoryNeeds(
@@ -124,7 +125,7 @@ def share_of_gpu(config: TrainConfig, processes: Sequence[str], *, num_in_group:
 def budget_of(process: str, share: GpuShare, gpu: Gpu) -> Budget:
     """The budget of one of the processes of a GPU; raises GpuMemoryError where they do not fit."""
     limit = gpu.total_bytes if share.limit_bytes is None else min(share.limit_bytes, gpu.total_bytes)
-    left = int(limit * (1 - DRIVER_SHARE))
+    left = int(limit * (1 - UNUSED_SHARE))
     reserves = {needs.process: reserve_bytes(needs, gpu) for needs in share.needs}
     totals: dict[str, int] = {}
     for needs in share.needs:
@@ -133,8 +134,8 @@ def budget_of(process: str, share: GpuShare, gpu: Gpu) -> Budget:
         elif needs.pool_bytes is not None:
             totals[needs.process] = needs.pool_bytes + reserves[needs.process]
     others = [needs.process for needs in share.needs if needs.process not in totals]
-    for name in others:
-        totals[name] = (left - sum(totals.values())) // len(others)
+    rest = left - sum(totals.values())
+    totals |= {name: rest // len(others) for name in others}
     budgets = {
         name: Budget(process=name, gpu=gpu, total_bytes=total, reserve_bytes=reserves[name])
         for name, total in totals.items()

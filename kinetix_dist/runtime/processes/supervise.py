@@ -85,8 +85,8 @@ def _result(reference: Any) -> Any:
         raise WorkerLostError(f"a process died: {' '.join(str(error).split())[:200]}") from error
     except ray.exceptions.RayTaskError as error:
         failure = error.cause
-        if not isinstance(failure, ProcessFailedError):
-            raise
+        if not isinstance(failure, ProcessFailedError):  # before its own methods were reached
+            raise ProcessFailedError("a process", f"failed: {type(failure).__name__}: {failure}", str(error)) from None
         if failure.is_loss_of_group:
             raise WorkerLostError(f"{failure.process} lost its group in a collective") from None
         raise failure from None
