@@ -75,7 +75,7 @@ def run(args: Args) -> int:
     from kinetix_dist.env.physics import describe
     from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.driver.training_run import RunFailedError, train
+    from kinetix_dist.runtime.driver.training_run import RunFailedError, hold_to_cpu, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
 
     config = args.config
@@ -84,8 +84,10 @@ def run(args: Args) -> int:
             resolve_device(config.run.device, num_gpus=count_gpus())
             if config.run.placement != "local":
                 plan(config, num_gpus=count_gpus())
+    with user_errors(PlacementError):
+        hold_to_cpu(config)
     with user_errors(ValueError, OSError):
-        _check_levels(config)
+        _check_levels(config)  # reading levels computes
     with user_errors(RunDirectoryError):
         directory = _open(args)
     try:

@@ -2,6 +2,9 @@
 
 import dataclasses
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -17,7 +20,7 @@ from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.processes.local import LocalBackend
-from tests.helpers import REPOSITORY
+from tests.helpers import REPOSITORY, python_path
 from tests.runtime.runs import QuietReporter
 
 
@@ -217,3 +220,25 @@ def test_physics_in_words():
     assert describe(preset("paper")) == "paper"
     assert describe(standard.replace(substeps=8)) == "standard with substeps 8"
     assert describe(preset("fine").replace(push_out_speed=3.0)) == "fine with push_out_speed 3.0"
+
+
+# Devices
+
+
+@pytest.mark.parametrize("options", ["--run.placement colocated", "--run.placement local --run.device cpu"])
+def test_the_command_keeps_off_gpus_before_it_reads_levels(options, tmp_path):
+    """Reading levels computes: JAX would start on a GPU and take three quarters of its memory from the workers."""
+    code = (
+        "import sys, jax\n"
+        "from kinetix_dist.cli import main, train\n"
+        "from kinetix_dist.cli.errors import UserError\n"
+        "def stop(config):\n"
+        "    raise UserError(f'platforms {jax.config.jax_platforms}')\n"
+        "train._check_levels = stop\n"
+        "sys.exit(main.main(sys.argv[1:]))"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+    command = [sys.executable, "-c", code, "train", "--recipe", "tiny", *options.split()]
+    environment |= {"PYTHONPATH": python_path()}
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "platforms cpu" in done.stderr, done.stderr

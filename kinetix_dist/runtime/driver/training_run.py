@@ -22,7 +22,7 @@ from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
-from kinetix_dist.runtime.processes.placement import ProcessPlan, count_gpus, plan, resolve_device
+from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
@@ -80,6 +80,24 @@ def train(
         reporter.close()
 
 
+def hold_to_cpu(config: TrainConfig) -> None:
+    """Keeps JAX in this process off the GPUs, unless it is local mode that is to use one.
+
+    Has to come before anything is computed, be it only a level that is looked at: JAX would take three quarters of a
+    GPU's memory, which the processes of the run are about to share out. Raises PlacementError where it is too late.
+    """
+    import jax
+
+    if config.run.placement == "local" and resolve_device(config.run.device, num_gpus=count_gpus()) == "gpu":
+        return
+    jax.config.update("jax_platforms", "cpu")
+    if jax.default_backend() != "cpu":
+        raise PlacementError(
+            f"JAX runs on {jax.default_backend()} in this process already, which is to compute on the CPU; "
+            "start training from a process that has not used JAX, or set JAX_PLATFORMS=cpu"
+        )
+
+
 def _failed_run(run: RunDirectory, error: ProcessFailedError | WorkerLostError) -> RunFailedError:
     """One line for the console; the traceback of a process goes to a file that the line names."""
     run.event("run_failed", error=str(error))
@@ -90,14 +108,10 @@ def _failed_run(run: RunDirectory, error: ProcessFailedError | WorkerLostError) 
 
 
 def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Trainer, CuratorClient | None]:
-    import jax
-
+    hold_to_cpu(config)
     if config.run.placement == "local":
         from kinetix_dist.runtime.processes.local import LocalBackend
 
-        device = resolve_device(config.run.device, num_gpus=count_gpus())
-        if device == "cpu":
-            jax.config.update("jax_platforms", "cpu")
         worker = ProcessPlan(role="worker", index=0)
         local = LocalBackend()
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
@@ -105,7 +119,6 @@ def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Train
         return local, trainer, CuratorClient(config, local, curator_plan) if config.curriculum.has_buffer else None
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
-    jax.config.update("jax_platforms", "cpu")  # the driver computes nothing and must not hold a GPU
     backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)
     try:
         placement = plan(config, num_gpus=backend.num_gpus)
