@@ -36,7 +36,18 @@ PEER_STEPS = 128  # of a timed run beside the published engine
 PEER_WORLDS = {"s": (65536, 131072), "m": (65536, 131072), "l": (8192, 32768, 65536)}
 OUR_WORLDS = (2048, 16384, 131072, 262144)
 SOAK_STEPS, SOAK_WORLDS = {"s": 4.5e9, "m": 3.5e9, "l": 2.1e9}, 131072  # 1e10 in all
-VERSIONS = ("jax", "jaxlib", "warp-lang", "flax", "optax", "numpy", "orbax-checkpoint", "pytest", "jax-cuda13-plugin")
+VERSIONS = (
+    "jax",
+    "jaxlib",
+    "warp-lang",
+    "flax",
+    "optax",
+    "numpy",
+    "orbax-checkpoint",
+    "ray",
+    "pytest",
+    "jax-cuda13-plugin",
+)
 Record = dict[str, Any]
 
 
@@ -64,6 +75,8 @@ def steps_of(part: int, mini: bool) -> list[Step]:
 
 def first_part(mini: bool) -> list[Step]:
     tests = python("-m", "pytest", "-m", "gpu", "-v", "-p", "no:cacheprovider", "-rs", "--tb=short")
+    # Alone on the GPU, so that what its processes take of it can be seen.
+    smoke = [*tests, "tests/runtime/test_gpu_run.py", "-k", "colocated"] + (["--gpu-tests-on-cpu"] if mini else [])
     if mini:
         tests += ["tests/engine/test_inputs.py", "tests/learner", "--gpu-tests-on-cpu"]
     else:
@@ -83,6 +96,7 @@ def first_part(mini: bool) -> list[Step]:
         )
 
     return [
+        Step("training on Ray", {"": smoke}, 120),
         Step("tests", {"tests": tests, **warm}, 245),
         *(beside(size) for size in ("l", "m", "s")),
     ]

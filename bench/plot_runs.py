@@ -6,13 +6,14 @@ python bench/plot_runs.py --set random_s --to curve.png a=runs/a/metrics/metrics
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+
+from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 
 
 def main() -> None:
@@ -26,7 +27,7 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
     for run in args.runs:
         label, _, path = run.partition("=")
-        rows = [json.loads(line) for line in Path(path).read_text().splitlines()]
+        rows = read_jsonl(Path(path))
         key = f"evaluation/{args.level_set}"
         rows = [row for row in rows if f"{key}/solve_rate" in row]
         if not rows:

@@ -15,6 +15,7 @@ import typing
 from collections.abc import Mapping
 from typing import Any
 
+from jax2d.settings import preset
 from kinetix_dist.curator.curriculum import CurriculumConfig, from_buffer
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.update import PpoConfig
@@ -98,6 +99,8 @@ class RunConfig:
     device: str = "auto"  # "auto" (gpu if there is one), "cpu" or "gpu"
     num_workers: int = 0  # learner processes; 0: one a GPU, on CPU one
     num_rollout_actors: int = 1  # split placement only
+    gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
+    curator_memory_gib: float = 0.0  # of that, for the curator; 0: by scoring_batch and size
     checkpoint_every: int = 50  # updates
     keep_checkpoints: int = 3
     max_restarts: int = 3  # of a lost process, before the run gives up
@@ -113,6 +116,8 @@ class RunConfig:
             ("max_seconds", 0),
             ("num_workers", 0),
             ("num_rollout_actors", 1),
+            ("gpu_memory_gib", 0),
+            ("curator_memory_gib", 0),
             ("checkpoint_every", 1),
             ("keep_checkpoints", 1),
             ("max_restarts", 0),
@@ -142,6 +147,11 @@ class TrainConfig:
     run: RunConfig
 
     def __post_init__(self) -> None:
+        if self.env.action_space != "multi_discrete":
+            raise ConfigError(
+                f"env.action_space is {self.env.action_space!r}: environments have it, but policies are trained for "
+                "'multi_discrete' only; use that"
+            )
         from_buffer(self.curriculum, self.rollout.worlds_per_group)
         if self.run.placement == "split" and self.rollout.num_groups % self.run.num_rollout_actors:
             raise ConfigError(
@@ -180,8 +190,29 @@ def to_dict(config: Any) -> dict[str, Any]:
 
 
 def from_dict(data: Mapping[str, Any]) -> TrainConfig:
-    """The inverse of `to_dict`; raises ConfigError for a field that is unknown or of another type."""
+    """The inverse of `to_dict`; raises ConfigError for a field that is unknown or of another type, and for a config of
+    a version that kept the name of a preset instead of its numbers."""
+    if (name := _old_preset(data)) is not None:
+        raise ConfigError(
+            f"this config is of an older version: it names the solver preset {name!r} (env.preset) instead of its "
+            "numbers (env.physics), and these may have changed since, so that training cannot go on from it; "
+            "start a new run (`kinetix-dist eval` still plays the old policy)"
+        )
     return _build(TrainConfig, data, "")
+
+
+def from_dict_for_playing(data: Mapping[str, Any]) -> TrainConfig:
+    """The same, and where an older config has the name of a preset, today's numbers of it: good enough for playing."""
+    if (name := _old_preset(data)) is None:
+        return from_dict(data)
+    env = {field: value for field, value in data["env"].items() if field != "preset"}
+    return from_dict({**data, "env": {**env, "physics": to_dict(preset(name))}})
+
+
+def _old_preset(data: Mapping[str, Any]) -> str | None:
+    """The name of a preset in a config of a version before `EnvConfig.physics`."""
+    env = data.get("env")
+    return env.get("preset") if isinstance(env, Mapping) and "physics" not in env else None
 
 
 def _build(kind: Any, data: Any, where: str) -> Any:

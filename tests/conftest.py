@@ -41,7 +41,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 # Begun last, one of these would keep one of two processes busy for minutes after the other has nothing left to do.
-LONGEST_FILES = ("test_ray_run.py", "test_reference.py", "test_local_run.py")
+LONGEST_FILES = (
+    "test_gpu_run.py",
+    "test_ray_run.py",
+    "test_reference.py",
+    "test_local_run.py",
+    "test_failures.py",
+    "test_ray_processes.py",
+)
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks

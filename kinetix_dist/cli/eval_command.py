@@ -13,13 +13,16 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from kinetix_dist.cli.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.checkpoint import Checkpoint
     from kinetix_dist.config import TrainConfig
+    from kinetix_dist.env.environment import EnvConfig
     from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
 
 BASELINES = ("random", "noop")
@@ -44,6 +47,8 @@ class Args:
     """Play levels from files at this size (s, m or l) instead of the smallest that fits all of them."""
     attempts: int = 5
     """Episodes of each level."""
+    preset: Annotated[str | None, tyro.conf.arg(name="env.preset")] = None
+    """Play with the solver settings of this preset instead of those that the policy was trained with."""
     greedy: bool = False
     """Most likely actions instead of samples."""
     seed: int = 0
@@ -57,15 +62,20 @@ class Args:
 def run(args: Args) -> int:
     _check(args)
     checkpoint, config = _load_checkpoint(args)
+    from kinetix_dist.env.physics import describe
     from kinetix_dist.level.sets import load_level_set
-    from kinetix_dist.runtime.compile_cache import enable_compile_cache
+    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 
     enable_compile_cache("" if config is None else config.run.compile_cache)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(args.levels, args.size)
-    rates = _evaluate(args, checkpoint, config, levels, list(names))
+    env_config = _env_config(args, config)
+    rates = _evaluate(args, checkpoint, config, env_config, levels, list(names))
     first = next(iter(rates))
-    print(f"{args.levels}: {len(names)} levels, {args.attempts} attempts each, policy {_policy_name(args, checkpoint)}")
+    print(
+        f"{args.levels}: {len(names)} levels, {args.attempts} attempts each, "
+        f"policy {_policy_name(args, checkpoint)}, physics {describe(env_config.physics)}"
+    )
     print(table(first, rates))
     if args.json is not None:
         content = {
@@ -75,6 +85,7 @@ def run(args: Args) -> int:
             "attempts_per_level": args.attempts,
             "seed": args.seed,
             "greedy": args.greedy,
+            "physics": describe(env_config.physics),
             "solve_rate": {name: rate.to_dict() for name, rate in rates.items()},
         }
         with user_errors(OSError, prefix="the results cannot be written: "):
@@ -134,6 +145,11 @@ def _check(args: Args) -> None:
     for name in ("attempts", "max_worlds"):
         if getattr(args, name) < 1:
             raise UserError(f"--{name.replace('_', '-')} is {getattr(args, name)}; it must be 1 or more")
+    if args.preset is not None:
+        from jax2d.settings import preset
+
+        with user_errors(ValueError):
+            preset(args.preset)
     if args.json is not None:
         folder = args.json.parent
         if args.json.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
@@ -145,7 +161,7 @@ def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]
     if args.policy != "trained":
         return None, None
     from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, newest_good
-    from kinetix_dist.config import from_dict
+    from kinetix_dist.config import from_dict_for_playing
 
     if args.checkpoint is not None:
         with user_errors(CheckpointError, ValueError, OSError):
@@ -163,16 +179,30 @@ def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]
     if "config" not in checkpoint.description:
         raise UserError(f"checkpoint {checkpoint.path} does not say which config it was trained with")
     with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
-        return checkpoint, from_dict(checkpoint.description["config"])
+        return checkpoint, from_dict_for_playing(checkpoint.description["config"])
+
+
+def _env_config(args: Args, config: TrainConfig | None) -> EnvConfig:
+    """The environment that the policy was trained in, or the default one; with the physics asked for."""
+    from jax2d.settings import preset
+    from kinetix_dist.env.environment import EnvConfig
+
+    env_config = config.env if config is not None else EnvConfig()
+    return env_config if args.preset is None else dataclasses.replace(env_config, physics=preset(args.preset))
 
 
 def _evaluate(
-    args: Args, checkpoint: Checkpoint | None, config: TrainConfig | None, levels: Any, names: list[str]
+    args: Args,
+    checkpoint: Checkpoint | None,
+    config: TrainConfig | None,
+    env_config: EnvConfig,
+    levels: Any,
+    names: list[str],
 ) -> dict[str, SolveRates]:
     """Solve rates by policy, the one asked for first."""
     import jax
 
-    from kinetix_dist.env.environment import EnvConfig, Environment
+    from kinetix_dist.env.environment import Environment
     from kinetix_dist.evaluation.evaluate import evaluate
     from kinetix_dist.evaluation.load_policy import load_policy
     from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, RandomPolicy
@@ -181,7 +211,6 @@ def _evaluate(
 
     capacity = capacity_of(levels)
     size = next(name for name, known in SIZES.items() if known == capacity)
-    env_config = config.env if config is not None else EnvConfig()
     env = Environment(dataclasses.replace(env_config, size=size, effect_groups=0))
     players: dict[str, tuple[Any, Any]] = {}
     if checkpoint is not None and config is not None:

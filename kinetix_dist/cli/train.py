@@ -1,7 +1,8 @@
 """`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]`: pretrain a policy.
 
 Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
-field of the configuration is an option; `--help` lists them with the values of the recipe.
+field of the configuration is an option; `--help` lists them with the values of the recipe. `--env.preset NAME` replaces
+all solver settings (env.physics) by those of a preset, before single fields are overridden.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 import dataclasses
 import json
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +20,7 @@ from kinetix_dist.cli.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
-    from kinetix_dist.runtime.run_directory import RunDirectory
+    from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 RUNS = Path("runs")
 DEFAULT_RECIPE = "quickstart"
@@ -39,10 +41,12 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--recipe")
     own.add_argument("--run", type=Path)
     own.add_argument("--resume", action="store_true")
+    own.add_argument("--env.preset", dest="preset")
     try:
         known, overrides = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
         raise UserError(f"{one_line(error)}; see `kinetix-dist train --help`") from None
+    from jax2d.settings import PRESETS, preset
     from kinetix_dist.recipes import RECIPES, recipe
 
     if {"-h", "--help"} & set(overrides):
@@ -50,7 +54,8 @@ def parse(argv: Sequence[str]) -> Args:
             "usage: kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]\n\n"
             f"  --recipe NAME   {', '.join(RECIPES)} (default {DEFAULT_RECIPE})\n"
             "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)\n"
-            "  --resume        go on with the run in --run, or with the newest run of the recipe\n\n"
+            "  --resume        go on with the run in --run, or with the newest run of the recipe\n"
+            f"  --env.preset NAME  all of env.physics at once: {', '.join(PRESETS)}; single fields are set after it\n\n"
             f"fields and their values in recipe {known.recipe or DEFAULT_RECIPE!r}:\n"
         )
     run = known.run
@@ -59,15 +64,19 @@ def parse(argv: Sequence[str]) -> Args:
     if known.resume:
         run, stored = _run_to_resume(run, base.run.name)
         base = stored if known.recipe is None else base
+    if known.preset is not None:
+        with user_errors(ValueError):
+            base = dataclasses.replace(base, env=dataclasses.replace(base.env, physics=preset(known.preset)))
     return Args(config=_override(base, overrides), run=run, resume=known.resume)
 
 
 def run(args: Args) -> int:
     from kinetix_dist.checkpoint import CheckpointError
-    from kinetix_dist.runtime.compile_cache import enable_compile_cache
-    from kinetix_dist.runtime.placement import PlacementError, count_gpus, plan, resolve_device
-    from kinetix_dist.runtime.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.training_run import train
+    from kinetix_dist.env.physics import describe
+    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+    from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
+    from kinetix_dist.runtime.driver.training_run import RunFailedError, hold_to_cpu, train
+    from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
 
     config = args.config
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
@@ -75,16 +84,25 @@ def run(args: Args) -> int:
             resolve_device(config.run.device, num_gpus=count_gpus())
             if config.run.placement != "local":
                 plan(config, num_gpus=count_gpus())
+    with user_errors(PlacementError):
+        hold_to_cpu(config)
     with user_errors(ValueError, OSError):
-        _check_levels(config)
+        _check_levels(config)  # reading levels computes
     with user_errors(RunDirectoryError):
         directory = _open(args)
     try:
         enable_compile_cache(config.run.compile_cache)
-        print(f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}", flush=True)
+        print(
+            f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}"
+            f"  physics {describe(config.env.physics)}",
+            flush=True,
+        )
         with user_errors(CheckpointError, PlacementError, FileNotFoundError):
             report = train(config, directory, resume=args.resume)
         _print_report(report, directory.path)
+    except RunFailedError as error:
+        print(f"kinetix-dist: {one_line(error)}", file=sys.stderr)
+        return 1
     finally:
         directory.close()
     return 0
@@ -104,7 +122,7 @@ def _override(base: TrainConfig, overrides: list[str]) -> TrainConfig:
 
 def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
     from kinetix_dist.config import from_dict
-    from kinetix_dist.runtime.run_directory import newest_run
+    from kinetix_dist.runtime.driver.run_directory import newest_run
 
     if run is None:
         run = newest_run(RUNS, name)
@@ -131,7 +149,7 @@ def _check_levels(config: TrainConfig) -> None:
 
 
 def _open(args: Args) -> RunDirectory:
-    from kinetix_dist.runtime.run_directory import RunDirectory
+    from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
     if args.resume:
         assert args.run is not None

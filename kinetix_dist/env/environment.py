@@ -29,7 +29,7 @@ from jax.sharding import PartitionSpec
 from jax2d.effects import Effects
 from jax2d.engine import Engine
 from jax2d.scene import Array, Capacity, Controls, Touching
-from jax2d.settings import preset
+from jax2d.settings import Settings, preset
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.autoreset import select_worlds_first
 from kinetix_dist.env.observations.entities import DynamicObs, StaticObs, dynamic_obs, static_obs
@@ -47,7 +47,7 @@ class EnvConfig:
     """Defaults are those of the paper."""
 
     size: str = "s"  # "s", "m" or "l", see `level.SIZES`
-    preset: str = "standard"  # solver settings, see `jax2d.preset`
+    physics: Settings = preset("standard")  # how a physics step is solved, all numbers of it
     frame_skip: int = 2  # physics steps of 1/60 s in one environment step
     max_steps: int = 256  # environment steps after which an episode times out
     dense_reward_scale: float = 0.1  # kappa, reward for each metre that green comes closer to blue
@@ -64,6 +64,11 @@ class EnvConfig:
         for name in ("frame_skip", "max_steps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"EnvConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        if self.physics.solver_batch_size > 1 or self.physics.published_details:
+            raise ValueError(
+                f"EnvConfig.physics has solver_batch_size {self.physics.solver_batch_size}, published_details "
+                f"{self.physics.published_details}; environments are stepped by the kernel: use 1 and ()"
+            )
         if self.effect_groups < 0:
             raise ValueError(f"EnvConfig.effect_groups is {self.effect_groups}; it must be 0 or more")
         if not (np.isfinite(self.dense_reward_scale) and self.dense_reward_scale >= 0):
@@ -113,7 +118,10 @@ class StepInfo:
     episode_return: Array  # [W] float32, of the episode so far, this step included (the final value where done)
     episode_length: Array  # [W] int32, likewise
     invalid_actions: Array  # [W] int32, numbers of this step's action that were out of range and acted as "off"
+    invalid_controls: Array  # [W] int32, controls that the engine found out of range or NaN
+    invalid_scene: Array  # [W] int32, joints, thrusters and polygons of the level that make no sense to the engine
     contact_overflow: Array  # [W] int32, contacts that found no room in the engine (0 unless built too small)
+    speed_limited: Array  # [W] int32, times that a speed limit of the physics acted
     missing_effects: Array  # [W] int32, what an engine made for fewer effects lacks, as bits: `Touching.missing`
 
 
@@ -142,7 +150,7 @@ class Environment:
                 "(effect_variants.choose_variants) for one group or more, and none for 0 groups"
             )
         self.variants = tuple(variants)
-        settings = preset(self.config.preset)
+        settings = self.config.physics
         self.engine = engine if engine is not None else Engine(capacity, settings=settings)
         self._stepper: Stepper | GroupedStepper = Stepper(self.engine)
         if groups:
@@ -308,7 +316,10 @@ def _step_info(
         episode_return=episode_return,
         episode_length=num_steps,
         invalid_actions=num_invalid,
+        invalid_controls=touching.invalid_controls,
+        invalid_scene=touching.invalid_scene,
         contact_overflow=touching.overflow,
+        speed_limited=touching.limited,
         missing_effects=touching.missing,
     )
 

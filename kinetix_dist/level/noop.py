@@ -14,7 +14,7 @@ import numpy as np
 
 from jax2d.engine import Engine
 from jax2d.scene import Array, Controls, touch_matrix
-from jax2d.settings import preset
+from jax2d.settings import Settings, preset
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.roles import Role
@@ -23,15 +23,15 @@ NOOP_STEPS = 64  # environment steps looked ahead, about two seconds
 FRAME_SKIP = 2  # physics steps in one
 
 
-def noop_solved(levels: Level, *, preset_name: str = "standard", num_steps: int = NOOP_STEPS) -> Array:
+def noop_solved(levels: Level, *, settings: Settings = preset("standard"), num_steps: int = NOOP_STEPS) -> Array:
     """[W] bool: levels of a batch that are solved although no motor (but automatic ones) and no thruster is used."""
-    return _noop_solved(jax.tree.map(jnp.asarray, levels), preset_name, num_steps)
+    return _noop_solved(jax.tree.map(jnp.asarray, levels), settings, num_steps)
 
 
-@functools.partial(jax.jit, static_argnames=("preset_name", "num_steps"))
-def _noop_solved(levels: Level, preset_name: str, num_steps: int) -> Array:
+@functools.partial(jax.jit, static_argnames=("settings", "num_steps"))
+def _noop_solved(levels: Level, settings: Settings, num_steps: int) -> Array:
     scene = levels.scene
-    engine = Engine(capacity_of(levels), settings=preset(preset_name))
+    engine = Engine(capacity_of(levels), settings=settings)
     packed_scene = engine.pack_scene(scene)
     state = engine.initial_state(scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity)
     controls = Controls(

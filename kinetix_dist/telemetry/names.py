@@ -23,6 +23,8 @@ class Metric:
     meaning: str
 
 
+PER_MILLION = "per million physics steps"
+
 _ALL = (
     # Progress
     Metric("progress/updates", "updates", "policy updates done since the start of the run"),
@@ -47,6 +49,21 @@ _ALL = (
     Metric("train/failed_rate", "share", "of those episodes, how many ended because green touched red"),
     Metric("train/mean_return", "reward", "mean return of those episodes, undiscounted, dense reward included"),
     Metric("train/mean_reward", "reward", "mean reward of an environment step"),
+    # Physics, over all worlds of the update's rollout
+    Metric("physics/unstable", PER_MILLION, "times that a world was not finite and was reset, with reward 0"),
+    Metric("physics/unstable_worlds", "worlds", "the same as a number, in this update"),
+    Metric("physics/contact_overflow", PER_MILLION, "contacts that found no slot in the engine and did nothing"),
+    Metric("physics/speed_limited", PER_MILLION, "times that a speed limit of the physics acted"),
+    Metric(
+        "physics/missing_effects", PER_MILLION, "environment steps in which an engine lacked what its level calls for"
+    ),
+    Metric("physics/invalid_actions", PER_MILLION, "numbers of actions that were out of range and acted as off"),
+    Metric("physics/invalid_controls", PER_MILLION, "controls that were out of range (clamped) or nan (taken as 0)"),
+    Metric(
+        "physics/invalid_scene",
+        PER_MILLION,
+        "joints and thrusters on no shape and polygons of no shape, in every environment step",
+    ),
     # Curriculum
     Metric(
         "curriculum/learnability", "p(1-p)", "mean score of the levels in the buffer, p = solved / finished episodes"

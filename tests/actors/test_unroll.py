@@ -11,7 +11,7 @@ import pytest
 from jax.sharding import PartitionSpec
 
 from jax2d.scene import stack_worlds
-from kinetix_dist.actors.outcomes import add_outcomes, add_step, no_outcomes, success_rate
+from kinetix_dist.actors.outcomes import PHYSICS_FIELDS, add_outcomes, add_step, no_outcomes, success_rate
 from kinetix_dist.actors.unroll import score, unroll
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations.entities import observe
@@ -130,10 +130,20 @@ class _Ended:
     failed: jax.Array
     episode_return: jax.Array
     episode_length: jax.Array
+    unstable: jax.Array
+    contact_overflow: jax.Array
+    speed_limited: jax.Array
+    missing_effects: jax.Array
+    invalid_actions: jax.Array
+    invalid_controls: jax.Array
+    invalid_scene: jax.Array
 
 
 def test_outcomes_by_hand():
+    counts = {name: jnp.asarray([number, 0, 0]) for number, name in enumerate(PHYSICS_FIELDS[1:], start=4)}
     info = _Ended(
+        unstable=jnp.asarray([False, False, True]),
+        **counts,
         solved=jnp.asarray([True, False, False]),
         failed=jnp.asarray([False, True, False]),
         episode_return=jnp.asarray([1.5, -1.0, 0.25]),
@@ -146,4 +156,7 @@ def test_outcomes_by_hand():
     assert both.num_failed.tolist() == [0, 2, 0]
     assert both.return_sum.tolist() == [3.0, -2.0, 0.0]
     assert both.length_sum.tolist() == [14, 6, 0]
+    assert both.physics.unstable.tolist() == [0, 0, 2]
+    assert both.physics.missing_effects.tolist() == [2, 0, 0]  # steps, whatever the bits
+    assert both.physics.speed_limited.tolist() == [2 * int(counts["speed_limited"][0]), 0, 0]
     np.testing.assert_array_equal(success_rate(both), [1.0, 0.0, np.nan])

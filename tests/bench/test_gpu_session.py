@@ -80,6 +80,12 @@ def test_every_step_has_its_miniature_and_fits_its_part(part: int) -> None:
     assert all((REPOSITORY / name).is_file() for name in scripts)
 
 
+def test_training_on_ray_comes_first() -> None:
+    first = steps_of(1, False)[0]
+    (command,) = first.commands.values()
+    assert "tests/runtime/test_gpu_run.py" in command and "gpu" in command
+
+
 def test_files_with_tests_for_a_gpu_are_found() -> None:
     files = files_with_gpu_tests()
     assert {"tests/engine/test_reference.py", "tests/learner/test_update_across_devices.py"} <= set(files)

@@ -24,8 +24,10 @@ LEVELS = str(REPOSITORY / "levels" / "s")
 SHORT = EnvConfig(size="s", max_steps=8)
 
 
-def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT) -> Path:
-    """A run directory with one checkpoint of a policy that has not learned anything; returns the checkpoint."""
+def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT, *, old_preset: str = "") -> Path:
+    """A run directory with one checkpoint of a policy that has not learned anything; returns the checkpoint.
+
+    old_preset: the checkpoint is as of a version that kept the name of a preset instead of its numbers."""
     config = TrainConfig(env=env_config, policy=policy, run=RunConfig(total_env_steps=1))
     env = Environment(env_config)
     prepared = env.prepare(batch(small_level()))
@@ -33,13 +35,20 @@ def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT) -> 
     params = init_params(module, observe(prepared.static_obs, prepared.initial_obs), jax.random.key(0))
     state = init_learner_state(params, adam(1e-3, epsilon=1e-5), jax.random.key(1))
     arrays = flatten_arrays({"learner": state})
-    return save_checkpoint(run / "checkpoints", 7, arrays, {"config": to_dict(config)}, keep=1)
+    description = {"config": to_dict(config)}
+    if old_preset:
+        del description["config"]["env"]["physics"]
+        description["config"]["env"]["preset"] = old_preset
+    return save_checkpoint(run / "checkpoints", 7, arrays, description, keep=1)
+
+
+TINY_POLICY = PolicyConfig(encoder_size=8, hidden_size=8, hidden_layers=1, num_layers=1, attention_features=8)
 
 
 @pytest.fixture(scope="module")
 def run_directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("runs") / "small"
-    save_run(run, PolicyConfig(encoder_size=8, hidden_size=8, hidden_layers=1, num_layers=1, attention_features=8))
+    save_run(run, TINY_POLICY)
     return run
 
 
@@ -124,3 +133,16 @@ def test_a_flat_policy_cannot_play_another_size(tmp_path: Path, capsys: pytest.C
     checkpoint = save_run(tmp_path, PolicyConfig(network="flat", flat_size=8, hidden_size=8, hidden_layers=1))
     error = refusal(capsys, "--levels", LEVELS, "--checkpoint", str(checkpoint), "--size", "m")
     assert "does not fit levels of size m: array" in error
+
+
+def test_a_policy_of_an_older_version_plays_with_its_preset_or_with_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checkpoint = save_run(tmp_path, TINY_POLICY, old_preset="draft")
+    options = ["--checkpoint", str(checkpoint), "--levels", "s/kick", "--attempts", "1", "--no-baselines"]
+    assert main(["eval", *options]) == 0
+    assert "physics draft\n" in capsys.readouterr().out
+    assert main(["eval", *options, "--env.preset", "fine", "--json", str(tmp_path / "rates.json")]) == 0
+    assert json.loads((tmp_path / "rates.json").read_text())["physics"] == "fine"
+    assert main(["eval", *options, "--env.preset", "perfect"]) == 2
+    assert "unknown preset 'perfect'" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 
+from jax2d import preset
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.env.observations.entities import EntityObs
 from tests.helpers import REPOSITORY
@@ -14,7 +15,9 @@ TEXT = (REPOSITORY / "docs" / "environment.md").read_text()
 
 def test_every_setting_is_listed_with_its_default() -> None:
     listed = dict(re.findall(r"^\| `(\w+)` \| `?(.+?)`? \|", TEXT.split("## Settings")[1].split("##")[0], re.MULTILINE))
-    assert listed == {field.name: repr(field.default).replace("'", '"') for field in dataclasses.fields(EnvConfig)}
+    assert listed.keys() == {field.name for field in dataclasses.fields(EnvConfig)}
+    for field in dataclasses.fields(EnvConfig):
+        assert eval(listed[field.name], {"preset": preset}) == field.default, field.name
 
 
 def test_every_array_of_an_observation_is_listed() -> None:

@@ -12,8 +12,8 @@ import numpy as np
 from kinetix_dist.checkpoint import load_checkpoint, newest_good
 from kinetix_dist.config import EvaluationConfig, TrainConfig
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.controller import Controller
-from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 
 class QuietReporter:

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint
-from kinetix_dist.runtime.colocated import ColocatedTrainer
-from kinetix_dist.runtime.controller import Controller
-from kinetix_dist.runtime.curation import CuratorClient
-from kinetix_dist.runtime.local import LocalBackend
-from kinetix_dist.runtime.placement import ProcessPlan, plan
-from kinetix_dist.runtime.run_directory import RunDirectory
-from kinetix_dist.runtime.split import SplitTrainer
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.split import SplitTrainer
+from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
-WORKER = ProcessPlan(role="worker", index=0, gpu_share=0.0, env_vars={})
-CURATOR = ProcessPlan(role="curator", index=0, gpu_share=0.0, env_vars={})
+WORKER = ProcessPlan(role="worker", index=0)
+CURATOR = ProcessPlan(role="curator", index=0)
 
 
 def _run_local(config, path, reporter=None, *, resume=False):

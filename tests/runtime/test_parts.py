@@ -11,11 +11,11 @@ from rich.console import Console
 from jax2d.effects import Effects, effects_of
 from kinetix_dist.config import ConfigError, differences, from_dict, to_dict
 from kinetix_dist.recipes import RECIPES, recipe
-from kinetix_dist.runtime.clock import RoleClock
-from kinetix_dist.runtime.levels import fixed_levels, make_environment
-from kinetix_dist.runtime.placement import PlacementError, plan, resolve_device
-from kinetix_dist.runtime.weight_sync import WeightStore
-from kinetix_dist.runtime.work_buffer import Work, WorkBuffer, WorkBufferFullError
+from kinetix_dist.runtime.cores.levels import fixed_levels, make_environment
+from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.weight_sync import WeightStore
+from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer, WorkBufferFullError
+from kinetix_dist.runtime.processes.placement import PlacementError, plan, resolve_device
 from kinetix_dist.telemetry.names import METRICS, UnknownMetricError, check_metrics
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink, read_jsonl
@@ -72,20 +72,31 @@ def test_engines_of_grouped_worlds_suit_the_levels_of_the_run():
 # Placement
 
 
-def test_colocated_is_one_worker_a_gpu_and_a_curator_on_one_of_them():
+def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
     placement = plan(dataclasses.replace(recipe("sfl_s")), num_gpus=2)
-    assert [(p.role, p.gpu_share) for p in placement.processes] == [
-        ("worker", 0.75),
-        ("worker", 0.75),
-        ("curator", 0.25),
+    assert [(p.name, p.gpu, p.gpu_share) for p in placement.processes] == [
+        ("worker 0", 0, 0.5),
+        ("worker 1", 1, 1.0),
+        ("curator 0", 0, 0.5),
     ]
-    assert all("XLA_PYTHON_CLIENT_MEM_FRACTION" in p.env_vars for p in placement.processes)
+
+
+def test_split_has_its_curator_beside_the_first_rollout_actor():
+    config = recipe("sfl_s")
+    config = dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split", num_rollout_actors=2))
+    placement = plan(config, num_gpus=4)
+    assert [(p.name, p.gpu) for p in placement.processes] == [
+        ("learner 0", 0),
+        ("rollout 0", 1),
+        ("rollout 1", 2),
+        ("curator 0", 1),
+    ]
 
 
 def test_on_cpu_every_process_is_told_to_leave_gpus_alone():
     placement = plan(tiny_config(num_updates=1, placement="split", num_rollout_actors=2), num_gpus=0)
     assert [p.role for p in placement.processes] == ["learner", "rollout", "rollout", "curator"]
-    assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} for p in placement.processes)
+    assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} and p.memory is None for p in placement.processes)
 
 
 def test_a_gpu_that_is_not_there_is_refused():

@@ -6,17 +6,17 @@ import signal
 import numpy as np
 import pytest
 
-from kinetix_dist.runtime.colocated import ColocatedTrainer
-from kinetix_dist.runtime.curation import CuratorClient
-from kinetix_dist.runtime.local import LocalBackend
-from kinetix_dist.runtime.placement import plan
-from kinetix_dist.runtime.split import SplitTrainer
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.split import SplitTrainer
+from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.placement import plan
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
 
 @pytest.fixture(scope="module")
 def ray_backend():
-    from kinetix_dist.runtime.ray_backend import RayBackend
+    from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
     backend = RayBackend(heartbeat_seconds=120.0)
     yield backend

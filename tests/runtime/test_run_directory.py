@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from kinetix_dist.runtime.run_directory import RunDirectory, RunDirectoryError, RunInUseError, newest_run
+from kinetix_dist.runtime.driver.run_directory import RunDirectory, RunDirectoryError, RunInUseError, newest_run
 
 
 def _make_run(path, *, numbered=True):
@@ -32,7 +32,7 @@ def test_a_directory_given_by_name_is_not_renamed(tmp_path):
 
 def test_a_second_driver_in_another_process_is_refused_until_the_first_is_gone(tmp_path):
     code = (
-        "import pathlib, sys; from kinetix_dist.runtime.run_directory import RunDirectory;"
+        "import pathlib, sys; from kinetix_dist.runtime.driver.run_directory import RunDirectory;"
         "run = RunDirectory.open_existing(pathlib.Path(sys.argv[1])); print('locked', flush=True); sys.stdin.read()"
     )
     path = tmp_path / "run"

@@ -2,14 +2,26 @@
 
 import dataclasses
 import json
+import os
+import subprocess
+import sys
 
+import numpy as np
 import pytest
 
+from jax2d import PRESETS, Settings, preset
+from kinetix_dist.checkpoint import CheckpointError, save_checkpoint
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
-from kinetix_dist.config import to_dict
+from kinetix_dist.config import differences, from_dict, from_dict_for_playing, to_dict
+from kinetix_dist.env.physics import describe
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.processes.local import LocalBackend
+from tests.helpers import REPOSITORY, python_path
+from tests.runtime.runs import QuietReporter
 
 
 @pytest.fixture(autouse=True)
@@ -120,3 +132,113 @@ def test_every_field_can_be_given_on_the_command_line():
     assert args.config.evaluation.sets == ("random_s", "s/kick")
     assert args.config.curriculum.generator.triangle_chance == 0.5
     assert json.dumps(to_dict(args.config))
+
+
+# Physics
+
+
+def test_a_preset_is_replaced_first_and_single_fields_after_it_in_any_order():
+    fine = preset("fine").replace(max_speed=50.0)
+    for options in ("--env.preset fine --env.physics.max_speed 50", "--env.physics.max_speed 50 --env.preset=fine"):
+        assert parse(["--recipe", "tiny", *options.split()]).config.env.physics == fine
+    twice = parse(["--recipe", "tiny", "--env.preset", "fine", "--env.preset", "draft"])
+    assert twice.config.env.physics == preset("draft")
+
+
+@pytest.mark.parametrize("field", dataclasses.fields(Settings), ids=lambda field: field.name)
+def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
+    other = {"solver": "sequential_impulses", "friction_mixing": "root_sum_square", "warm_start": False}
+    if field.name in ("solver_batch_size", "published_details"):
+        pytest.skip("of the reference backend alone: refused below")
+    value = other.get(field.name, 3 if isinstance(field.default, int) else 0.75)
+    config = parse(["--recipe", "tiny", f"--env.physics.{field.name}", str(value)]).config
+    assert config.env.physics == preset("standard").replace(**{field.name: value})
+    assert config.hash != recipe("tiny").hash
+    assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
+
+
+def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
+    assert "unknown preset 'good'; known presets: draft, fine" in _refusal(capsys, "--env.preset", "good")
+    assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
+    line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")
+    assert "environments are stepped by the kernel: use 1 and ()" in line
+
+
+def test_action_spaces_that_training_has_no_policy_for(capsys):
+    for space in ("continuous", "discrete"):
+        line = _refusal(capsys, "--recipe", "tiny", "--env.action_space", space)
+        assert f"env.action_space is '{space}'" in line and "'multi_discrete' only" in line
+
+
+def test_a_run_keeps_its_physics_when_the_preset_changes(tmp_path, monkeypatch):
+    before = recipe("tiny")
+    _a_run(tmp_path / "run").close()
+    monkeypatch.setitem(PRESETS, "standard", preset("standard").replace(substeps=5))
+    args = parse(["--run", str(tmp_path / "run"), "--resume"])
+    assert args.config.env.physics.substeps == 4 and args.config.hash == before.hash
+    changed = parse(["--run", str(tmp_path / "run"), "--resume", "--env.preset", "standard"]).config
+    assert differences(changed, before) == ["env.physics.substeps 5 instead of 4"]
+
+
+def test_a_run_of_a_version_that_kept_the_name_of_its_preset(capsys, tmp_path):
+    run = _a_run(tmp_path / "run")
+    run.write_json(run.config_path, {"config": _old(to_dict(recipe("tiny")))})
+    run.close()
+    line = _refusal(capsys, "--run", tmp_path / "run", "--resume")
+    assert "names the solver preset 'standard' (env.preset) instead of its numbers" in line
+    assert "start a new run (`kinetix-dist eval` still plays the old policy)" in line
+
+
+def test_a_checkpoint_of_such_a_version_is_not_resumed_but_can_be_played(tmp_path):
+    run = _a_run(tmp_path / "run")
+    config = recipe("tiny")
+    description = {"config": _old(to_dict(config)), "config_hash": "0", "training_seconds": 1.0}
+    save_checkpoint(run.checkpoints, 2, {"a": np.zeros(1)}, description, keep=1)
+    controller = Controller(config, run, ColocatedTrainer(config, LocalBackend(), []), None, QuietReporter())
+    with pytest.raises(CheckpointError, match=r"00000002 cannot be resumed: .* names the solver preset"):
+        controller.restore(resume=True)
+    run.close()
+    assert from_dict_for_playing(description["config"]) == config
+    assert from_dict_for_playing(to_dict(config)) == config
+
+
+@pytest.mark.parametrize("name", ["sfl_s", "sfl_m"])
+def test_pretrained_policies_have_a_configuration_that_can_be_played(name):
+    description = json.loads((REPOSITORY / "pretrained" / name / "checkpoint.json").read_text())
+    assert from_dict_for_playing(description["config"]).env.physics == preset("standard")
+
+
+def _old(config):
+    """The same as an earlier version wrote it."""
+    env = {name: value for name, value in config["env"].items() if name != "physics"}
+    return {**config, "env": {**env, "preset": "standard"}}
+
+
+def test_physics_in_words():
+    standard = preset("standard")
+    assert describe(standard) == "standard"
+    assert describe(preset("paper")) == "paper"
+    assert describe(standard.replace(substeps=8)) == "standard with substeps 8"
+    assert describe(preset("fine").replace(push_out_speed=3.0)) == "fine with push_out_speed 3.0"
+
+
+# Devices
+
+
+@pytest.mark.parametrize("options", ["--run.placement colocated", "--run.placement local --run.device cpu"])
+def test_the_command_keeps_off_gpus_before_it_reads_levels(options, tmp_path):
+    """Reading levels computes: JAX would start on a GPU and take three quarters of its memory from the workers."""
+    code = (
+        "import sys, jax\n"
+        "from kinetix_dist.cli import main, train\n"
+        "from kinetix_dist.cli.errors import UserError\n"
+        "def stop(config):\n"
+        "    raise UserError(f'platforms {jax.config.jax_platforms}')\n"
+        "train._check_levels = stop\n"
+        "sys.exit(main.main(sys.argv[1:]))"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+    command = [sys.executable, "-c", code, "train", "--recipe", "tiny", *options.split()]
+    environment |= {"PYTHONPATH": python_path()}
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "platforms cpu" in done.stderr, done.stderr

@@ -45,7 +45,7 @@ class ConsoleSink:
 
     def note(self, message: str) -> None:
         """A line that stays: an event such as a restart or a rejected checkpoint."""
-        self._console.print(message, markup=False)
+        self._console.print(message, markup=False, soft_wrap=True)
 
     def write(self, update: int, metrics: Mapping[str, float]) -> None:
         self._values.update(check_metrics(metrics))

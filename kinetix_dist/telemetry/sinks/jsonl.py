@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.telemetry.json_lines import mend_lines, read_lines
 from kinetix_dist.telemetry.names import check_metrics
 
 
 class JsonlSink:
-    """Appends to `path`; lines of updates after `resume_at` (of a killed session) are cut off first."""
+    """Appends to `path`; lines of updates after `resume_at` (of a killed session) are removed first.
+
+    num_damaged: lines that were no metrics, and stand in `metrics.damaged` beside it now.
+    """
 
     def __init__(self, path: Path, *, resume_at: int = 0) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():
-            _keep_until(path, resume_at)
+        self.num_damaged = mend_lines(path, is_row=_is_metrics, keep=lambda row: row["update"] <= resume_at)
         self._file = path.open("a", buffering=1)  # line buffered: a reader sees whole lines
 
     def write(self, update: int, metrics: Mapping[str, float]) -> None:
@@ -30,14 +33,10 @@ class JsonlSink:
         self._file.close()
 
 
-def read_jsonl(path: Path) -> Iterator[dict[str, Any]]:
-    """Rows of a metrics file; an incomplete last line is left out."""
-    with path.open() as file:
-        for line in file:
-            if line.endswith("\n"):
-                yield json.loads(line)
+def read_jsonl(path: Path) -> list[dict[str, Any]]:
+    """Rows of a metrics file; damaged lines and an unfinished last one are left out."""
+    return read_lines(path, _is_metrics).rows
 
 
-def _keep_until(path: Path, last_update: int) -> None:
-    rows = [row for row in read_jsonl(path) if row["update"] <= last_update]
-    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+def _is_metrics(row: dict[str, Any]) -> bool:
+    return isinstance(row.get("update"), int)

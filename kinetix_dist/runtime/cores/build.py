@@ -1,0 +1,40 @@
+"""What each kind of process is built from, inside that process: `build(index, number of processes, config)`.
+
+build_worker    worlds and a learner shard      colocated placement, and all of local mode
+build_learner   the learner alone               split placement
+build_rollout   a part of the worlds            split placement
+build_curator   scoring of levels               both
+"""
+
+from __future__ import annotations
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+from kinetix_dist.runtime.cores.curator_core import CuratorCore
+from kinetix_dist.runtime.cores.rollout_worker import RolloutWorker
+from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
+
+
+def build_worker(index: int, num_processes: int, config: TrainConfig) -> Worker:
+    del index, num_processes
+    enable_compile_cache(config.run.compile_cache)
+    return Worker(config, data_mesh())
+
+
+def build_learner(index: int, num_processes: int, config: TrainConfig) -> LearnerWorker:
+    del index, num_processes
+    enable_compile_cache(config.run.compile_cache)
+    return LearnerWorker(config, data_mesh())
+
+
+def build_rollout(index: int, num_processes: int, config: TrainConfig) -> RolloutWorker:
+    del num_processes
+    enable_compile_cache(config.run.compile_cache)
+    return RolloutWorker(config, data_mesh(), index=index, num_parts=config.run.num_rollout_actors)
+
+
+def build_curator(index: int, num_processes: int, config: TrainConfig) -> CuratorCore:
+    del index, num_processes
+    enable_compile_cache(config.run.compile_cache)
+    return CuratorCore(config)

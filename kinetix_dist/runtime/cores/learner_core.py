@@ -1,0 +1,69 @@
+"""Learning from a batch: advantages and PPO epochs on a mesh, parameters and optimiser replicated over it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+
+from jax2d.scene import Array
+from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.learner.sharding import local_values, replicate
+from kinetix_dist.learner.state import LearnerState, init_learner_state
+from kinetix_dist.learner.update import make_update
+from kinetix_dist.models.policy import init_params
+from kinetix_dist.runtime.cores.stored import LEARNER, one_level
+from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
+
+
+class LearnerCore:
+    """Parameters and optimiser, replicated over a mesh, and the update of them."""
+
+    def __init__(self, config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> None:
+        config.ppo.check_batch(
+            num_steps=config.rollout.num_steps, num_worlds=config.rollout.num_envs, num_devices=mesh.devices.size
+        )
+        self._config = config
+        self._mesh = mesh
+        self._update = make_update(policy, observe, config.ppo, mesh)
+        self._init = jax.jit(lambda: _initial_state(config, env, policy))
+        self.state: LearnerState | None = None
+
+    def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
+        """From a checkpoint's arrays, or afresh from the seed."""
+        if arrays is None:
+            state = local_values(self._init())
+        else:
+            state = unflatten_arrays(jax.eval_shape(self._init), select_arrays(arrays, LEARNER))
+        self.state = replicate(state, self._mesh)
+
+    @property
+    def params(self) -> Any:
+        assert self.state is not None, "start() comes first"
+        return self.state.params
+
+    def learn(self, static_obs: Any, trajectory: Any, last_value: Array) -> dict[str, Array]:
+        self.state, metrics = self._update(self.state, static_obs, trajectory, last_value)
+        return metrics
+
+
+def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
+    """Parameters drawn from the seed; the observation of any level gives the shapes."""
+    key = stream(config.run.seed, INIT)
+    obs = jax.eval_shape(lambda: _some_observation(config, env))
+    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), obs)
+    params = init_params(policy, zeros, key)
+    return init_learner_state(params, config.ppo.optimizer(), stream(config.run.seed, SHUFFLE))
+
+
+def _some_observation(config: TrainConfig, env: Environment) -> Any:
+    prepared = env.prepare(one_level(config))
+    _, obs = env.reset(prepared)
+    return observe(prepared.static_obs, obs)

@@ -1,0 +1,17 @@
+"""Random streams of a run. Everything random follows from (seed, stream, update, world): there is no generator state to
+keep, and no result depends on how worlds are spread over devices.
+"""
+
+from __future__ import annotations
+
+import jax
+
+from jax2d.scene import Array
+
+# Folded into the key of the seed, then whatever varies within a stream.
+INIT, LEVELS, PLAY, SHUFFLE, CURATE = range(5)
+
+
+def stream(seed: int, number: int) -> Array:
+    """A typed key; streams of one seed are independent."""
+    return jax.random.fold_in(jax.random.key(seed), number)

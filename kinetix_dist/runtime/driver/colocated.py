@@ -1,0 +1,72 @@
+"""Colocated placement: every worker holds worlds and a learner shard, so a rollout never leaves its device. Lag 0.
+
+One worker in this process is local mode; N workers in Ray actors form one JAX world and run the same programs in the
+same order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.cores.build import build_worker
+from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+
+class ColocatedTrainer:
+    """A `roles.Trainer` of one or more workers that do everything together."""
+
+    policy_lag = 0
+    dropped_steps = 0  # what is played is always learned from
+
+    def __init__(self, config: TrainConfig, backend: Backend, plans: Sequence[ProcessPlan]) -> None:
+        self._config = config
+        self._backend = backend
+        self._plans = plans
+        self._handles: list[Handle] = []
+
+    def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
+        """A group is started as a whole: the processes of a broken one are ended first, whichever still live."""
+        self._backend.kill(self._handles)
+        self._handles = []
+        self._handles = self._backend.spawn(self._plans, build_worker, self._config)
+        stored = None if arrays is None else self._backend.put(dict(arrays))
+        self._all("start", stored)
+
+    def weights(self) -> Ticket:
+        return self._handles[0].call("weights")
+
+    def adopt(self, buffer: Any) -> None:
+        self._all("adopt", buffer)
+
+    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
+        answers = self._all("run_update", num_updates)
+        metrics, _ = answers[0]
+        slowest = {role: max(seconds[role] for _, seconds in answers) for role in answers[0][1]}
+        return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        return self._first("snapshot")
+
+    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
+        return self._first("evaluate", use_policy)
+
+    def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
+        return self._first("record", num_rollouts, num_updates)
+
+    def facts(self) -> dict[str, Any]:
+        return {**self._first("facts"), "processes": self._backend.facts(self._handles)}
+
+    def stop(self) -> None:
+        self._backend.kill(self._handles)
+        self._handles = []
+
+    def _first(self, method: str, *arguments: Any) -> Any:
+        return self._backend.gather([self._handles[0].call(method, *arguments)])[0]
+
+    def _all(self, method: str, *arguments: Any) -> list[Any]:
+        return self._backend.gather([handle.call(method, *arguments) for handle in self._handles])

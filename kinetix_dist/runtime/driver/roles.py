@@ -1,0 +1,79 @@
+"""What the controller drives, as protocols: a trainer, a curator and a reporter."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+
+class Trainer(Protocol):
+    """Whatever plays and learns."""
+
+    policy_lag: int
+    dropped_steps: int
+
+    def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
+        """Builds everything at an update boundary: from a checkpoint's arrays, or afresh. Also after a loss."""
+
+    def weights(self) -> Any:
+        """The parameters now, or a reference to them: what a curator is given."""
+
+    def adopt(self, buffer: Any) -> None:
+        """Uses a curator's buffer for every batch drawn from now on."""
+
+    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
+        """One rollout and one policy update: (metrics, seconds by role). Raises WorkerLostError."""
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """All arrays that `start` needs to go on from here bit for bit."""
+
+    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
+        """Solve rates by level set, of the current policy or of random actions."""
+
+    def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
+        """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
+
+    def facts(self) -> dict[str, Any]:
+        """For the report: "device" (platform, kind and number of those that learn), "compile_seconds", "processes"."""
+
+    def stop(self) -> None: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Refresh:
+    """A scored buffer."""
+
+    buffer: Any  # the buffer, or what stands for it
+    seconds: float  # that its scoring took
+
+
+class Curator(Protocol):
+    """Whatever scores levels."""
+
+    num_restarts: int
+
+    def request(self, weights: Any, policy_version: int) -> None:
+        """Starts scoring; does not wait where there is a process to do it."""
+
+    def take(self) -> Refresh | None:
+        """What was asked for last; waits for it. None when it was lost for good."""
+
+    def cancel(self) -> None: ...
+
+    def facts(self) -> list[dict[str, Any]]:
+        """For the report, of its process; nothing where it shares that of the trainer."""
+
+    def stop(self) -> None: ...
+
+
+class Reporter(Protocol):
+    """Where progress goes: console and metric files."""
+
+    def phase(self, name: str) -> None: ...
+
+    def note(self, message: str) -> None: ...
+
+    def metrics(self, num_updates: int, metrics: Mapping[str, float], seconds_left: float | None) -> None: ...

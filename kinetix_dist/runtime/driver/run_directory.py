@@ -1,0 +1,175 @@
+"""A run directory: everything a run is, on disk, and the lock that keeps a second driver out.
+
+    runs/quickstart/
+        config.json          the configuration that runs, and its hash
+        lock                 held (flock) by the process that drives the run
+        checkpoints/         newest good one is where --resume goes on
+        metrics/             metrics.jsonl and TensorBoard events
+        events.jsonl         what happened: restarts, rejected checkpoints, adopted buffers
+        recordings/          rollouts (.mcap), .rrd and pictures
+        logs/                tracebacks of processes that failed
+        report.json          written when the run is complete
+
+The driver keeps no state of its own: from this directory a run can be resumed by any process.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import re
+import time
+from pathlib import Path
+from typing import IO, Any
+
+from kinetix_dist.telemetry.json_lines import append_line, damaged_path, mend_lines, replace_file
+
+
+class RunDirectoryError(Exception):
+    """A run directory that cannot be used, and what to do about it."""
+
+
+class RunDirectory:
+    """Paths of one run. `create` and `open_existing` take the lock; `close` gives it back."""
+
+    def __init__(self, path: Path, lock: IO[str]) -> None:
+        self.path = path
+        self._lock = lock
+
+    @property
+    def config_path(self) -> Path:
+        return self.path / "config.json"
+
+    @property
+    def report_path(self) -> Path:
+        return self.path / "report.json"
+
+    @property
+    def checkpoints(self) -> Path:
+        return self.path / "checkpoints"
+
+    @property
+    def events(self) -> Path:
+        return self.path / "events.jsonl"
+
+    @property
+    def metrics(self) -> Path:
+        return self.path / "metrics"
+
+    @property
+    def recordings(self) -> Path:
+        return self.path / "recordings"
+
+    @classmethod
+    def create(cls, path: Path, *, numbered: bool) -> RunDirectory:
+        """Makes a new run directory and locks it.
+
+        Where `path` holds a run already: the next free `path-2`, `path-3` ... if `numbered`, else RunDirectoryError.
+        """
+        first = path
+        for number in range(2, 100_000):
+            run = cls._claim(path, first_choice=path == first and not numbered)
+            if run is not None:
+                return run
+            path = first.with_name(f"{first.name}-{number}")
+        raise RunDirectoryError(f"no free number is left for {first}; remove old runs")
+
+    @classmethod
+    def open_existing(cls, path: Path) -> RunDirectory:
+        """Locks a run directory to go on with it."""
+        if not (path / "config.json").is_file():
+            raise RunDirectoryError(f"{path} holds no run (no config.json); start one without --resume")
+        run = cls(path, _lock(path))
+        run.set_aside(run.events, mend_lines(run.events, is_row=lambda row: "event" in row, keep=lambda row: True))
+        return run
+
+    @classmethod
+    def _claim(cls, path: Path, *, first_choice: bool) -> RunDirectory | None:
+        """Locks `path` if it holds no run yet; None: it does. Raises instead of None for a first choice."""
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise RunDirectoryError(f"{path} is not a directory; choose another with --run") from None
+        except OSError as error:
+            raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
+        try:
+            run = cls(path, _lock(path))
+        except RunInUseError:
+            if first_choice:
+                raise
+            return None
+        if not run.config_path.exists():
+            return run
+        run.close()
+        if first_choice:
+            raise RunDirectoryError(f"{path} holds a run already; go on with it by --resume, or choose another --run")
+        return None
+
+    def event(self, kind: str, **details: Any) -> None:
+        """Appends to events.jsonl: time, kind, details."""
+        row = {"time": _now(), "event": kind, **details}
+        append_line(self.events, row)
+
+    def set_aside(self, path: Path, num_lines: int) -> None:
+        """Notes that damaged lines of a file of this run were moved to the file beside it."""
+        if num_lines:
+            names = [str(file.relative_to(self.path)) for file in (path, damaged_path(path))]
+            self.event("lines_set_aside", file=names[0], lines=num_lines, to=names[1])
+
+    def write_log(self, name: str, text: str) -> Path:
+        """Appends to `logs/NAME.log`; returns its path."""
+        path = self.path / "logs" / f"{name}.log"
+        path.parent.mkdir(exist_ok=True)
+        with path.open("a") as file:
+            file.write(f"{_now()}\n{text.rstrip()}\n")
+        return path
+
+    def write_json(self, path: Path, content: Any) -> None:
+        """Writes JSON by a rename: no reader ever sees half a file, and no kill leaves one."""
+        replace_file(path, (json.dumps(content, indent=2) + "\n").encode())
+
+    def close(self) -> None:
+        self._lock.close()
+
+
+class RunInUseError(RunDirectoryError):
+    """Another driver holds the lock."""
+
+
+def newest_run(parent: Path, name: str) -> Path | None:
+    """Of `name`, `name-2`, `name-3` ... below `parent`, the run with the highest number; None if there is none."""
+    numbered = {}
+    for path in parent.glob(f"{name}*") if parent.is_dir() else []:
+        match = re.fullmatch(re.escape(name) + r"(?:-(\d+))?", path.name)
+        if match and (path / "config.json").is_file():
+            numbered[int(match[1] or 1)] = path
+    return numbered[max(numbered)] if numbered else None
+
+
+def _now() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+
+
+def _lock(path: Path) -> IO[str]:
+    """An exclusive flock on `path/lock`; it goes with the process, however that ends."""
+    try:
+        file = (path / "lock").open("a+")
+    except OSError as error:
+        raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.seek(0)
+        holder = file.read().strip() or "unknown"
+        file.close()
+        if error.errno in (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES):
+            raise RunInUseError(
+                f"run directory {path} is in use by process {holder}; wait for it, or choose another --run"
+            ) from None
+        raise RunDirectoryError(f"cannot lock run directory {path}: {error.strerror}") from error
+    file.truncate(0)
+    file.write(f"{os.getpid()}\n")
+    file.flush()
+    return file

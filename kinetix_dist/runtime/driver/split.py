@@ -1,0 +1,181 @@
+"""Split placement: rollout actors play while the learner learns from what they played before. Lag 1, by construction.
+
+    update u of the learner        uses batch u, played by version u - 1 (batch 0: by version 0)
+    at the same time               batch u + 1 is played by version u
+
+| role | consumes | produces | waits for | bound |
+|---|---|---|---|---|
+| rollout actor | weights of version u, buffer for u + 1 | its part of batch u + 1 | - | one batch ahead |
+| learner | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
+
+Levels and random streams belong to world groups and update numbers, so a part that was lost with its actor is played
+again by a new actor with the same weights and comes out the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.checkpoint import flatten_arrays, select_arrays
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.cores.build import build_learner, build_rollout
+from kinetix_dist.runtime.cores.stored import ACTING
+from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
+from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
+from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.placement import Placement
+
+_MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
+
+
+class SplitTrainer:
+    """A `roles.Trainer` of rollout actors, a bounded work buffer and a learner."""
+
+    policy_lag = 1
+
+    def __init__(self, config: TrainConfig, backend: Backend, placement: Placement) -> None:
+        self._config = config
+        self._backend = backend
+        self._learner_plan = placement.of("learner")
+        self._rollout_plans = placement.of("rollout")
+        self._learner: Handle | None = None
+        self._actors: list[Handle] = []
+        self._dropped_before = 0
+        self.num_replacements = 0
+        self._reset()
+
+    @property
+    def dropped_steps(self) -> int:
+        return self._dropped_before + self._work.dropped_steps
+
+    def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
+        self.stop()
+        self._reset()
+        self._learner = self._backend.spawn(self._learner_plan, build_learner, self._config)[0]
+        self._actors = [self._spawn_actor(part) for part in range(len(self._rollout_plans))]
+        stored = None if arrays is None else self._backend.put(dict(arrays))
+        self._buffer = self._ask_learner("start", stored)
+        self._weights.publish(num_updates, self._learner.call("weights"))
+        if arrays is not None and num_updates > 0:
+            # The batch that was being played when the checkpoint was taken: same weights, same buffer.
+            acting = nested(select_arrays(arrays, ACTING))
+            self._weights.publish(num_updates - 1, self._backend.put(acting))
+            self._issue(num_updates, num_updates - 1)
+
+    def weights(self) -> Ticket:
+        assert self._learner is not None
+        return self._learner.call("weights")
+
+    def adopt(self, buffer: Any) -> None:
+        self._buffer = buffer
+        self._ask_learner("adopt", buffer)
+
+    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
+        assert self._learner is not None
+        if num_updates not in self._orders:
+            self._issue(num_updates, num_updates)
+        self._issue(num_updates + 1, num_updates)
+        stamps = self._collect(num_updates)
+        queue_length = len(self._work)
+        works = self._work.take(num_updates)
+        metrics, seconds = self._ask_learner("learn", num_updates, *[work.content for work in works])
+        self._weights.publish(num_updates + 1, self._learner.call("weights"))
+        lags = [num_updates - work.policy_version for work in works]
+        metrics |= {
+            "runtime/policy_lag": float(np.mean(lags)),
+            "runtime/policy_lag_max": float(max(lags)),
+            "runtime/queue_length": float(queue_length),
+        }
+        return metrics, seconds | {"rollout": max(stamp["seconds"] for stamp in stamps)}
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        arrays = self._ask_learner("snapshot")
+        acting_version = max(self._weights_in_flight(), default=None)
+        if acting_version is not None:
+            arrays |= flatten_arrays({ACTING: resolve(self._weights.get(acting_version))})
+        return arrays
+
+    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
+        return self._ask_learner("evaluate", use_policy)
+
+    def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
+        return self._ask_learner("record", num_rollouts, num_updates)
+
+    def facts(self) -> dict[str, Any]:
+        assert self._learner is not None
+        return {**self._ask_learner("facts"), "processes": self._backend.facts([self._learner, *self._actors])}
+
+    def stop(self) -> None:
+        handles = [*self._actors, *([self._learner] if self._learner is not None else [])]
+        self._actors, self._learner = [], None
+        self._backend.kill(handles)
+
+    def _reset(self) -> None:
+        if hasattr(self, "_work"):
+            self._dropped_before += self._work.dropped_steps
+        self._work = WorkBuffer(num_parts=len(self._rollout_plans), lag=self.policy_lag)
+        self._weights = WeightStore(keep_last=2)
+        self._orders: dict[int, tuple[int, Any]] = {}  # update -> (policy version, buffer) its batch is played with
+        self._in_flight: dict[tuple[int, int], tuple[Ticket, Ticket]] = {}  # (update, part) -> stamp, batch
+        self._buffer: Any = None
+
+    def _weights_in_flight(self) -> list[int]:
+        return [version for version, _ in self._orders.values()]
+
+    def _ask_learner(self, method: str, *arguments: Any) -> Any:
+        assert self._learner is not None
+        return self._backend.gather([self._learner.call(method, *arguments)])[0]
+
+    def _spawn_actor(self, part: int) -> Handle:
+        return self._backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
+
+    def _issue(self, update: int, policy_version: int) -> None:
+        """Orders batch `update` from all rollout actors."""
+        self._orders[update] = (policy_version, self._buffer)
+        for part in range(len(self._actors)):
+            self._issue_part(update, part)
+
+    def _issue_part(self, update: int, part: int) -> None:
+        policy_version, buffer = self._orders[update]
+        weights = self._weights.get(policy_version)
+        self._in_flight[update, part] = self._actors[part].call_stamped("play", update, policy_version, weights, buffer)
+
+    def _collect(self, update: int) -> list[dict[str, Any]]:
+        """Waits for the parts of a batch; an actor that is lost is replaced and plays its parts again."""
+        stamps = []
+        for part in self._work.missing(update):
+            stamp, batch = self._fetch_part(update, part)
+            work = Work(
+                update=update,
+                policy_version=stamp["policy_version"],
+                part=part,
+                num_env_steps=stamp["num_env_steps"],
+                content=batch,
+            )
+            self._work.put(work)
+            stamps.append(stamp)
+        del self._orders[update]
+        return stamps
+
+    def _fetch_part(self, update: int, part: int) -> tuple[dict[str, Any], Ticket]:
+        for _ in range(_MAX_REPLACEMENTS):
+            stamp, batch = self._in_flight.pop((update, part))
+            try:
+                return self._backend.gather([stamp])[0], batch
+            except WorkerLostError:
+                self._replace(update, part)
+        raise WorkerLostError(f"rollout actor {part} was lost {_MAX_REPLACEMENTS} times over batch {update}")
+
+    def _replace(self, update: int, part: int) -> None:
+        self.num_replacements += 1
+        lost = [update, *(issued for issued, of_part in self._in_flight if of_part == part)]
+        steps_per_part = self._config.rollout.steps_per_update // len(self._rollout_plans)
+        self._work.drop(steps_per_part * len(lost))
+        self._backend.kill([self._actors[part]])
+        self._actors[part] = self._spawn_actor(part)
+        for issued in sorted(lost):
+            self._issue_part(issued, part)

@@ -1,0 +1,176 @@
+"""A run from beginning to end: evaluate, train, evaluate, record, report.
+
+config -> placement -> backend (this process or Ray) -> trainer, curator -> controller -> report.json
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import time
+from typing import Any
+
+from kinetix_dist.config import TrainConfig, to_dict
+from kinetix_dist.env.physics import describe
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.recorder import Recorder
+from kinetix_dist.runtime.driver.reporting import RunReporter
+from kinetix_dist.runtime.driver.roles import Trainer
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.processes.backend import Backend
+from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
+from kinetix_dist.telemetry.sinks.console import ConsoleSink
+
+_PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
+
+
+class RunFailedError(RuntimeError):
+    """A run that ended because a process failed, or was lost too often: which, why and what to do, in one line."""
+
+
+def train(
+    config: TrainConfig, run: RunDirectory, *, resume: bool, console: ConsoleSink | None = None
+) -> dict[str, Any]:
+    """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
+
+    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed, and
+    RunFailedError where a process failed.
+    """
+    began = time.monotonic()
+    reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
+    recorder = Recorder(run)
+    started: list[Any] = []
+    try:
+        backend, trainer, curator = _start_roles(config, run)
+        started = [role for role in (curator, trainer, backend) if role is not None]
+        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder)
+        controller.restore(resume=resume)
+        run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
+        evaluations = _earlier_evaluations(run) if controller.num_updates else {}
+        if controller.num_updates == 0:
+            reporter.phase("evaluating")
+            evaluations["random_policy"] = controller.evaluate(use_policy=False)
+            evaluations["before"] = controller.evaluate(use_policy=True)
+            run.write_json(run.path / "evaluations.json", evaluations)
+        controller.train()
+        reporter.phase("evaluating")
+        evaluations["after"] = controller.evaluate(use_policy=True)
+        run.write_json(run.path / "evaluations.json", evaluations)
+        if config.recording.num_rollouts:
+            reporter.phase("recording")
+            controller.record(config.recording.num_rollouts)
+            if config.recording.make_pictures:
+                recorder.make_pictures()
+        controller.clock.lap()
+        facts = trainer.facts()
+        facts["processes"] += curator.facts() if curator is not None else []
+        report = _report(config, controller, evaluations, facts, wall_seconds=time.monotonic() - began)
+        run.write_json(run.report_path, report)
+        reporter.phase("done")
+        return report
+    except (ProcessFailedError, WorkerLostError) as error:
+        raise _failed_run(run, error) from error
+    finally:
+        for role in started:
+            role.stop()
+        reporter.close()
+
+
+def hold_to_cpu(config: TrainConfig) -> None:
+    """Keeps JAX in this process off the GPUs, unless it is local mode that is to use one.
+
+    Has to come before anything is computed, be it only a level that is looked at: JAX would take three quarters of a
+    GPU's memory, which the processes of the run are about to share out. Raises PlacementError where it is too late.
+    """
+    import jax
+
+    if config.run.placement == "local" and resolve_device(config.run.device, num_gpus=count_gpus()) == "gpu":
+        return
+    jax.config.update("jax_platforms", "cpu")
+    if jax.default_backend() != "cpu":
+        raise PlacementError(
+            f"JAX runs on {jax.default_backend()} in this process already, which is to compute on the CPU; "
+            "start training from a process that has not used JAX, or set JAX_PLATFORMS=cpu"
+        )
+
+
+def _failed_run(run: RunDirectory, error: ProcessFailedError | WorkerLostError) -> RunFailedError:
+    """One line for the console; the traceback of a process goes to a file that the line names."""
+    run.event("run_failed", error=str(error))
+    where = ""
+    if isinstance(error, ProcessFailedError):
+        where = f"; traceback in {run.write_log(error.process.replace(' ', '_'), error.details)}"
+    return RunFailedError(f"{error}{where}; checkpoints are kept, go on with --run {run.path} --resume")
+
+
+def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Trainer, CuratorClient | None]:
+    hold_to_cpu(config)
+    if config.run.placement == "local":
+        from kinetix_dist.runtime.processes.local import LocalBackend
+
+        worker = ProcessPlan(role="worker", index=0)
+        local = LocalBackend()
+        trainer: Trainer = ColocatedTrainer(config, local, [worker])
+        curator_plan = ProcessPlan(role="curator", index=0)
+        return local, trainer, CuratorClient(config, local, curator_plan) if config.curriculum.has_buffer else None
+    from kinetix_dist.runtime.processes.ray_backend import RayBackend
+
+    backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)
+    try:
+        placement = plan(config, num_gpus=backend.num_gpus)
+        backend.reserve(placement)
+    except ValueError:
+        backend.stop()
+        raise
+    if config.run.placement == "split":
+        from kinetix_dist.runtime.driver.split import SplitTrainer
+
+        trainer = SplitTrainer(config, backend, placement)
+    else:
+        trainer = ColocatedTrainer(config, backend, placement.of("worker"))
+    curators = placement.of("curator")
+    return backend, trainer, CuratorClient(config, backend, curators[0]) if curators else None
+
+
+def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:
+    path = run.path / "evaluations.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _report(
+    config: TrainConfig,
+    controller: Controller,
+    evaluations: dict[str, Any],
+    facts: dict[str, Any],
+    *,
+    wall_seconds: float,
+) -> dict[str, Any]:
+    seconds = {role: round(value, 3) for role, value in controller.clock.totals.items()}
+    return {
+        "recipe": config.run.name,
+        "env_steps": controller.env_steps,
+        "wall_seconds": round(controller.seconds_before + wall_seconds, 3),
+        "training_seconds": round(controller.training_seconds_at_end, 3),
+        "env_steps_per_second": round(controller.env_steps / max(controller.training_seconds_at_end, 1e-9), 1),
+        "policy_updates": controller.num_updates,
+        "solve_rate": {name: evaluations.get(name) for name in ("random_policy", "before", "after")},
+        "seconds_by_role": seconds,
+        "physics": {"settings": describe(config.env.physics), **controller.physics},
+        **facts,
+        "versions": {"python": platform.python_version(), **_versions()},
+        "config_hash": config.hash,
+    }
+
+
+def _versions() -> dict[str, str]:
+    versions = {}
+    for name in _PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions

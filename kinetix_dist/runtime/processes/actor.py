@@ -1,0 +1,99 @@
+"""The one Ray actor: a process of a run that joins a group, builds its core, answers calls and pings.
+
+The work itself is a core that knows nothing of processes and is called the same way in local mode. Whatever it raises
+leaves as a `ProcessFailedError`: one line and a traceback.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Any
+
+import ray
+
+from kinetix_dist.runtime.processes.facts import facts_of, whereabouts
+from kinetix_dist.runtime.processes.failures import failure_of
+from kinetix_dist.runtime.processes.gpu_memory import Budget, budget_of, this_gpu
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
+
+
+@ray.remote(concurrency_groups={"control": 1})
+class ProcessActor:
+    """Holds one core. Methods are called one at a time, except `ping`, which has a thread of its own."""
+
+    def __init__(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> None:
+        """`build(*arguments)` makes the core, later: a group has to be joined before JAX computes anything."""
+        self._plan = plan
+        self._build = build
+        self._arguments = arguments
+        self._budget: Budget | None = None
+        self._core: Any = None
+
+    def __repr__(self) -> str:
+        return self._plan.name  # what Ray's log files call it
+
+    @ray.method(concurrency_group="control")
+    def ping(self) -> int:
+        """The process id; that it comes back, while a call runs too, says that the process is not stopped."""
+        return os.getpid()
+
+    def prepare(self) -> dict[str, Any]:
+        """Before JAX starts: tells XLA how much of the GPU is its own. Returns where the process is and what it has."""
+        with self._failures():
+            if self._plan.memory is not None:
+                self._budget = budget_of(self._plan.name, self._plan.memory, this_gpu())
+                os.environ.pop("XLA_PYTHON_CLIENT_MEM_FRACTION", None)  # an older name of what follows
+                os.environ.update(self._budget.environment)
+            return whereabouts(self._budget)
+
+    def free_address(self) -> str:
+        """host:port that this process could listen on now, for the coordinator of a group."""
+        host = "127.0.0.1" if os.environ.get("KINETIX_DIST_LOOPBACK", "1") == "1" else _own_address()
+        with socket.socket() as probe:
+            probe.bind((host, 0))
+            return f"{host}:{probe.getsockname()[1]}"
+
+    def join(self, coordinator: str, num_processes: int, rank: int) -> None:
+        """Forms one JAX world with the other processes of the group. Waits for all of them."""
+        import jax
+
+        with self._failures():
+            jax.distributed.initialize(
+                coordinator,
+                num_processes,
+                rank,
+                cluster_detection_method="deactivate",
+                heartbeat_timeout_seconds=HEARTBEAT_TIMEOUT_S,
+            )
+
+    def build(self) -> None:
+        with self._failures():
+            self._core = self._build(*self._arguments)
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        """`core.method(*arguments)`. What it returns is numpy or plain Python."""
+        with self._failures():
+            return getattr(self._core, method)(*arguments)
+
+    def facts(self) -> dict[str, Any]:
+        with self._failures():
+            return facts_of(self._plan.name, self._budget)
+
+    @contextmanager
+    def _failures(self) -> Generator[None, None, None]:
+        try:
+            yield
+        except Exception as error:
+            raise failure_of(self._plan.name, error, self._budget) from None
+
+
+def _own_address() -> str:
+    """The address of the interface that leads out of this host (no packet is sent)."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))
+        return probe.getsockname()[0]

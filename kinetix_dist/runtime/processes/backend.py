@@ -1,0 +1,54 @@
+"""How the controller talks to cores, wherever they are: `Handle.call` gives a `Ticket` for the answer.
+
+Two backends: `local.LocalBackend` (the same process, no ray) and `ray_backend.RayBackend`. Everything above this line
+of the runtime is written once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+
+class Ticket(Protocol):
+    """An answer that may not be there yet. As an argument of a call it stands for the answer and is not copied."""
+
+    def fetch(self) -> Any:
+        """The answer; waits for it. Raises as `Backend.gather` does."""
+
+    def is_ready(self) -> bool: ...
+
+
+class Handle(Protocol):
+    """A core in some process."""
+
+    plan: ProcessPlan
+
+    def call(self, method: str, *arguments: Any) -> Ticket:
+        """Asks for `core.method(*arguments)`; calls of one handle are done in order."""
+
+    def call_stamped(self, method: str, *arguments: Any) -> tuple[Ticket, Ticket]:
+        """The same for a method that returns (stamp, content): the small stamp can be fetched without the content."""
+
+
+class Backend(Protocol):
+    """Starts processes and ends them."""
+
+    def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[Handle]:
+        """One core `build(plan.index, number of plans, *arguments)` a plan; several form one JAX world, by rank."""
+
+    def put(self, value: Any) -> Ticket:
+        """A value that many calls are given, stored once."""
+
+    def gather(self, tickets: Sequence[Ticket]) -> list[Any]:
+        """All answers. Raises WorkerLostError as soon as a process is lost, ProcessFailedError as soon as one fails."""
+
+    def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
+        """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""
+
+    def kill(self, handles: Sequence[Handle]) -> None:
+        """Ends processes and returns when they are gone."""
+
+    def stop(self) -> None: ...

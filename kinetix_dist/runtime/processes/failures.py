@@ -1,0 +1,80 @@
+"""What went wrong in a process, in one line: which process, where, why and what to change.
+
+An error of the work itself (`ProcessFailedError`) would come again, so it ends the run; a process that is gone
+(`WorkerLostError`) is started again.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import traceback
+
+from kinetix_dist.runtime.processes.gpu_memory import Budget, gib
+
+MAX_REASON = 400  # characters: XLA's messages can be pages
+
+# In the text of an error: XLA's pool is full; or memory of the device beyond it, which Warp and CUDA ask for.
+POOL_IS_FULL = ("RESOURCE_EXHAUSTED",)
+DEVICE_IS_FULL = ("Warp CUDA error 2", "CUDA_ERROR_OUT_OF_MEMORY", "cudaErrorMemoryAllocation")
+GROUP_IS_BROKEN = ("heartbeat", "Gloo", "gloo", "NCCL")
+
+ADVICE = {
+    "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib",
+    "learner": "lower rollout.num_envs or raise ppo.minibatches",
+    "rollout": "lower rollout.num_envs or raise run.num_rollout_actors",
+    "curator": "raise run.curator_memory_gib or lower curriculum.scoring_batch",
+}
+
+
+class WorkerLostError(RuntimeError):
+    """A process died or hung: what it held is gone, and it can be started again."""
+
+
+class ProcessFailedError(RuntimeError):
+    """A process raised an error at what it was asked to do."""
+
+    def __init__(self, process: str, reason: str, details: str = "") -> None:
+        """`reason`: one line. `details`: the traceback, for a log file."""
+        super().__init__(process, reason, details)
+        self.process = process
+        self.reason = reason
+        self.details = details
+
+    def __str__(self) -> str:
+        return f"{self.process} {self.reason}"
+
+    @property
+    def is_loss_of_group(self) -> bool:
+        """Whether another process of its group is the cause: a collective broke."""
+        return any(sign in self.reason for sign in GROUP_IS_BROKEN)
+
+
+def failure_of(process: str, error: Exception, budget: Budget | None) -> ProcessFailedError:
+    """The error of a process in one line, with its traceback. `budget`: of GPU memory; None on a CPU."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    if not isinstance(error, ValueError | OSError):
+        text = f"{type(error).__name__}: {text}"
+    details = "".join(traceback.format_exception(error))
+    if isinstance(error, MemoryError) or any(sign in text for sign in (*POOL_IS_FULL, *DEVICE_IS_FULL)):
+        reason = f"ran out of memory {_memory(process, text, budget)} ({_short(text, MAX_REASON // 2)})"
+        return ProcessFailedError(process, reason, details)
+    return ProcessFailedError(process, f"failed: {_short(text, MAX_REASON)}", details)
+
+
+def _memory(process: str, text: str, budget: Budget | None) -> str:
+    host, advice = socket.gethostname(), ADVICE[process.split()[0]]
+    if budget is None:
+        return f"on {host}; {advice}"
+    where = f"on GPU {os.environ.get('CUDA_VISIBLE_DEVICES', '0')} of {host}, {budget.gpu.name}"
+    amount = f"its budget is {gib(budget.total_bytes)}, {gib(budget.pool_bytes)} of it XLA's pool"
+    if any(sign in text for sign in DEVICE_IS_FULL):
+        return (
+            f"{where}, beyond XLA's pool: {amount}, and what is left was not enough or is taken by another program; "
+            f"set run.gpu_memory_gib below the {gib(budget.gpu.total_bytes)} there are"
+        )
+    return f"{where}: {amount}, which is full; {advice}"
+
+
+def _short(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[:length]} ..."

@@ -1,0 +1,220 @@
+"""Who gets how much of a GPU's memory. XLA takes its pool in advance, so what others need has to be left out of it.
+
+    budget    of a process: the curator what its scoring needs, a worker (learner, rollout actor) the rest of its GPU
+    reserve   of a budget, outside of XLA's pool: CUDA context, loaded programs, local memory of the engine's threads,
+              NCCL where several processes form one JAX world
+    pool      budget - reserve; XLA is told its share of the GPU before JAX starts
+
+Budgets follow from the run's configuration (`MemoryNeeds`) and from the GPU that a process finds itself on (`Gpu`), so
+processes that share a GPU come to the same table without asking each other. Measured on one H200, jax 0.11: a context
+takes 528 to 560 MiB, loaded programs about 250 MiB more, XLA exactly its share, the engine's threads exactly
+`local_memory_bytes` of their `thread_bytes`. What NCCL takes is an estimate.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+from collections.abc import Sequence
+
+from jax2d.scene import Capacity
+from kinetix_dist.config import TrainConfig
+
+MIB = 1 << 20
+GIB = 1 << 30
+
+CONTEXT_BYTES = 640 * MIB  # a JAX process: 560 measured
+PROGRAMS_BYTES = 512 * MIB  # loaded programs: 250 measured
+NCCL_BYTES = 1536 * MIB  # channels and buffers of a rank: an estimate, a few hundred for two GPUs
+UNUSED_SHARE = 0.02  # of a GPU, to nobody: rounding, fragments, what else runs on it
+MIN_POOL_BYTES = 256 * MIB  # less is taken for a mistake
+
+# Local memory that CUDA sets aside for a thread comes on top of what the context has already.
+CONTEXT_THREAD_BYTES = 1024
+# What the engine keeps for a world in the local memory of its thread, in numbers of 4 bytes: fitted to the compiled
+# kernels of sizes S, M and L (to 1 %; tests/runtime/test_gpu_memory.py), raised by a margin for later kernels.
+THREAD_NUMBERS = 132
+NUMBERS_OF = {"polygons": 51, "circles": 35, "joints": 25, "thrusters": 6, "contact_slots": 19}
+THREAD_MARGIN = 1.15
+
+# Scoring: what is alive at once for a level, in numbers of 4 bytes. M with the paper's network: 71 kB, and 4,096 levels
+# were measured at 309 MiB with all else. Hence a margin of four.
+SCORING_TENSORS = 8  # of tokens
+SCORING_MARGIN = 4
+CANDIDATE_BYTES = 16 * 1024  # a level twice, while the best are kept
+MIN_CURATOR_POOL_BYTES = GIB
+
+
+class GpuMemoryError(ValueError):
+    """The processes of a run do not fit on a GPU, with the numbers and what to change."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Gpu:
+    """The GPU that a process finds itself on."""
+
+    name: str
+    total_bytes: int  # that CUDA gives to programs
+    num_sms: int
+    threads_per_sm: int  # resident at once
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MemoryNeeds:
+    """What one process needs on a GPU, known before there is one."""
+
+    process: str  # "worker 0"
+    thread_bytes: int  # local memory of a thread of its largest engine
+    num_in_group: int = 1  # processes of its JAX world
+    pool_bytes: int | None = None  # that XLA needs; None: whatever the others leave
+    budget_bytes: int | None = None  # as configured, reserve included; replaces pool_bytes
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GpuShare:
+    """All processes of a run on one GPU."""
+
+    needs: tuple[MemoryNeeds, ...]
+    limit_bytes: int | None = None  # of the GPU, for all of them; None: all of it
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Budget:
+    """Of one process on its GPU."""
+
+    process: str
+    gpu: Gpu
+    total_bytes: int
+    reserve_bytes: int
+
+    @property
+    def pool_bytes(self) -> int:
+        return self.total_bytes - self.reserve_bytes
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What XLA has to be told before JAX starts."""
+        return {
+            "XLA_PYTHON_CLIENT_PREALLOCATE": "true",
+            "XLA_CLIENT_MEM_FRACTION": f"{self.pool_bytes / self.gpu.total_bytes:.6f}",
+        }
+
+
+def share_of_gpu(config: TrainConfig, processes: Sequence[tuple[str, int]], *, num_in_group: int) -> GpuShare:
+    """The needs of the processes, (role, index) each, that a run places on one GPU."""
+    thread = thread_bytes(config.env.capacity)
+    needs = []
+    for role, index in processes:
+        process = f"{role} {index}"
+        if role == "curator":
+            by_hand = config.run.curator_memory_gib
+            needs.append(
+                MemoryNeeds(
+                    process=process,
+                    thread_bytes=thread,
+                    pool_bytes=curator_pool_bytes(config),
+                    budget_bytes=round(by_hand * GIB) if by_hand else None,
+                )
+            )
+        else:
+            needs.append(MemoryNeeds(process=process, thread_bytes=thread, num_in_group=num_in_group))
+    limit = config.run.gpu_memory_gib
+    return GpuShare(needs=tuple(needs), limit_bytes=round(limit * GIB) if limit else None)
+
+
+def budget_of(process: str, share: GpuShare, gpu: Gpu) -> Budget:
+    """The budget of one of the processes of a GPU; raises GpuMemoryError where they do not fit."""
+    limit = gpu.total_bytes if share.limit_bytes is None else min(share.limit_bytes, gpu.total_bytes)
+    left = int(limit * (1 - UNUSED_SHARE))
+    reserves = {needs.process: reserve_bytes(needs, gpu) for needs in share.needs}
+    totals: dict[str, int] = {}
+    for needs in share.needs:
+        if needs.budget_bytes is not None:
+            totals[needs.process] = needs.budget_bytes
+        elif needs.pool_bytes is not None:
+            totals[needs.process] = needs.pool_bytes + reserves[needs.process]
+    others = [needs.process for needs in share.needs if needs.process not in totals]
+    rest = left - sum(totals.values())
+    totals |= {name: rest // len(others) for name in others}
+    budgets = {
+        name: Budget(process=name, gpu=gpu, total_bytes=total, reserve_bytes=reserves[name])
+        for name, total in totals.items()
+    }
+    if sum(totals.values()) > left or min(budget.pool_bytes for budget in budgets.values()) < MIN_POOL_BYTES:
+        parts = (
+            f"{name} {gib(b.total_bytes)}, {gib(b.reserve_bytes)} of it outside of XLA" for name, b in budgets.items()
+        )
+        raise GpuMemoryError(
+            f"the processes of this run do not fit into {gib(left)} of {gpu.name} ({'; '.join(parts)}); "
+            "change run.curator_memory_gib or run.gpu_memory_gib, lower curriculum.scoring_batch, or use a larger GPU"
+        )
+    return budgets[process]
+
+
+def reserve_bytes(needs: MemoryNeeds, gpu: Gpu) -> int:
+    """What a process takes outside of XLA's pool."""
+    nccl = NCCL_BYTES if needs.num_in_group > 1 else 0
+    return CONTEXT_BYTES + PROGRAMS_BYTES + local_memory_bytes(needs.thread_bytes, gpu) + nccl
+
+
+def local_memory_bytes(thread_bytes: int, gpu: Gpu) -> int:
+    """What CUDA sets aside for every thread that can be resident, once a process, for its most demanding kernel."""
+    return max(0, thread_bytes - CONTEXT_THREAD_BYTES) * gpu.num_sms * gpu.threads_per_sm
+
+
+def thread_bytes(capacity: Capacity) -> int:
+    """Upper estimate of the local memory of a thread of the full engine of this capacity, bytes.
+
+    4 x 1.15 x (132 + 51 polygons + 35 circles + 25 joints + 6 thrusters + 19 contact slots)
+    """
+    numbers = THREAD_NUMBERS + sum(number * getattr(capacity, name) for name, number in NUMBERS_OF.items())
+    return round(4 * THREAD_MARGIN * numbers)
+
+
+def curator_pool_bytes(config: TrainConfig) -> int:
+    """What scoring a batch of levels needs of XLA, with a margin of four, and the candidates of a refresh."""
+    capacity, policy = config.env.capacity, config.policy
+    rows = capacity.shapes + 1 + 2 * capacity.joints + capacity.thrusters
+    numbers = SCORING_TENSORS * rows * policy.encoder_size + 2 * policy.num_heads * capacity.shapes**2
+    scoring = SCORING_MARGIN * 4 * numbers * config.curriculum.scoring_batch
+    return max(MIN_CURATOR_POOL_BYTES, scoring + CANDIDATE_BYTES * config.curriculum.num_candidates)
+
+
+def this_gpu() -> Gpu:
+    """The first GPU that CUDA shows to this process. Takes no memory of it.
+
+    Asked of the driver itself: nvidia-smi names no SMs, and lists GPUs as they are built in rather than what this
+    process may use of them. Raises GpuMemoryError where there is no driver or no GPU.
+    """
+    try:
+        cuda = ctypes.CDLL("libcuda.so.1")
+    except OSError as error:
+        raise GpuMemoryError(f"the NVIDIA driver cannot be loaded ({error}); use --run.device cpu") from None
+    device, total = ctypes.c_int(), ctypes.c_size_t()
+    name = ctypes.create_string_buffer(256)
+    values = {attribute: ctypes.c_int() for attribute in (_MULTIPROCESSOR_COUNT, _MAX_THREADS_PER_MULTIPROCESSOR)}
+    status = (
+        cuda.cuInit(0)
+        or cuda.cuDeviceGet(ctypes.byref(device), 0)
+        or cuda.cuDeviceGetName(name, len(name), device)
+        or cuda.cuDeviceTotalMem_v2(ctypes.byref(total), device)
+    )
+    for attribute, value in values.items():
+        status = status or cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
+    if status:
+        raise GpuMemoryError(f"the NVIDIA driver answers with CUDA error {status} to this process; see `doctor`")
+    return Gpu(
+        name=name.value.decode(),
+        total_bytes=total.value,
+        num_sms=values[_MULTIPROCESSOR_COUNT].value,
+        threads_per_sm=values[_MAX_THREADS_PER_MULTIPROCESSOR].value,
+    )
+
+
+# Of the CUDA driver's CUdevice_attribute.
+_MULTIPROCESSOR_COUNT = 16
+_MAX_THREADS_PER_MULTIPROCESSOR = 39
+
+
+def gib(num_bytes: int) -> str:
+    return f"{num_bytes / GIB:.1f} GiB"

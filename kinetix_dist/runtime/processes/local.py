@@ -1,0 +1,62 @@
+"""Local mode: the same cores and the same controller in one process, without Ray."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from kinetix_dist.runtime.processes.facts import facts_of
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+
+@dataclasses.dataclass(frozen=True)
+class LocalTicket:
+    """An answer that is there already."""
+
+    value: Any
+
+    def fetch(self) -> Any:
+        return self.value
+
+    def is_ready(self) -> bool:
+        return True
+
+
+class LocalHandle:
+    """A core in this process: a call is done before it returns."""
+
+    def __init__(self, plan: ProcessPlan, core: Any) -> None:
+        self.plan = plan
+        self._core = core
+
+    def call(self, method: str, *arguments: Any) -> LocalTicket:
+        values = [argument.value if isinstance(argument, LocalTicket) else argument for argument in arguments]
+        return LocalTicket(getattr(self._core, method)(*values))
+
+    def call_stamped(self, method: str, *arguments: Any) -> tuple[LocalTicket, LocalTicket]:
+        stamp, content = self.call(method, *arguments).value
+        return LocalTicket(stamp), LocalTicket(content)
+
+
+class LocalBackend:
+    """Cores share this process and its devices."""
+
+    def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle]:
+        return [LocalHandle(plan, build(plan.index, 1, *arguments)) for plan in plans]
+
+    def put(self, value: Any) -> LocalTicket:
+        return LocalTicket(value)
+
+    def gather(self, tickets: Sequence[LocalTicket]) -> list[Any]:
+        return [ticket.value for ticket in tickets]
+
+    def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:
+        """Of this process, once: all of its cores share it."""
+        return [facts_of("local", None)] if handles else []
+
+    def kill(self, handles: Sequence[LocalHandle]) -> None:
+        del handles
+
+    def stop(self) -> None:
+        pass

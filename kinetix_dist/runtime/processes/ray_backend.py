@@ -1,0 +1,186 @@
+"""Cores in Ray actors. Ray is the control plane only: it starts, calls and kills; gradients go through JAX."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import ray
+import ray.util
+from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
+
+from kinetix_dist.runtime.processes.actor import ProcessActor
+from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
+from kinetix_dist.runtime.processes.supervise import Heartbeats, gather, wait_until_gone
+from kinetix_dist.runtime.processes.watchdog import Watchdog
+
+GPUS_TIMEOUT_S = 60
+
+
+@dataclasses.dataclass(frozen=True)
+class RayTicket:
+    """A reference into the object store."""
+
+    reference: Any
+    actor: Any = None
+    backend: Any = None
+
+    def fetch(self) -> Any:
+        if self.backend is None:
+            return ray.get(self.reference)
+        return self.backend.gather([self])[0]
+
+    def is_ready(self) -> bool:
+        return bool(ray.wait([self.reference], timeout=0)[0])
+
+
+class RayHandle:
+    """A core in an actor."""
+
+    def __init__(self, plan: ProcessPlan, actor: Any, pid: int, backend: RayBackend) -> None:
+        self.plan = plan
+        self.actor = actor
+        self.pid = pid
+        self._backend = backend
+
+    def call(self, method: str, *arguments: Any) -> RayTicket:
+        return RayTicket(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
+
+    def call_stamped(self, method: str, *arguments: Any) -> tuple[RayTicket, RayTicket]:
+        call = self.actor.call.options(num_returns=2)
+        stamp, content = call.remote(method, *_references(arguments))
+        return RayTicket(stamp, self.actor, self._backend), RayTicket(content, self.actor, self._backend)
+
+
+class RayBackend:
+    """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
+
+    def __init__(
+        self, *, heartbeat_seconds: float, on_event: Callable[..., None] = lambda kind, **details: None
+    ) -> None:
+        """`on_event(kind, **details)` hears of every process that starts: who, where, with how much memory."""
+        self._on_event = on_event
+        self._heartbeats = Heartbeats(heartbeat_seconds)
+        self._watchdog: Watchdog | None = None
+        self._group: Any = None  # the GPUs of the run, one bundle each
+        if ray.is_initialized():
+            self._owns_ray = False
+            return
+        self._owns_ray = True
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        address = os.environ.get("RAY_ADDRESS")
+        if address:
+            os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
+            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+        else:
+            self._watchdog = Watchdog(os.getpid())
+            # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
+            ray.init(
+                address="local",
+                num_cpus=max(os.cpu_count() or 1, 64),
+                num_gpus=count_gpus(),
+                include_dashboard=False,
+                logging_level=logging.ERROR,
+                log_to_driver=False,  # actors log to Ray's session directory; what fails is raised here
+                _node_ip_address="127.0.0.1",
+            )
+
+    @property
+    def num_gpus(self) -> int:
+        """Of the whole cluster."""
+        return int(ray.cluster_resources().get("GPU", 0))
+
+    def reserve(self, placement: Placement) -> None:
+        """Takes the GPUs of a run, so that who shares one with whom is the same after every restart.
+
+        Raises PlacementError where others hold them. Nothing to do for a run on CPUs.
+        """
+        shared: dict[int, int] = {}
+        for plan in placement.processes:
+            if plan.gpu is not None:
+                shared[plan.gpu] = shared.get(plan.gpu, 0) + 1
+        if not shared:
+            return
+        bundles = [{"GPU": 1, "CPU": shared[gpu]} for gpu in sorted(shared)]
+        group = ray.util.placement_group(bundles, strategy="PACK")
+        if not group.wait(GPUS_TIMEOUT_S):
+            ray.util.remove_placement_group(group)
+            raise PlacementError(
+                f"this run needs {len(bundles)} of the cluster's {self.num_gpus} GPUs, and they were not free within "
+                f"{GPUS_TIMEOUT_S} s; wait for the run that holds them, or lower run.num_workers"
+            )
+        self._group = group
+
+    def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
+        actors = [
+            ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, len(plans), *arguments)
+            for plan in plans
+        ]
+        try:
+            gather([actor.ping.remote() for actor in actors], actors, self._heartbeats)
+            started = gather([actor.prepare.remote() for actor in actors], actors, self._heartbeats)
+            for plan, where in zip(plans, started, strict=True):
+                self._on_event("process_started", process=plan.name, **where)
+            if len(actors) > 1 and plans[0].role == "worker":
+                coordinator = ray.get(actors[0].free_address.remote())
+                joins = [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)]
+                gather(joins, actors, self._heartbeats)
+            gather([actor.build.remote() for actor in actors], actors, self._heartbeats)
+        except BaseException:
+            for actor in actors:
+                ray.kill(actor, no_restart=True)
+            raise
+        return [
+            RayHandle(plan, actor, where["pid"], self)
+            for plan, actor, where in zip(plans, actors, started, strict=True)
+        ]
+
+    def facts(self, handles: Sequence[RayHandle]) -> list[dict[str, Any]]:
+        actors = [handle.actor for handle in handles]
+        return gather([actor.facts.remote() for actor in actors], actors, self._heartbeats)
+
+    def _options(self, plan: ProcessPlan) -> dict[str, Any]:
+        environment = {"KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", "1"), **plan.env_vars}
+        options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
+        if plan.gpu is not None:
+            options["scheduling_strategy"] = PlacementGroupSchedulingStrategy(
+                self._group, placement_group_bundle_index=plan.gpu
+            )
+        return options
+
+    def put(self, value: Any) -> RayTicket:
+        return RayTicket(ray.put(value))
+
+    def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
+        actors = list(dict.fromkeys(ticket.actor for ticket in tickets if ticket.actor is not None))
+        return gather([ticket.reference for ticket in tickets], actors, self._heartbeats)
+
+    def kill(self, handles: Sequence[RayHandle]) -> None:
+        """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
+        self._heartbeats.forget([handle.actor for handle in handles])
+        for handle in handles:
+            ray.kill(handle.actor, no_restart=True)
+        if self._owns_ray and not os.environ.get("RAY_ADDRESS"):
+            left = wait_until_gone([handle.pid for handle in handles])
+            if left:
+                raise WorkerLostError(f"processes {left} could not be ended; end them by hand, then --resume")
+        else:
+            time.sleep(1.0)
+
+    def stop(self) -> None:
+        if self._owns_ray:
+            ray.shutdown()
+        elif self._group is not None:
+            ray.util.remove_placement_group(self._group)
+        if self._watchdog is not None:
+            self._watchdog.stop()
+
+
+def _references(arguments: Sequence[Any]) -> list[Any]:
+    return [argument.reference if isinstance(argument, RayTicket) else argument for argument in arguments]

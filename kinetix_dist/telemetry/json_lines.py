@@ -1,0 +1,103 @@
+"""Files of JSON objects, one a line, that survive a kill at any byte.
+
+A line is whole when it parses, since an object ends with its last character. What does not parse is damaged: it is set
+aside into a file beside, never lost and never joined with what is written next. Rewriting goes through a draft that is
+flushed to the disk and then renamed, so that at every moment the old or the new file is there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Lines:
+    """What a file holds."""
+
+    rows: list[Row]
+    damaged: list[bytes]  # without line ends
+    is_ended: bool  # the last line has its line end, or there is none
+
+
+def read_lines(path: Path, is_row: Callable[[Row], bool] = lambda row: True) -> Lines:
+    """All rows in order; lines that are no JSON object, or not `is_row`, are damaged. An absent file has no lines."""
+    content = path.read_bytes() if path.exists() else b""
+    rows, damaged = [], []
+    for line in filter(None, content.split(b"\n")):
+        row = _parse(line)
+        if row is not None and is_row(row):
+            rows.append(row)
+        else:
+            damaged.append(line)
+    return Lines(rows=rows, damaged=damaged, is_ended=not content or content.endswith(b"\n"))
+
+
+def append_line(path: Path, row: Mapping[str, Any]) -> None:
+    """Adds a row on a line of its own, also after an unfinished one."""
+    with path.open("a+b") as file:
+        file.seek(0, os.SEEK_END)
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) != b"\n":
+                file.write(b"\n")
+        file.write(_encode(row))
+
+
+def mend_lines(path: Path, *, is_row: Callable[[Row], bool], keep: Callable[[Row], bool]) -> int:
+    """Leaves the rows to `keep`, each on a whole line; returns how many damaged lines were set aside.
+
+    These go to `damaged_path(path)`, whose own lines are raw bytes. Nothing is written where nothing changes.
+    """
+    lines = read_lines(path, is_row)
+    kept = [row for row in lines.rows if keep(row)]
+    if len(kept) == len(lines.rows) and not lines.damaged and lines.is_ended:
+        return 0
+    if lines.damaged:
+        with damaged_path(path).open("ab") as file:  # first: a kill in between sets a line aside twice, and loses none
+            file.write(b"".join(line + b"\n" for line in lines.damaged))
+            _flush_to_disk(file)
+    replace_file(path, b"".join(map(_encode, kept)))
+    return len(lines.damaged)
+
+
+def damaged_path(path: Path) -> Path:
+    """metrics.jsonl -> metrics.damaged"""
+    return path.with_suffix(".damaged")
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Gives a file new content: whoever reads it, and whenever this is killed, has the old or the new one, whole."""
+    draft = path.with_name(f".{path.name}.draft")
+    with draft.open("wb") as file:
+        file.write(content)
+        _flush_to_disk(file)
+    os.replace(draft, path)
+    directory = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
+def _parse(line: bytes) -> Row | None:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):  # no JSON, no text, or brackets without end
+        return None
+    return row if isinstance(row, dict) else None
+
+
+def _encode(row: Mapping[str, Any]) -> bytes:
+    return json.dumps(row).encode() + b"\n"
+
+
+def _flush_to_disk(file: Any) -> None:
+    file.flush()
+    os.fsync(file.fileno())

@@ -1,0 +1,119 @@
+"""What goes wrong in the physics of a rollout is counted, reported and warned of once. Real engines, bad levels."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from jax2d import Effects, Engine
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.models.policy import make_policy
+from kinetix_dist.runtime.cores.curator_core import CuratorCore
+from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.worker import Worker
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.physics_watch import WARNINGS
+from kinetix_dist.runtime.driver.roles import Refresh
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.telemetry.names import METRICS
+from tests.runtime.runs import QuietReporter, run_updates, tiny_config
+
+NUM_WORLDS, NUM_STEPS, FRAME_SKIP = 16, 8, 2  # of the recipe `tiny`; half of the worlds play levels of the buffer
+PHYSICS_STEPS = NUM_WORLDS * NUM_STEPS * FRAME_SKIP
+
+
+def _with_nan(buffer):
+    """The same levels, but none of their shapes is anywhere."""
+    levels = dataclasses.replace(buffer.levels, position=np.full_like(buffer.levels.position, np.nan))
+    return dataclasses.replace(buffer, levels=levels)
+
+
+@pytest.fixture(scope="module")
+def worker():
+    config = tiny_config(num_updates=1)
+    worker = Worker(config, data_mesh())
+    worker.start(None)
+    seconds, worker.buffer = CuratorCore(config).refresh(worker.weights(), 0)
+    assert seconds["seconds"] > 0
+    return worker
+
+
+def test_a_healthy_rollout_counts_nothing_that_should_be_zero(worker):
+    worker.adopt(worker.buffer)
+    metrics, _ = worker.run_update(0)
+    assert {name for name in METRICS if name.startswith("physics/")} <= metrics.keys()
+    assert all(metrics[f"physics/{kind}"] == 0 for kind in WARNINGS)
+
+
+def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
+    worker.adopt(_with_nan(worker.buffer))
+    metrics, _ = worker.run_update(0)
+    times = NUM_WORLDS // 2 * NUM_STEPS
+    assert metrics["physics/unstable_worlds"] == times
+    assert metrics["physics/unstable"] == pytest.approx(1e6 * times / PHYSICS_STEPS)
+    assert metrics["train/episodes"] >= times  # each ended an episode
+
+
+def _sums(effects):
+    """Of a rollout with an engine that has these effects alone, on levels with everything."""
+    config = tiny_config(num_updates=1)
+    levels = dataclasses.replace(config.curriculum, name="fixed", levels="designed_s")
+    config = dataclasses.replace(config, curriculum=levels)
+    env = Environment(config.env, engine=Engine(config.env.capacity, effects=effects))
+    policy = make_policy(config.policy, env.action_head_sizes)
+    core = RolloutCore(config, env, policy, data_mesh(), first_group=0, num_groups=config.rollout.num_groups)
+    worker = Worker(config, data_mesh())
+    worker.start(None)
+    return jax.device_get(core.play(worker.weights(), None, 0)[-1])["physics"]
+
+
+def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted():
+    full = Effects.full(tiny_config(num_updates=1).env.capacity)
+    assert _sums(full).missing_effects == 0
+    assert _sums(full.without("gravity")).missing_effects == NUM_WORLDS * NUM_STEPS  # all of them have gravity
+    crowded = _sums(dataclasses.replace(full, contact_slots=1))
+    assert crowded.contact_overflow > 0
+    assert crowded.missing_effects > 0
+
+
+class _PoisonedCurator(CuratorClient):
+    """A curator whose levels are nowhere from the second refresh on."""
+
+    def take(self):
+        refresh = super().take()
+        if self.num_taken:
+            refresh = Refresh(buffer=LocalTicket(_with_nan(refresh.buffer.fetch())), seconds=refresh.seconds)
+        self.num_taken += 1
+        return refresh
+
+    num_taken = 0
+
+
+def test_a_run_warns_once_of_each_kind_and_says_how_often_at_its_end(tmp_path):
+    config = tiny_config(num_updates=8)  # the second buffer is adopted at update 5
+    reporter = QuietReporter()
+    reporter.note = (notes := []).append
+    backend = LocalBackend()
+    trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
+    curator = _PoisonedCurator(config, backend, ProcessPlan(role="curator", index=0))
+    controller = run_updates(config, tmp_path / "run", trainer, curator, reporter=reporter)
+    (note,) = notes
+    times = NUM_WORLDS // 2 * NUM_STEPS
+    assert note.startswith(f"physics: {times} worlds were not finite and were reset in {PHYSICS_STEPS} physics steps; ")
+    events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
+    assert [(e["counter"], e["count"], e["update"]) for e in events if e["event"] == "physics_warning"] == [
+        ("unstable", times, 6)
+    ]
+    assert [row["physics/unstable_worlds"] for row in reporter.rows] == [0] * 5 + [times] * 3
+    assert controller.physics["physics_steps"] == 8 * PHYSICS_STEPS
+    assert controller.physics["unstable"] == 3 * times
+    assert all(row["curriculum/scoring_seconds"] > 0 for row in reporter.rows)
+
+
+def test_every_warning_belongs_to_a_metric():
+    assert {f"physics/{kind}" for kind in WARNINGS} <= METRICS.keys()

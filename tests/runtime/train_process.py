@@ -1,0 +1,76 @@
+"""`kinetix-dist train` as a process of its own: starting it, watching its files, ending its parts."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.telemetry.json_lines import read_lines
+from tests.helpers import REPOSITORY, python_path
+
+# One level is evaluated, four times: what takes long in a tiny run is left out.
+TINY = ["--recipe", "tiny", "--evaluation.sets", "s/kick", "--evaluation.min_attempts", "4"]
+STEPS_PER_UPDATE = 128
+# Of one GPU for a run, so that other tests can use it at the same time; more than the reserves of two processes.
+GPU_MEMORY_GIB = 10
+LIMIT_S = 280.0
+
+
+def start(run: Path, *options: str, device: str = "cpu") -> subprocess.Popen[str]:
+    """Starts training in `run`. On a GPU it computes the same bits every time, at some cost of speed."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_PLATFORMS", "XLA_"))}
+    command = [sys.executable, "-m", "kinetix_dist.cli.main", "train", "--run", str(run), "--run.device", device]
+    if device == "gpu":
+        environment["XLA_FLAGS"] = "--xla_gpu_deterministic_ops=true"
+        command += ["--run.gpu_memory_gib", str(GPU_MEMORY_GIB)]
+    else:
+        environment["JAX_PLATFORMS"] = "cpu"
+    return subprocess.Popen(
+        [*command, *options],
+        env={**environment, "PYTHONPATH": python_path()},
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> str:
+    """Waits for the end; what was said on stderr. Fails unless the exit status is 0."""
+    try:
+        _, errors = process.communicate(timeout=LIMIT_S)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    return errors
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], what: str) -> None:
+    """Until the condition holds; fails when the process ends or takes too long before."""
+    deadline = time.monotonic() + LIMIT_S
+    while not condition():
+        assert process.poll() is None, f"the run ended before {what}: {process.communicate()[1]}"
+        assert time.monotonic() < deadline, f"{what} did not come in {LIMIT_S:.0f} s"
+        time.sleep(0.02)
+
+
+def rows(run: Path) -> list[dict[str, Any]]:
+    """Metrics so far."""
+    return read_lines(run / "metrics" / "metrics.jsonl").rows
+
+
+def events(run: Path, kind: str, **details: Any) -> list[dict[str, Any]]:
+    """Events of a kind so far, with these details."""
+    found = (row for row in read_lines(run / "events.jsonl").rows if row["event"] == kind)
+    return [row for row in found if all(row.get(name) == value for name, value in details.items())]
+
+
+def kill_newest(run: Path, process_name: str) -> None:
+    """SIGKILL for the process of a run that was started last under this name."""
+    os.kill(events(run, "process_started", process=process_name)[-1]["pid"], signal.SIGKILL)
