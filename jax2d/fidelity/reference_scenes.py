@@ -18,6 +18,7 @@ from collections.abc import Callable
 import numpy as np
 
 from jax2d.builder import BuiltWorld, SceneBuilder
+from jax2d.fidelity.study_scene import by_name
 from jax2d.fidelity.units import MOTOR_ACCELERATION, G
 from jax2d.scene import Capacity
 
@@ -42,15 +43,17 @@ class ReferenceScene:
         return builder.build()
 
 
-REFERENCE_SCENES: dict[str, ReferenceScene] = {}
+_declared: list[ReferenceScene] = []
 
 
 def reference_scene(
     name: str, *, seconds: float, length: float, control: float = 0.0, compared_from: float = 0.0
 ) -> Callable[[Callable[[SceneBuilder], None]], Callable[[SceneBuilder], None]]:
     def register(build: Callable[[SceneBuilder], None]) -> Callable[[SceneBuilder], None]:
-        REFERENCE_SCENES[name] = ReferenceScene(
-            name=name, seconds=seconds, length=length, control=control, compared_from=compared_from, build=build
+        _declared.append(
+            ReferenceScene(
+                name=name, seconds=seconds, length=length, control=control, compared_from=compared_from, build=build
+            )
         )
         return build
 
@@ -281,3 +284,6 @@ def thruster_craft(b: SceneBuilder) -> None:
     b.keep_apart(fin, load)
     b.add_thruster(hull, at=(-0.35, -0.1), angle=math.pi / 2, power=0.14)
     b.add_thruster(hull, at=(0.35, -0.1), angle=math.pi / 2, power=0.15)
+
+
+REFERENCE_SCENES = by_name(_declared)

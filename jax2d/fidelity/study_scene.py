@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
 
 from jax2d.builder import BuiltWorld, SceneBuilder
 from jax2d.fidelity.trajectory import Trajectory
@@ -32,9 +33,17 @@ class StudyScene:
         return builder.build(), error
 
 
-def by_name(scenes: Sequence[StudyScene]) -> dict[str, StudyScene]:
+class Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+AnyScene = TypeVar("AnyScene", bound=Named)
+
+
+def by_name(scenes: Sequence[AnyScene]) -> dict[str, AnyScene]:
     """A table of scenes, in their order. Raises ValueError for a name that two of them have."""
-    table: dict[str, StudyScene] = {}
+    table: dict[str, AnyScene] = {}
     for scene in scenes:
         if scene.name in table:
             raise ValueError(f"two scenes are called {scene.name!r}; give each a name of its own")

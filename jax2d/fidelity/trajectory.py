@@ -46,7 +46,7 @@ class Trajectory:
     limited: np.ndarray | None = None  # [T] times a speed limit acted since the sample before; None: not recorded
 
     @property
-    def num_steps(self) -> int:
+    def num_intervals(self) -> int:
         """Intervals between samples, T - 1."""
         return len(self.position) - 1
 
@@ -68,7 +68,7 @@ class Trajectory:
 
     def until(self, seconds: float) -> Trajectory:
         """The first `seconds`, to the nearest sample."""
-        end = min(round(seconds / self.interval), self.num_steps) + 1
+        end = min(round(seconds / self.interval), self.num_intervals) + 1
         return self._with_arrays(lambda x: x[:end])
 
     def index_at(self, seconds: float) -> int:

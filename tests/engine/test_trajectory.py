@@ -266,7 +266,7 @@ def test_energy_and_drift_of_a_body_that_is_lifted():
     assert lifted.energy() == pytest.approx(2 * 9.81 * np.array([1, 1.5, 5]))
     assert lifted.energy(zero_at=position[0]) == pytest.approx(2 * 9.81 * np.array([0, 0.5, 4]))
     assert lifted.drift() == pytest.approx(5.0)
-    assert lifted.until(0.1).num_steps == 1
+    assert lifted.until(0.1).num_intervals == 1
     assert (lifted.index_at(0.1), lifted.index_at(0.11)) == (1, 2)
 
 

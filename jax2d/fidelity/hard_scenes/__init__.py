@@ -18,6 +18,7 @@ from jax2d.fidelity.hard_scenes import (
     structures,
 )
 from jax2d.fidelity.hard_scenes.scene import CAPACITY, Check, HardScene, HardSceneBuilder
+from jax2d.fidelity.study_scene import by_name
 
 __all__ = ["CAPACITY", "Check", "HardScene", "HardSceneBuilder", "hard_scenes"]
 
@@ -26,4 +27,4 @@ SUBJECTS = (stacks, overlaps, masonry, sliding, extremes, chains, structures, ma
 
 def hard_scenes() -> list[HardScene]:
     """All of them, built, in the order of the published table."""
-    return [scene for subject in SUBJECTS for scene in subject.scenes()]
+    return list(by_name([scene for subject in SUBJECTS for scene in subject.scenes()]).values())
