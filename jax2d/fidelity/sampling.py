@@ -33,7 +33,7 @@ class Sampling:
 
     num_samples: int  # after the start
     every: int = 1  # physics steps from sample to sample
-    per_call: int = 256  # samples that one call of the program takes: so many are on the device at a time
+    per_call: int  # samples that one call of the program takes: so many are on the device at a time
     joint_impulse: bool = False
 
 

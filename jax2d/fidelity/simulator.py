@@ -106,7 +106,7 @@ class Simulator:
         num_samples = round(scenario.seconds / settings.dt) // every
         with self._precision():
             run = _run_of(engine, [scenario])
-            sampling = Sampling(num_samples=num_samples, every=every)
+            sampling = Sampling(num_samples=num_samples, every=every, per_call=min(num_samples, 256))
             samples, _ = take_samples(VariantEngine.of(engine, self.backend), run, sampling)
         return samples.position[1:, 0]
 

@@ -9,6 +9,7 @@ Trajectories are numpy float64, so that what is measured of them adds no roundin
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -25,6 +26,9 @@ from jax2d.measure import overlaps
 from jax2d.scene import Controls, Scene, State, index_worlds, stack_worlds
 from jax2d.settings import Settings
 from jax2d.whole_numbers import whole_number
+
+MAX_SAMPLES_PER_CALL = 256  # more save next to nothing
+MAX_BYTES_PER_CALL = 2**28  # samples that the device holds at a time, before they come to the host
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -194,7 +198,12 @@ def record(
     if not batch:
         scene, state, controls = jax.tree.map(lambda x: x[None], (scene, state, controls))
     run = Run(scene=engine.pack_scene(scene), state=engine.pack_state(state), controls=controls)
-    sampling = Sampling(num_samples=num_samples, every=every, joint_impulse=joint_force)
+    sampling = Sampling(
+        num_samples=num_samples,
+        every=every,
+        per_call=max(1, min(MAX_SAMPLES_PER_CALL, MAX_BYTES_PER_CALL // _bytes_per_sample(engine, batch, joint_force))),
+        joint_impulse=joint_force,
+    )
     samples, packed = take_samples(FixedEngine(engine), run, sampling)
     trajectory = trajectory_of(samples, jax.tree.map(_in_float64, scene), engine.settings, every)
     last = engine.unpack_state(packed)
@@ -232,6 +241,12 @@ def trajectory_of(samples: Samples, scene: Scene, settings: Settings, every: int
         overflow=np.asarray(samples.overflow),
         limited=np.asarray(samples.limited),
     )
+
+
+def _bytes_per_sample(engine: Engine, batch: tuple[int, ...], joint_impulse: bool) -> int:
+    capacity = engine.capacity
+    numbers = 6 * capacity.shapes + (5 * capacity.joints if joint_impulse else 0) + 2  # as in `Samples`
+    return engine.dtype.itemsize * numbers * max(1, math.prod(batch))
 
 
 def _in_float64(x: Any) -> np.ndarray:

@@ -21,6 +21,7 @@ from jax2d import (
     stack_worlds,
 )
 from jax2d.fidelity import Trajectory, record, record_worlds
+from jax2d.fidelity import trajectory as trajectories
 from jax2d.fidelity.engine_argument import FixedEngine, VariantEngine
 from jax2d.fidelity.sampling import Run, Sampling, take_samples
 from jax2d.fidelity.trajectory import start_of
@@ -99,12 +100,29 @@ def test_calls_of_any_size_record_the_same():
     scene, state = start_of(one, worlds())
     run = Run(scene=one.pack_scene(scene), state=one.pack_state(state), controls=one.no_controls(3))
     seen: list[int] = []
-    whole, _ = take_samples(FixedEngine(one), run, Sampling(num_samples=10))
+    whole, _ = take_samples(FixedEngine(one), run, Sampling(num_samples=10, per_call=10))
     parts, _ = take_samples(
         FixedEngine(one), run, Sampling(num_samples=10, per_call=4), lambda taken, packed: seen.append(taken)
     )
     np.testing.assert_array_equal(whole.position, parts.position)
     assert seen == [4, 8, 10]
+
+
+def test_a_batch_too_large_for_the_device_is_recorded_in_parts(monkeypatch):
+    """Each world keeps 6 numbers a shape and two counts: a limit of 4 samples of three worlds."""
+    one = engine()
+    scene, start = start_of(one, worlds())
+    whole, _ = record(one, scene, start, num_samples=10)
+    monkeypatch.setattr(trajectories, "MAX_BYTES_PER_CALL", 4 * 3 * 4 * (6 * CAPACITY.shapes + 2))
+    seen: list[int] = []
+
+    def counted(argument, run, sampling, observe=None):
+        return take_samples(argument, run, sampling, lambda taken, packed: seen.append(taken))
+
+    monkeypatch.setattr(trajectories, "take_samples", counted)
+    parts, _ = record(one, scene, start, num_samples=10)
+    assert seen == [4, 8, 10]
+    np.testing.assert_array_equal(whole.position, parts.position)
 
 
 def test_overflow_and_limits_are_counted_where_they_happen():
@@ -179,8 +197,8 @@ def test_an_engine_of_a_variant_steps_as_the_engine_of_the_settings():
         run = Run(scene=own.pack_scene(scene), state=own.pack_state(state), controls=own.no_controls(3))
         shared = VariantEngine.of(own, "warp")
         variants.add(shared.variant)
-        samples, _ = take_samples(shared, run, Sampling(num_samples=40))
-        expected, _ = take_samples(FixedEngine(own), run, Sampling(num_samples=40))
+        samples, _ = take_samples(shared, run, Sampling(num_samples=40, per_call=40))
+        expected, _ = take_samples(FixedEngine(own), run, Sampling(num_samples=40, per_call=40))
         np.testing.assert_array_equal(samples.position, expected.position)
         np.testing.assert_array_equal(samples.angular_velocity, expected.angular_velocity)
     assert len(variants) == 1
