@@ -13,7 +13,7 @@ speed and spin, how often a speed limit acted, contacts without a slot, how deep
 episode, and energy from nothing.
 
 Energy from nothing, J/kg of a world's movable mass: energy after an action - the most that it was after any of the
-four before - the most that motors and thrusters can have done since (`jax2d.measure.work_at_most`). (Four, because an
+four before - the most that motors and thrusters can have done since (`jax2d.measure.max_work`). (Four, because an
 impact that is passed from body to body takes a few steps, in which its energy is in the overlaps.) Undoing overlaps
 and pulling joints together gives a little; an explosion gives much. 1 J/kg lifts everything by 10 cm.
 
@@ -35,7 +35,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d import Controls, Engine, preset
-from jax2d.measure import energy, overlaps, work_at_most
+from jax2d.measure import energy, max_work, overlaps
 from jax2d.scene import Array, Scene, State, index_worlds
 from jax2d.settings import PRESETS, Settings
 from kinetix_dist.env.actions import controls_of
@@ -99,7 +99,7 @@ class Soak:
         num_actions = EPISODE_STEPS // self.frame_skip
         seconds = self.frame_skip * engine.settings.dt
         energy_of = jax.vmap(energy)
-        most_work = jax.vmap(partial(work_at_most, engine.settings, seconds))
+        most_work = jax.vmap(partial(max_work, engine.settings, seconds))
 
         def act(carry: Any, index: Array) -> Any:
             packed, before, earlier, failed_at, largest = carry

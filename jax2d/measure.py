@@ -51,7 +51,7 @@ def angular_momentum(scene: Scene, state: State) -> jax.Array:
     return jnp.sum(orbital + inertia * state.angular_velocity)
 
 
-def work_at_most(
+def max_work(
     settings: Settings, seconds: float, scene: Scene, controls: Controls, before: State, after: State
 ) -> jax.Array:
     """J that motors and thrusters can have done under constant controls between two states, [].

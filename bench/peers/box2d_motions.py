@@ -1,12 +1,12 @@
-"""Box2D 2.3 (its Python package, in its own environment) over the motions of `python -m jax2d.fidelity`.
+"""Box2D 2.3 (its Python package, in its own environment) over the scenes of `python -m jax2d.fidelity`.
 
     python box2d_motions.py --check            prints the version
-    python box2d_motions.py IN.npz OUT.npz     motions as jax2d/fidelity/peers.py writes and reads them
+    python box2d_motions.py IN.npz OUT.npz     scenes as jax2d/fidelity/peers.py writes them, states as it reads them
 
 then a request a line on standard input, {"setting": k, "scene": i}, and what one timed run of it cost on standard
 output, {"ok": true, "us": us per simulated second}; a failure answers {"ok": false, "error": one line}.
 
-One world at a time, stepped from Python; the time of a motion is that of all its steps, the calls included. This file
+One world at a time, stepped from Python; the time of a run is that of all its steps, the calls included. This file
 uses nothing of the project.
 """
 
@@ -34,8 +34,8 @@ class AllowedPairs(Box2D.b2ContactFilter):
         return bool(self.can_touch[a.body.userData, b.body.userData])
 
 
-class Motion:
-    """One world of the request, and its steps."""
+class World:
+    """One world of the request."""
 
     def __init__(self, request: dict[str, np.ndarray], i: int, constants: dict[str, float]) -> None:
         scene = {name.removeprefix("scene."): value[i] for name, value in request.items() if name.startswith("scene.")}
@@ -133,11 +133,11 @@ def main() -> int:
         dt = setting["dt"]
         arguments = (dt, setting["velocity_iterations"], setting["position_iterations"])
         for i, seconds in enumerate(request["seconds"]):
-            motion = Motion(request, i, asked["constants"])
-            states = [motion.state()]
+            world = World(request, i, asked["constants"])
+            states = [world.state()]
             for _ in range(round(float(seconds) / dt)):
-                motion.step(*arguments)
-                states.append(motion.state())
+                world.step(*arguments)
+                states.append(world.state())
             answer[f"states.{k}.{i}"] = np.array(states)
     np.savez(sys.argv[2], device=np.array("cpu"), version=np.array(Box2D.__version__), **answer)
     print(json.dumps({"ok": True}), flush=True)
@@ -157,12 +157,12 @@ def cost(
     velocity_iterations: int,
     position_iterations: int,
 ) -> float:
-    """us per simulated second of one run of motion i."""
+    """us per simulated second of one run of world i."""
     steps = round(float(request["seconds"][i]) / dt)
-    motion = Motion(request, i, constants)
+    world = World(request, i, constants)
     started = time.perf_counter()
     for _ in range(steps):
-        motion.step(dt, velocity_iterations, position_iterations)
+        world.step(dt, velocity_iterations, position_iterations)
     return 1e6 * (time.perf_counter() - started) / (steps * dt)
 
 

@@ -1,12 +1,13 @@
-"""The published jax2d (in its own environment) over the motions of `python -m jax2d.fidelity`.
+"""The published jax2d (in its own environment) over the scenes of `python -m jax2d.fidelity`.
 
-    python jax2d_published_motions.py IN.npz OUT.npz     motions as jax2d/fidelity/peers.py writes and reads them
+    python jax2d_published_motions.py IN.npz OUT.npz     scenes as jax2d/fidelity/peers.py writes them, states as it
+                                                         reads them
 
 then a request a line on standard input, {"setting": k, "scene": i}, and what one timed run of it cost on standard
 output, {"ok": true, "us": us per simulated world-second}; a failure answers {"ok": false, "error": one line}.
 
 Called as its authors do: jit, vmap over worlds, scan over steps. Its first four polygons are meant for floor and walls
-and never collide with each other, so the shapes of a scene follow them. Its cost does not depend on the motion, so each
+and never collide with each other, so the shapes of a scene follow them. Its cost does not depend on what moves, so each
 scene is timed from its start. This file uses nothing of the project.
 """
 
@@ -49,7 +50,7 @@ def main() -> int:
     )
     states = [world(static, request, scene, i) for i in range(count)]
     stacked = jax.tree.map(lambda *xs: jnp.stack(xs), *states)
-    # Each world's gravity is in its state; two shapes of coefficient mu are to rub with mu.
+    # Each world's gravity is in its state; two shapes of coefficient mu are to have a friction of mu.
     params = SimParams(
         base_friction=1.0 / math.sqrt(2.0),
         base_motor_speed=constants["motor_speed"],
@@ -77,9 +78,9 @@ def main() -> int:
         for _ in range(-(-max(steps) // CHUNK_STEPS)):
             state, seen = run(state, dt, actions, steps=CHUNK_STEPS, record=True)
             recorded.append(np.asarray(seen))
-        paths = np.concatenate(recorded)
+        recorded_states = np.concatenate(recorded)
         for i in range(count):
-            answer[f"states.{k}.{i}"] = paths[: steps[i] + 1, i]
+            answer[f"states.{k}.{i}"] = recorded_states[: steps[i] + 1, i]
     version = importlib.metadata.version("jax2d")
     np.savez(sys.argv[2], device=np.array(jax.devices()[0].device_kind), version=np.array(version), **answer)
     print(json.dumps({"ok": True}), flush=True)

@@ -1,1 +1,10 @@
-"""How true the engine is: motions with a formula, scenes on which solvers fail, and what accuracy costs in time."""
+"""How accurate the engine is: scenes with a formula, scenes on which solvers fail, and what accuracy costs in time.
+
+from jax2d.fidelity import record
+
+trajectory, state = record(engine, scene, state, num_samples=600)
+"""
+
+from jax2d.fidelity.trajectory import Trajectory, record, record_worlds
+
+__all__ = ["Trajectory", "record", "record_worlds"]

@@ -15,7 +15,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path as File
+from pathlib import Path
 
 from jax2d.fidelity.arguments import OneLineParser
 from jax2d.fidelity.closed_forms import CLOSED_FORMS
@@ -35,9 +35,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = OneLineParser(prog="python -m jax2d.fidelity", description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
     add("--quick", action="store_true", help="fewer settings and worlds: three minutes instead of twelve on two cores")
-    add("--json", type=File, default=File("runs/fidelity/study.json"), help="where the records go")
-    add("--csv", type=File, help="the same as a table; default: beside the JSON")
-    add("--picture", type=File, help="the log-log picture; default: beside the JSON, .png")
+    add("--json", type=Path, default=Path("runs/fidelity/study.json"), help="where the records go")
+    add("--csv", type=Path, help="the same as a table; default: beside the JSON")
+    add("--picture", type=Path, help="the log-log picture; default: beside the JSON, .png")
     add("--scenes", nargs="+", choices=SCENES, default=SCENES, metavar="SCENE")
     add("--presets", nargs="+", choices=list(PRESETS), default=list(PRESETS), metavar="PRESET")
     add("--backends", nargs="+", choices=("warp", "xla"), help="default: warp, and xla too unless --quick")
@@ -73,7 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from jax2d.fidelity.picture import draw
     from jax2d.fidelity.references import StaleReference, study_scenes
     from jax2d.fidelity.report import print_report, write_csv
-    from jax2d.fidelity.study import TOO_SLOW, Measurement, run_study, sweep
+    from jax2d.fidelity.study import Measurement, run_study
+    from jax2d.fidelity.sweep import TOO_SLOW, sweep
 
     on_gpu = jax.default_backend() == "gpu"
     by_device = (WORLDS_GPU_QUICK, WORLDS_GPU) if on_gpu else (WORLDS_CPU_QUICK, WORLDS_CPU)

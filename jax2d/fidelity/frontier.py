@@ -13,7 +13,7 @@ from jax2d.fidelity.peers import PEER_NAMES
 
 SMALLEST_ERROR = 1e-6  # about what float32 resolves over a few hundred steps: smaller errors count as this
 NOT_ACCEPTED = "; not accepted: "  # in the metric of a record whose error may be that of its reference solution
-LARGEST_ERROR = 1.0  # wrong by all of it: larger errors, and motions that are not finite, count as this
+LARGEST_ERROR = 1.0  # wrong by all of it: larger errors, and trajectories that are not finite, count as this
 
 
 class Record(TypedDict):
@@ -26,12 +26,12 @@ class Record(TypedDict):
     device: str
     setting: str
     metric: str  # what the error is; says so where it is not accepted
-    error: float | None  # None: the motion is not finite
+    error: float | None  # None: the trajectory is not finite
     us_per_world_second: float
 
 
 class Point(NamedTuple):
-    """All scenes under one setting."""
+    """One setting over all scenes."""
 
     preset: str
     backend: str

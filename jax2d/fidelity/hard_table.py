@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from jax2d.engine import Engine
 from jax2d.fidelity.arguments import OneLineParser
 from jax2d.fidelity.hard_scenes import CAPACITY, Check, HardScene, hard_scenes
-from jax2d.fidelity.motion import record
+from jax2d.fidelity.trajectory import record_worlds
 from jax2d.settings import PRESETS, Settings
 
 SHOWN = ["standard", "fine", "draft", "paper"]  # preset reference is for float64
@@ -25,12 +25,11 @@ def outcomes(settings: Settings) -> dict[str, list[Check]]:
     """Checks of every scene under the given settings, by the scene's name; scenes of equal length run as one batch."""
     engine = Engine(CAPACITY, settings=settings)
     results: dict[str, list[Check]] = {}
-    for seconds in sorted({s.seconds for s in scenes()}):
-        batch = [s for s in scenes() if s.seconds == seconds]
-        motions, _ = record([s.world for s in batch], engine, seconds=seconds)
-        for scene, motion in zip(batch, motions):
-            overflow = Check("contacts without a slot", motion.overflow, 0)
-            results[scene.name] = [*scene.judge(motion), overflow]
+    for seconds in sorted({scene.seconds for scene in scenes()}):
+        batch = [scene for scene in scenes() if scene.seconds == seconds]
+        for scene, trajectory in zip(batch, record_worlds(engine, [s.world for s in batch], seconds=seconds)):
+            overflow = Check("contacts without a slot", trajectory.overflow.sum(), 0)
+            results[scene.name] = [*scene.checks(trajectory), overflow]
     return {scene.name: results[scene.name] for scene in scenes()}
 
 
@@ -50,13 +49,13 @@ def table(presets: Sequence[str]) -> str:
     rows = [["scene", "figure, at most", *presets], ["---"] * (2 + len(presets))]
     for scene in scenes():
         shown = [worst(columns[name][scene.name]) for name in presets]
-        cells = [f"{'' if c.holds else '**fails** '}{_named(c, shown[0])}{c.value:.2g}" for c in shown]
+        cells = [f"{'' if c.holds else '**fails** '}{_figure_if_other(c, shown[0])}{c.value:.2g}" for c in shown]
         rows.append([scene.name, f"{shown[0].figure}: {shown[0].limit:g}", *cells])
     rows.append(["fails", "", *(str(sum(not all(c.holds for c in x) for x in columns[n].values())) for n in presets)])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def _named(check: Check, first: Check) -> str:
+def _figure_if_other(check: Check, first: Check) -> str:
     return "" if check.figure == first.figure else f"{check.figure}: "
 
 

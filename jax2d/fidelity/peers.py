@@ -1,7 +1,7 @@
-"""Other engines over the same motions: Box2D and the published jax2d, each in its own environment and process.
+"""Other engines over the same scenes: Box2D and the published jax2d, each in its own environment and process.
 
     request (npz)  the scenes' arrays, how they start, seconds, controls, and as JSON the settings to run
-    answer  (npz)  a path [steps + 1, n, 6] for each setting and scene; the process says "ready" when it is written
+    answer  (npz)  states [steps + 1, n, 6] for each setting and scene; the process says "ready" when it is written
     then, line by line: {"setting": k, "scene": i} -> {"us": cost of one timed run, us per world-second}
 
 The programs are bench/peers/box2d_motions.py and bench/peers/jax2d_published_motions.py of a checkout; a peer that is
@@ -17,18 +17,18 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
-from pathlib import Path as File
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-from jax2d.builder import BuiltWorld
-from jax2d.fidelity.closed_forms import MOTOR_ACCELERATION, MOTOR_SPEED, THRUST
-from jax2d.fidelity.path import Path
+from jax2d.fidelity.simulator import Scenario
+from jax2d.fidelity.trajectory import Trajectory
+from jax2d.fidelity.units import MOTOR_ACCELERATION, MOTOR_SPEED, THRUST
 from jax2d.fields import as_dict
 from jax2d.scene import stack_worlds
 
-CHECKOUT = File(__file__).resolve().parents[2]
+CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 class PeerMissing(Exception):
@@ -51,7 +51,7 @@ class Peer:
     variable: str  # names another Python; with PATH appended, its PYTHONPATH
     setup: str
     settings: tuple[dict[str, Any], ...]
-    cost_follows_motion: bool  # else one scene's cost is that of all
+    cost_depends_on_scene: bool  # else one scene's cost is that of all
 
     def label(self, setting: dict[str, Any]) -> str:
         """As the settings of our engine are written in a record."""
@@ -74,7 +74,7 @@ PEERS = {
         setup="bash bench/peers/setup_box2d.sh",
         # 8 velocity and 3 position iterations are its manual's advice.
         settings=(*(_box2d(rate, 8, 3) for rate in (60, 30, 120, 240, 480)), _box2d(60, 4, 2), _box2d(60, 20, 10)),
-        cost_follows_motion=True,
+        cost_depends_on_scene=True,
     ),
     "published": Peer(
         name="published-jax2d",
@@ -85,22 +85,22 @@ PEERS = {
         variable="KINETIX_PEER_PYTHON",
         setup="bash bench/peers/setup.sh",
         settings=tuple({"dt": 1 / rate, "iterations": 10} for rate in (60, 30, 120)),
-        cost_follows_motion=False,  # every pair and slot is computed, in use or not
+        cost_depends_on_scene=False,  # every pair and slot is computed, in use or not
     ),
 }
 PEER_NAMES = tuple(peer.name for peer in PEERS.values())
 
 
-class PeerMotions:
+class PeerRun:
     """What a peer answered, and its process, ready to time."""
 
-    def __init__(self, peer: Peer, process: subprocess.Popen[str], said: IO[str]) -> None:
+    def __init__(self, peer: Peer, process: subprocess.Popen[str], errors: IO[str]) -> None:
         self.peer = peer
         self._process = process
-        self._said = said  # its standard error
+        self._errors = errors  # its standard error
         self.device = ""
         self.labels: list[str] = []  # of settings
-        self.paths: list[list[Path]] = []  # [setting][scene]
+        self.trajectories: list[list[Trajectory]] = []  # [setting][scene]
 
     def cost(self, setting: int, scene: int) -> float:
         """us per world-second of one timed run; raises PeerFailed."""
@@ -116,49 +116,41 @@ class PeerMotions:
         except (OSError, json.JSONDecodeError):
             answer = {}
         if not answer.get("ok"):
-            self._said.seek(0)
-            said = answer.get("error") or (self._said.read().strip().splitlines() or ["it ended without a word"])[-1]
-            raise PeerFailed(f"{self.peer.name} failed: {said[:200]}")
+            self._errors.seek(0)
+            why = answer.get("error") or (self._errors.read().strip().splitlines() or ["it ended without a word"])[-1]
+            raise PeerFailed(f"{self.peer.name} failed: {why[:200]}")
         return answer
 
 
 @contextlib.contextmanager
-def peer_motions(
-    peer: Peer,
-    worlds: Sequence[BuiltWorld],
-    seconds: Sequence[float],
-    control: Sequence[float],
-    *,
-    batch: int,
-    num_settings: int,
-) -> Iterator[PeerMotions]:
-    """The peer's motions of all worlds. Its process lives as long as the context; raises PeerMissing or PeerFailed."""
+def run_peer(peer: Peer, scenarios: Sequence[Scenario], *, batch: int, num_settings: int) -> Iterator[PeerRun]:
+    """The peer's trajectories. Its process lives as long as the context; raises PeerMissing or PeerFailed."""
     settings = peer.settings[:num_settings]
     python, environment = _python(peer)
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
-        request, answer = File(folder, "request.npz"), File(folder, "answer.npz")
-        _write_request(request, worlds, seconds, control, settings, batch=batch, steps=8)
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as errors:
+        request, answer = Path(folder, "request.npz"), Path(folder, "answer.npz")
+        _write_request(request, scenarios, settings, batch=batch, steps=8)
         with subprocess.Popen(
             [str(python), str(CHECKOUT / "bench" / "peers" / peer.program), str(request), str(answer)],
             env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=said,
+            stderr=errors,
             text=True,
         ) as process:
             try:
-                motions = PeerMotions(peer, process, said)
-                motions.ask(None)  # waits until the answer is written
+                run = PeerRun(peer, process, errors)
+                run.ask(None)  # waits until the answer is written
                 with np.load(answer) as arrays:
-                    _read_answer(motions, dict(arrays), worlds, settings)
-                yield motions
+                    _read_answer(run, dict(arrays), scenarios, settings)
+                yield run
             finally:
                 process.kill()
 
 
-def _python(peer: Peer) -> tuple[File, dict[str, str]]:
+def _python(peer: Peer) -> tuple[Path, dict[str, str]]:
     """The peer's interpreter and its environment variables."""
-    python = File(os.environ.get(peer.variable) or CHECKOUT / "bench" / ".peers" / peer.environment / "bin" / "python")
+    python = Path(os.environ.get(peer.variable) or CHECKOUT / "bench" / ".peers" / peer.environment / "bin" / "python")
     if not (CHECKOUT / "bench" / "peers" / peer.program).is_file():
         raise PeerMissing(f"{peer.name} left out: bench/peers/{peer.program} is not here; run from a checkout")
     if not python.is_file():
@@ -171,18 +163,17 @@ def _python(peer: Peer) -> tuple[File, dict[str, str]]:
 
 
 def _write_request(
-    file: File,
-    worlds: Sequence[BuiltWorld],
-    seconds: Sequence[float],
-    control: Sequence[float],
-    settings: Sequence[dict[str, Any]],
-    **how: int,
+    file: Path, scenarios: Sequence[Scenario], settings: Sequence[dict[str, Any]], *, batch: int, steps: int
 ) -> None:
+    """`batch` and `steps`: worlds and steps of a timed run, for a peer that times batches."""
+    worlds = [scenario.world for scenario in scenarios]
     scene = stack_worlds([world.scene for world in worlds])
     arrays = {f"scene.{name}": values for name, values in as_dict(scene).items()}
     for name in ("position", "angle", "velocity", "angular_velocity"):
         arrays[name] = np.stack([getattr(world, name) for world in worlds])
-    asked = how | {
+    asked = {
+        "batch": batch,
+        "steps": steps,
         "settings": list(settings),
         "constants": {
             "motor_speed": MOTOR_SPEED,
@@ -190,26 +181,28 @@ def _write_request(
             "thruster_power": THRUST,
         },
     }
-    np.savez(file, seconds=np.array(seconds), control=np.array(control), asked=np.array(json.dumps(asked)), **arrays)
+    arrays["seconds"] = np.array([scenario.seconds for scenario in scenarios])
+    arrays["control"] = np.array([scenario.control for scenario in scenarios])
+    np.savez(file, asked=np.array(json.dumps(asked)), **arrays)
 
 
 def _read_answer(
-    motions: PeerMotions,
+    run: PeerRun,
     arrays: dict[str, np.ndarray],
-    worlds: Sequence[BuiltWorld],
+    scenarios: Sequence[Scenario],
     settings: Sequence[dict[str, Any]],
 ) -> None:
-    def path(k: int, i: int) -> Path:
+    def trajectory(k: int, i: int) -> Trajectory:
         states = arrays[f"states.{k}.{i}"].astype(np.float64)
-        return Path(
-            scene=worlds[i].scene,
-            dt=settings[k]["dt"],
+        return Trajectory(
+            scene=scenarios[i].world.scene,
+            interval=settings[k]["dt"],
             position=states[..., :2],
             angle=states[..., 2],
             velocity=states[..., 3:5],
             angular_velocity=states[..., 5],
         )
 
-    motions.device = str(arrays["device"])
-    motions.labels = [motions.peer.label(setting) for setting in settings]
-    motions.paths = [[path(k, i) for i in range(len(worlds))] for k in range(len(settings))]
+    run.device = str(arrays["device"])
+    run.labels = [run.peer.label(setting) for setting in settings]
+    run.trajectories = [[trajectory(k, i) for i in range(len(scenarios))] for k in range(len(settings))]

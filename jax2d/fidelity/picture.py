@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path as File
+from pathlib import Path
 from typing import Any
 
 from jax2d.fidelity.frontier import Point, Record, accepted, bounded, pareto_set, points_of, setting_key, slope
@@ -23,7 +23,7 @@ MARKS = {("warp", "float32"): "o", ("xla", "float32"): "s", ("xla", "float64"): 
 COLUMNS = 6
 
 
-def draw(records: Sequence[Record], file: File, *, title: str) -> None:
+def draw(records: Sequence[Record], file: Path, *, title: str) -> None:
     """Writes the picture; the format follows the file's ending."""
     import matplotlib
 

@@ -1,12 +1,12 @@
-"""Motions without a formula: joints, motors, limits, welds, friction, impacts and piles, for 1 to 2 s.
+"""Scenes without a formula: joints, motors, limits, welds, friction, impacts and piles, for 1 to 2 s.
 
     @reference_scene("double_pendulum_path", seconds=1.5, length=1.0)
     def double_pendulum_path(b: SceneBuilder) -> None: ...
 
-Each function adds its bodies to a builder. What is true of them is computed once (`references.py`). Where motions
-part exponentially (pendulums, piles) they are followed only as long as the reference solution holds. Impacts do not
-bounce where several bodies or joints share them, since then what restitution means differs from engine to engine.
-A coefficient of friction mu is that between two shapes which both carry it (`closed_forms.with_plain_friction`).
+Each function adds its bodies to a builder. Their true trajectory is computed once (`references.py`). Where neighbouring
+trajectories part exponentially (pendulums, piles) they are followed only as long as the reference solution holds.
+Impacts do not bounce where several bodies or joints share them, since what restitution means there differs from engine
+to engine. A coefficient of friction mu is that between two shapes which both carry it (`units.with_plain_friction`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from collections.abc import Callable
 import numpy as np
 
 from jax2d.builder import BuiltWorld, SceneBuilder
-from jax2d.fidelity.closed_forms import ARM_KG, MOTOR_ACCELERATION, G
+from jax2d.fidelity.study_scene import by_name
+from jax2d.fidelity.units import MOTOR_ACCELERATION, G
 from jax2d.scene import Capacity
 
 # One capacity for all scenes, so that one compiled engine runs them all.
@@ -33,7 +34,7 @@ class ReferenceScene:
     seconds: float
     length: float  # m, of what moves or of how far it moves
     control: float  # of every motor and thruster
-    judged_from: float  # s: a pile is judged by where it comes to rest
+    compared_from: float  # s: a pile is compared where it has come to rest
     build: Callable[[SceneBuilder], None]
 
     def world(self, capacity: Capacity = CAPACITY) -> BuiltWorld:
@@ -42,15 +43,17 @@ class ReferenceScene:
         return builder.build()
 
 
-REFERENCE_SCENES: dict[str, ReferenceScene] = {}
+_declared: list[ReferenceScene] = []
 
 
 def reference_scene(
-    name: str, *, seconds: float, length: float, control: float = 0.0, judged_from: float = 0.0
+    name: str, *, seconds: float, length: float, control: float = 0.0, compared_from: float = 0.0
 ) -> Callable[[Callable[[SceneBuilder], None]], Callable[[SceneBuilder], None]]:
     def register(build: Callable[[SceneBuilder], None]) -> Callable[[SceneBuilder], None]:
-        REFERENCE_SCENES[name] = ReferenceScene(
-            name=name, seconds=seconds, length=length, control=control, judged_from=judged_from, build=build
+        _declared.append(
+            ReferenceScene(
+                name=name, seconds=seconds, length=length, control=control, compared_from=compared_from, build=build
+            )
         )
         return build
 
@@ -109,8 +112,8 @@ def two_link_arm(b: SceneBuilder) -> None:
     upper = _link(b, np.zeros(2), 0.3, 1.0, 0.2)
     elbow = np.array([math.sin(0.3), -math.cos(0.3)])
     lower = _link(b, elbow, 0.3, 0.5, 0.1)
-    inertia = 1.0 / 60  # kg m^2 of the upper link about its centre, in whose units its motor is set
-    torque = 1.2 * ARM_KG * G * 0.5
+    mass, inertia = 1.0 * 0.2, 1.0 / 60  # kg, kg m^2 of the upper link about its centre, to which its motor is scaled
+    torque = 1.2 * mass * G * 0.5
     b.add_revolute_joint(base, upper, at=(0, 0), motor_speed=0.6, motor_power=torque / (MOTOR_ACCELERATION * inertia))
     b.add_revolute_joint(upper, lower, at=elbow, motor_speed=0.8, motor_power=0.3, limits=(-1.0, 1.0))
 
@@ -144,7 +147,7 @@ def box_into_stack(b: SceneBuilder) -> None:
     b.add_box(width=0.3, height=0.2, position=(-1.2, 0.75), angle=0.2, velocity=(5, 1), density=2, friction=mu)
 
 
-@reference_scene("circles_poured", seconds=1.2, length=1.0, judged_from=1.0)
+@reference_scene("circles_poured", seconds=1.2, length=1.0, compared_from=1.0)
 def circles_poured(b: SceneBuilder) -> None:
     """Six discs fall into a valley of two slopes, where they come to rest."""
     mu = 0.0
@@ -178,7 +181,7 @@ def chain_wall(b: SceneBuilder) -> None:
 
 @reference_scene("pinball", seconds=1.0, length=1.0)
 def pinball(b: SceneBuilder) -> None:
-    """A disc bounces (e = 0.5) and rubs from peg to peg."""
+    """A disc bounces (e = 0.5), with friction, from peg to peg."""
     how = {"friction": 0.3, "restitution": 0.5}
     for x, y in ((0.05, 0.0), (0.45, -0.35), (-0.25, -0.5), (0.2, -0.95), (-0.6, -0.9)):
         b.add_circle(radius=0.08, position=(x, y), fixed=True, **how)
@@ -188,7 +191,7 @@ def pinball(b: SceneBuilder) -> None:
 
 @reference_scene("stack_on_cart", seconds=0.8, length=1.0, control=1.0)
 def stack_on_cart(b: SceneBuilder) -> None:
-    """Two boxes slide and tip on a plank that a thruster pulls away from under them."""
+    """Two boxes slide and tip on a plank that a thruster pulls away below them."""
     mu = 0.4
     b.add_box(width=20, height=1, position=(0, -0.5), fixed=True, friction=0)
     plank = b.add_box(width=3.6, height=0.1, position=(0, 0.05), friction=mu)
@@ -232,7 +235,7 @@ def ragdoll_swing(b: SceneBuilder) -> None:
 @reference_scene("ragdoll_slope", seconds=0.8, length=1.0)
 def ragdoll_slope(b: SceneBuilder) -> None:
     """It falls on a slope of 0.35 rad, limbs at their limits. The least certain of all: what an impact of several
-    rubbing bodies leaves depends on where in a step it falls, however short the step."""
+    bodies with friction leaves depends on where in a step it falls, however short the step."""
     _ragdoll(b, limits=True, friction=0.5)
     slope = 0.35
     normal = np.array([math.sin(slope), math.cos(slope)])
@@ -259,7 +262,7 @@ def catapult(b: SceneBuilder) -> None:
 
 @reference_scene("car_over_bumps", seconds=2.0, length=2.0, control=1.0)
 def car_over_bumps(b: SceneBuilder) -> None:
-    """Two driven wheels under a body, up and down two wedges."""
+    """A body on two driven wheels goes up and down two wedges."""
     mu, radius = 0.8, 0.2
     b.add_box(width=20, height=1, position=(0, -0.5), fixed=True, friction=mu)
     for x in (0.9, 1.8):
@@ -281,3 +284,6 @@ def thruster_craft(b: SceneBuilder) -> None:
     b.keep_apart(fin, load)
     b.add_thruster(hull, at=(-0.35, -0.1), angle=math.pi / 2, power=0.14)
     b.add_thruster(hull, at=(0.35, -0.1), angle=math.pi / 2, power=0.15)
+
+
+REFERENCE_SCENES = by_name(_declared)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
-from pathlib import Path as File
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -24,10 +24,11 @@ from jax2d.fidelity.frontier import (
 )
 from jax2d.fidelity.labels import is_preset_itself, setting_label
 from jax2d.fidelity.peers import PEER_NAMES
+from jax2d.fidelity.sweep import RATES
 from jax2d.settings import preset
 
 
-def write_csv(records: Sequence[Record], file: File) -> None:
+def write_csv(records: Sequence[Record], file: Path) -> None:
     with file.open("w", newline="") as out:
         writer = csv.DictWriter(out, list(Record.__annotations__))
         writer.writeheader()
@@ -51,14 +52,14 @@ def slope_along_dt(records: Sequence[Record], scene: str) -> float:
         if record["scene"] == scene
         and accepted(record)
         and (record["preset"], record["backend"]) == ("standard", "warp")
-        and record["setting"] in {setting_label(base.replace(dt=1 / rate)) for rate in (30, 60, 120, 240, 480)}
+        and record["setting"] in {setting_label(base.replace(dt=1 / rate)) for rate in RATES}
     ]
     return slope([row["us_per_world_second"] for row in rows], [bounded(row["error"]) for row in rows])
 
 
 def beaten_scenes(records: Sequence[Record], ours: str, theirs: str) -> list[str]:
-    """Scenes in which a setting of theirs is as fast and as accurate as our preset itself, and better in one. Where
-    the truth is not known well enough for either, nothing is told."""
+    """Scenes in which a setting of theirs is as fast and as accurate as our preset itself, and better in one. Pairs of
+    which neither error is accepted are not compared."""
     beaten = []
     for own in records:
         if own["preset"] != ours or own["backend"] != "warp" or not is_preset_itself(own):
@@ -66,9 +67,9 @@ def beaten_scenes(records: Sequence[Record], ours: str, theirs: str) -> list[str
         mine = own["us_per_world_second"], bounded(own["error"])
         for other in records:
             if other["preset"] == theirs and other["scene"] == own["scene"]:
-                spot = other["us_per_world_second"], bounded(other["error"])
-                told = accepted(own) or accepted(other)
-                if told and spot != mine and spot[0] <= mine[0] and spot[1] <= mine[1]:
+                cost, error = point = other["us_per_world_second"], bounded(other["error"])
+                is_compared = accepted(own) or accepted(other)
+                if is_compared and point != mine and cost <= mine[0] and error <= mine[1]:
                     beaten.append(own["scene"])
                     break
     return beaten

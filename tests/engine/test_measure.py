@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jax2d import Capacity, Controls, Engine, SceneBuilder
-from jax2d.measure import work_at_most
+from jax2d.measure import max_work
 from tests.engine.worlds import CAPACITY, builder, engine
 
 
@@ -20,7 +20,7 @@ def test_the_work_of_a_thruster_is_bounded_by_force_times_way():
     controls = Controls(motor=np.zeros(0, np.float32), thruster=np.ones(1, np.float32))
     after, _ = one.step(world.scene, before, controls, num_steps=2)
     # 30 N for 1/30 s on 1 kg: 1 m/s. From rest the bound is F (v + F t / m) t = 30 x 2 x 1/30 = 2 J for 0.5 J done.
-    most = work_at_most(one.settings, 2 * one.settings.dt, world.scene, controls, before, after)
+    most = max_work(one.settings, 2 * one.settings.dt, world.scene, controls, before, after)
     assert float(after.velocity[0, 0]) == pytest.approx(1.0, rel=1e-5)
     assert float(most) == pytest.approx(2.0, rel=1e-5)
 
@@ -35,5 +35,5 @@ def test_the_work_of_a_motor_is_bounded_by_torque_times_target_times_time():
         motor=np.full(CAPACITY.joints, -1, np.float32), thruster=np.zeros(CAPACITY.thrusters, np.float32)
     )
     # 0.1 x 900 rad/s^2 on a disc of pi kg, I = pi/2; 3 rad/s is the target.
-    most = work_at_most(engine().settings, 0.5, world.scene, controls, start, start)
+    most = max_work(engine().settings, 0.5, world.scene, controls, start, start)
     assert float(most) == pytest.approx(90 * np.pi / 2 * 3 * 0.5, rel=1e-5)

@@ -10,15 +10,15 @@ import pytest
 
 from jax2d import preset
 from jax2d.fidelity import references
-from jax2d.fidelity.closed_forms import with_plain_friction
 from jax2d.fidelity.frontier import NOT_ACCEPTED, Record, accepted, points_of, scenes_of_means
-from jax2d.fidelity.path import Path
 from jax2d.fidelity.reference_scenes import CAPACITY, REFERENCE_SCENES
-from jax2d.fidelity.references import MOMENTS_A_SECOND, TRUST, StaleReference, signature, solve, study_scenes
-from jax2d.fidelity.simulate import Group
+from jax2d.fidelity.references import SAMPLES_PER_SECOND, TRUST, StaleReference, signature, solve, study_scenes
+from jax2d.fidelity.simulator import Scenario, Simulator
 from jax2d.fidelity.study import fields_of
+from jax2d.fidelity.trajectory import Trajectory
+from jax2d.fidelity.units import with_plain_friction
 
-# Impacts of several rubbing bodies: half the step may not come ten times closer than what `standard` errs by.
+# Impacts of several bodies with friction: half the step may not come ten times closer than what `standard` errs by.
 LEAST_CERTAIN = {"ragdoll_slope"}
 
 
@@ -26,16 +26,16 @@ def stored_positions(name: str) -> np.ndarray:
     return np.array(json.loads(references.FILE.read_text())[name]["position"])
 
 
-def path_through(name: str, positions: np.ndarray) -> Path:
-    """A path with one step a moment, movable bodies at `positions` [moments, movable, 2]."""
+def trajectory_through(name: str, positions: np.ndarray) -> Trajectory:
+    """A trajectory with one step a sample, movable bodies at `positions` [samples, movable, 2]."""
     world, _ = study_scenes([name])[name].world()
-    moments = references.moments_of(REFERENCE_SCENES[name])
-    there = np.tile(world.position, (moments[-1] + 1, 1, 1)).astype(float)
-    there[np.ix_(moments, references.movable(world))] = positions
+    samples = references.samples_of(REFERENCE_SCENES[name])
+    there = np.tile(world.position, (samples[-1] + 1, 1, 1)).astype(float)
+    there[np.ix_(samples, references.movable(world))] = positions
     angle = np.zeros(there.shape[:2])
-    return Path(
+    return Trajectory(
         scene=world.scene,
-        dt=1 / MOMENTS_A_SECOND,
+        interval=1 / SAMPLES_PER_SECOND,
         position=there,
         angle=angle,
         velocity=np.zeros_like(there),
@@ -48,22 +48,22 @@ def test_stored_solution_is_what_the_command_computes():
     assert computed[0] == pytest.approx(stored_positions("double_pendulum_path")[0], abs=1e-8)  # stored to 1e-9 m
 
 
-def test_a_pile_is_judged_by_where_it_comes_to_rest():
+def test_a_pile_is_compared_where_it_has_come_to_rest():
     scene = REFERENCE_SCENES["circles_poured"]
-    assert references.moments_of(scene).tolist() == [10, 11, 12]
+    assert references.samples_of(scene).tolist() == [10, 11, 12]
     truth = stored_positions("circles_poured")
     assert np.linalg.norm(truth[-1] - truth[0], axis=-1).max() < 0.02
     _, error = study_scenes(["circles_poured"])["circles_poured"].world()
-    path = path_through("circles_poured", truth)  # before, the bodies are where they started
-    assert error(path) == 0.0
+    trajectory = trajectory_through("circles_poured", truth)  # before, the bodies are where they started
+    assert error(trajectory) == 0.0
 
 
 @pytest.mark.parametrize("name", sorted(REFERENCE_SCENES))
-def test_every_scene_has_its_solution_with_all_moments(name: str):
+def test_every_scene_has_its_solution_with_all_samples(name: str):
     scene = REFERENCE_SCENES[name]
     truth = stored_positions(name)
     bodies = int(references.movable(scene.world()).sum())
-    assert truth.shape == (len(references.moments_of(scene)), bodies, 2)
+    assert truth.shape == (len(references.samples_of(scene)), bodies, 2)
     assert np.isfinite(truth).all()
     # Something happens: over the motion some body gets as far as a third of what errors are divided by.
     world = scene.world()
@@ -75,29 +75,29 @@ def test_error_is_the_largest_distance_of_a_body_over_the_length():
     name = "triple_pendulum"
     truth = stored_positions(name)
     _, error = study_scenes([name])[name].world()
-    assert error(path_through(name, truth)) == 0.0
+    assert error(trajectory_through(name, truth)) == 0.0
     truth[3, 1] += (0.03, -0.04)
-    assert error(path_through(name, truth)) == pytest.approx(0.05 / REFERENCE_SCENES[name].length)
+    assert error(trajectory_through(name, truth)) == pytest.approx(0.05 / REFERENCE_SCENES[name].length)
     truth[5, 0] = np.nan
-    assert not np.isfinite(error(path_through(name, truth)))
+    assert not np.isfinite(error(trajectory_through(name, truth)))
 
 
-def test_a_dt_that_misses_the_moments_is_refused():
+def test_a_dt_that_misses_the_samples_is_refused():
     name = "triple_pendulum"
     _, error = study_scenes([name])[name].world()
-    path = dataclasses.replace(path_through(name, stored_positions(name)), dt=0.03)
+    trajectory = dataclasses.replace(trajectory_through(name, stored_positions(name)), interval=0.03)
     with pytest.raises(ValueError, match=r"dt is 0.03 s; errors are taken every 0.1 s"):
-        error(path)
+        error(trajectory)
 
 
 def test_a_changed_scene_refuses_its_old_solution(monkeypatch):
     scene = REFERENCE_SCENES["stack_on_cart"]
 
-    def rougher(b):
+    def with_a_pebble(b):
         scene.build(b)
-        b._scene["friction"][2] += 0.01
+        b.add_circle(radius=0.01, position=(5, 0.01))
 
-    changed = dataclasses.replace(scene, build=rougher)
+    changed = dataclasses.replace(scene, build=with_a_pebble)
     assert signature(changed) != signature(scene)
     monkeypatch.setitem(REFERENCE_SCENES, "stack_on_cart", changed)
     with pytest.raises(StaleReference, match=r"run python -m jax2d.fidelity.references stack_on_cart"):
@@ -114,13 +114,12 @@ def test_a_missing_solution_names_the_command(monkeypatch, tmp_path):
 def test_the_solution_is_good_enough_to_judge_standard_by():
     scenes = study_scenes()
     built = {name: scene.world() for name, scene in scenes.items()}
-    runs = Group(CAPACITY).paths(
-        [world for world, _ in built.values()],
-        with_plain_friction(preset("standard")),
-        [scene.seconds for scene in scenes.values()],
-        [scene.control for scene in scenes.values()],
-    )
-    errors = {name: error(run.path) for (name, (_, error)), run in zip(built.items(), runs)}
+    scenarios = [
+        Scenario(world=world, seconds=scene.seconds, control=scene.control)
+        for scene, (world, _) in zip(scenes.values(), built.values())
+    ]
+    results = Simulator(capacity=CAPACITY).run(scenarios, with_plain_friction(preset("standard")))
+    errors = {name: error(one.trajectory) for (name, (_, error)), one in zip(built.items(), results)}
     refused = {name for name, error in errors.items() if error < TRUST * scenes[name].uncertainty}
     assert refused <= LEAST_CERTAIN
     assert max(errors.values()) < 0.4  # of the scene's length: it is the same motion

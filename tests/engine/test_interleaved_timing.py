@@ -1,10 +1,10 @@
-"""Timing in turns: each setting once a round, and what fails does not take the others with it."""
+"""Interleaved timing: each setting once a round, and what fails does not take the others with it."""
 
 from __future__ import annotations
 
 import pytest
 
-from jax2d.fidelity.turns import Turn, take_turns
+from jax2d.fidelity.interleaved_timing import TimedRun, time_interleaved
 
 
 def test_all_run_once_before_any_runs_again():
@@ -14,14 +14,14 @@ def test_all_run_once_before_any_runs_again():
         order.append(name)
         return float(len(order))
 
-    turns = [Turn(name, lambda name=name: run(name)) for name in "ab"]
-    take_turns(turns, repeats=3, report=lambda line: None)
+    runs = [TimedRun(name, lambda name=name: run(name)) for name in "ab"]
+    time_interleaved(runs, repeats=3, report=lambda line: None)
     assert "".join(order) == "ab" * 4
-    assert turns[0].costs == [3.0, 5.0, 7.0]  # the first round warms up
-    assert turns[0].cost == 5.0
+    assert runs[0].costs == [3.0, 5.0, 7.0]  # the first round warms up
+    assert runs[0].cost == 5.0
 
 
-def test_what_fails_has_no_more_turns_and_the_rest_goes_on():
+def test_what_fails_is_not_run_again_and_the_rest_goes_on():
     tries = []
 
     def fails() -> float:
@@ -29,8 +29,8 @@ def test_what_fails_has_no_more_turns_and_the_rest_goes_on():
         raise MemoryError("out of\nmemory")
 
     said: list[str] = []
-    bad, good = Turn("bad", fails), Turn("good", lambda: 2.0)
-    take_turns([bad, good], repeats=5, report=said.append)
+    bad, good = TimedRun("bad", fails), TimedRun("good", lambda: 2.0)
+    time_interleaved([bad, good], repeats=5, report=said.append)
     assert len(tries) == 1
     assert bad.failure == "bad: out of memory"
     assert "failed: bad: out of memory" in said
@@ -42,4 +42,4 @@ def test_a_mistake_in_the_program_is_not_taken_for_a_failure():
         raise TypeError("a bug")
 
     with pytest.raises(TypeError):
-        take_turns([Turn("wrong", wrong)], repeats=1, report=lambda line: None)
+        time_interleaved([TimedRun("wrong", wrong)], repeats=1, report=lambda line: None)
