@@ -16,6 +16,7 @@ class Backend(Protocol):
     """Steps batches of worlds. Packed tables are pytrees of its own whose leaves have the world axis last."""
 
     num_contact_slots: int
+    numbers: Any  # what the settings amount to (`solver_numbers`), as the backend takes them; may be traced
 
     def pack_scene(self, scene: Scene) -> Any:
         """Tables of a batch of scenes, of which only what acts counts (`scene.only_what_acts`)."""
@@ -37,4 +38,8 @@ class Backend(Protocol):
 class BackendFactory(Protocol):
     """Makes a backend; raises ValueError for what it cannot do."""
 
-    def __call__(self, capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Backend: ...
+    def __call__(
+        self, capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
+    ) -> Backend:
+        """`numbers`: in place of those of the settings, for programs that take them at run time."""
+        ...

@@ -42,16 +42,20 @@ from jax2d.whole_numbers import whole_number
 MAX_STEPS = 2**31 - 1  # an int32 of the kernel
 
 
-def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Backend:
+def _warp_backend(
+    capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
+) -> Backend:
     from jax2d.warp.ffi import WarpBackend
 
-    return WarpBackend(capacity, settings, dtype, effects)
+    return WarpBackend(capacity, settings, dtype, effects, numbers=numbers)
 
 
-def _xla_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects) -> Backend:
+def _xla_backend(
+    capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
+) -> Backend:
     from jax2d.xla.backend import XlaBackend
 
-    return XlaBackend(capacity, settings, dtype, effects)
+    return XlaBackend(capacity, settings, dtype, effects, numbers=numbers)
 
 
 BACKENDS: dict[str, BackendFactory] = {"warp": _warp_backend, "xla": _xla_backend}

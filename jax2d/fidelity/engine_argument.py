@@ -10,11 +10,11 @@ amount to (`solver_numbers`) come at run time: a study of many dt, sub-steps and
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, Protocol, cast
+import functools
+from typing import TYPE_CHECKING, Any, Protocol
 
 import jax
 
-from jax2d.backend import Backend
 from jax2d.effects import Effects
 from jax2d.engine import BACKENDS, Engine
 from jax2d.scene import Capacity
@@ -64,7 +64,7 @@ class VariantEngine:
     @classmethod
     def of(cls, engine: Engine, backend: str) -> VariantEngine:
         """`engine` was built with this name of a backend, and for all effects; ValueError if for some of them."""
-        if engine.effects != Effects.full(engine.capacity):
+        if engine.effects != Effects.full(engine.capacity).known_to(engine.settings.solver):
             raise ValueError("the engine was compiled for some effects alone; use FixedEngine")
         variant = Variant(
             capacity=engine.capacity,
@@ -73,24 +73,13 @@ class VariantEngine:
             program=_program(engine, backend),
             settings=engine.settings,
         )
-        return cls(numbers=cast(_NumberedBackend, engine.backend).parameters, variant=variant)
+        return cls(numbers=engine.backend.numbers, variant=variant)
 
     def engine(self) -> Engine:
         """Inside a program the numbers are traced."""
-
-        def backend(*arguments: Any) -> Backend:
-            made = cast(_NumberedBackend, BACKENDS[self.variant.backend](*arguments))
-            made.parameters = self.numbers
-            return made
-
         variant = self.variant
+        backend = functools.partial(BACKENDS[variant.backend], numbers=self.numbers)
         return Engine(variant.capacity, settings=variant.settings, backend=backend, dtype=variant.dtype)
-
-
-class _NumberedBackend(Backend, Protocol):
-    """Both backends keep the numbers of their settings in this attribute, and step with what is there."""
-
-    parameters: Any
 
 
 def _program(engine: Engine, backend: str) -> KernelVariant | Rules:

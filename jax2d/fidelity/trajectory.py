@@ -23,7 +23,7 @@ from jax2d.engine import Engine
 from jax2d.fidelity.engine_argument import FixedEngine
 from jax2d.fidelity.sampling import Run, Samples, Sampling, take_samples
 from jax2d.measure import overlaps
-from jax2d.scene import Controls, Scene, State, index_worlds, stack_worlds
+from jax2d.scene import Controls, JointKind, Scene, State, index_worlds, stack_worlds
 from jax2d.settings import Settings
 from jax2d.whole_numbers import whole_number
 
@@ -129,11 +129,15 @@ class Trajectory:
         return centre_a + arm_a, centre_b + arm_b
 
     def joint_gaps(self) -> np.ndarray:
-        """[T, J] m between the two anchors of each joint, zero for inactive joints. From centre to centre, so that
-        scenes far from the origin lose no digits."""
+        """[T, J] m between the two anchors of each joint, of a slider across its axis; zero for inactive joints. From
+        centre to centre, so that scenes far from the origin lose no digits."""
         (centre_a, arm_a), (centre_b, arm_b) = self._joint_arms()
-        gap = np.linalg.norm(centre_b - centre_a + (arm_b - arm_a), axis=-1)
-        return np.where(np.asarray(self.scene.joints.active), gap, 0.0)
+        gap = centre_b - centre_a + (arm_b - arm_a)
+        joints = self.scene.joints
+        axis_angle = np.asarray(joints.axis_angle) + np.take_along_axis(self.angle, np.asarray(joints.a)[None], axis=-1)
+        across = np.abs(np.cos(axis_angle) * gap[..., 1] - np.sin(axis_angle) * gap[..., 0])
+        slides = np.asarray(joints.is_kind(JointKind.PRISMATIC))
+        return np.where(np.asarray(joints.active), np.where(slides, across, np.linalg.norm(gap, axis=-1)), 0.0)
 
     def depth(self, sample: int = -1) -> np.ndarray:
         """[] m, deepest overlap at one sample of two shapes that may touch."""

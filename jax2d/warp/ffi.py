@@ -96,6 +96,7 @@ class WarpBackend:
         dtype: np.dtype,
         effects: Effects,
         *,
+        numbers: Any = None,
         options: CompileOptions | None = None,
     ):
         if dtype != np.float32:
@@ -113,7 +114,7 @@ class WarpBackend:
         self.capacity = capacity
         self.num_contact_slots = capacity.contact_slots
         self.rows = Layout(capacity).rows()
-        self.parameters = solver_parameters(settings)
+        self.numbers = solver_parameters(settings) if numbers is None else numbers
         wp.init()
         variant = KernelVariant.of(capacity, settings, effects, options)
 
@@ -180,7 +181,7 @@ class WarpBackend:
             scene.floats,
             scene.ints,
             control_table,
-            jnp.asarray(self.parameters),
+            jnp.asarray(self.numbers),
             state.bodies,
             state.impulses,
             state.keys,

@@ -6,6 +6,7 @@ Packed scenes and states are `Scene` and `State` themselves, in the engine's pre
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,9 @@ from jax2d.xla.rules import Rules, rules_of
 class XlaBackend:
     """Steps batches of worlds of one capacity by a compiled JAX program, on any device, with gradients."""
 
-    def __init__(self, capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects):
+    def __init__(
+        self, capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
+    ):
         """The reference computes every pair and slot, whatever the `effects`."""
         del effects
         if dtype not in (np.float32, np.float64):
@@ -33,7 +36,7 @@ class XlaBackend:
         self.capacity = capacity
         self.num_contact_slots = capacity.contact_slots
         self.dtype = dtype
-        self.parameters = solver_numbers(settings)
+        self.numbers = solver_numbers(settings) if numbers is None else numbers
         self.rules = rules_of(settings)
 
     def _worlds_last(self, x: Array) -> jax.Array:
@@ -64,7 +67,7 @@ class XlaBackend:
             scene,
             state,
             controls,
-            self.parameters,
+            self.numbers,
             rules=self.rules,
             capacity=self.capacity,
             num_steps=num_steps,

@@ -31,7 +31,7 @@ BOX, PENDULUM = 1, CAPACITY.polygons + 1
 
 
 def worlds() -> list[BuiltWorld]:
-    """A box that falls on a floor and a pendulum with a motor, at three speeds."""
+    """A box that falls on a floor, a pendulum with a motor and a cart on a falling rail, at three speeds."""
     built = []
     for speed in (0.0, 1.0, 4.0):
         b = builder()
@@ -40,6 +40,9 @@ def worlds() -> list[BuiltWorld]:
         pivot = b.add_circle(radius=0.05, position=(2, 2), fixed=True)
         bob = b.add_circle(radius=0.2, position=(3, 2))
         b.add_revolute_joint(pivot, bob, at=(2, 2), motor_speed=speed + 0.5, motor_power=0.1)
+        rail = b.add_box(width=0.8, height=0.1, position=(5, 3), angle=0.3, angular_velocity=speed)
+        cart = b.add_box(width=0.2, height=0.2, position=(5, 3.2), velocity=(-speed, 0))
+        b.add_prismatic_joint(rail, cart, at=(5, 3.2), axis_angle=0.3)
         built.append(b.build())
     return built
 
