@@ -109,6 +109,7 @@ def load(file: Path) -> Steps:
             anchor_b=d["joint.b_relative_pos"],
             kind=np.where(d["joint.is_fixed_joint"], JointKind.FIXED, JointKind.REVOLUTE).astype(np.int32),
             rest_angle=d["joint.rotation"],
+            axis_angle=np.zeros_like(d["joint.rotation"]),
             motor_on=d["joint.motor_on"],
             motor_speed=d["joint.motor_speed"],
             motor_power=d["joint.motor_power"],

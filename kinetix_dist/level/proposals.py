@@ -222,6 +222,7 @@ def _sample_joint(
         anchor_a=jnp.zeros(2),
         anchor_b=jnp.zeros(2),
         rest_angle=angle - target.angle,
+        axis_angle=jnp.zeros(()),
         motor_on=((draw[1] < config.motor_on_chance) | request.force_motor) & ~is_fixed,
         motor_speed=config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min),
         motor_power=config.motor_power_min + draw[3] * (strongest - config.motor_power_min),

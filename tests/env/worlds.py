@@ -59,6 +59,7 @@ def small_level(
         "joints.anchor_b": np.zeros((1, 2), np.float32),
         "joints.kind": np.zeros(1, np.int32),
         "joints.rest_angle": np.zeros(1, np.float32),
+        "joints.axis_angle": np.zeros(1, np.float32),
         "joints.motor_on": np.zeros(1, bool),
         "joints.motor_speed": np.zeros(1, np.float32),
         "joints.motor_power": np.zeros(1, np.float32),

@@ -52,6 +52,7 @@ def scene() -> Scene:
             anchor_b=np.zeros((joints, 2), np.float32),
             kind=np.where(np.zeros(joints, bool), JointKind.FIXED, JointKind.REVOLUTE).astype(np.int32),
             rest_angle=np.zeros(joints, np.float32),
+            axis_angle=np.zeros(joints, np.float32),
             motor_on=np.array([True, False]),
             motor_speed=np.ones(joints, np.float32),
             motor_power=np.ones(joints, np.float32),
