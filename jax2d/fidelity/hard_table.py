@@ -6,12 +6,14 @@ import functools
 import sys
 from collections.abc import Sequence
 
+from jax2d.effects import effects_of
 from jax2d.engine import Engine
 from jax2d.fidelity.arguments import OneLineParser
 from jax2d.fidelity.hard_scenes import CAPACITY, Check, HardScene, hard_scenes
 from jax2d.fidelity.trajectory import record_worlds
 from jax2d.settings import PRESETS, Settings
 
+REFUSED = "refused"  # what the table says of a scene that the solver does not have the effects for
 SHOWN = ["standard", "fine", "draft", "paper"]  # preset reference is for float64
 
 
@@ -21,16 +23,18 @@ def scenes() -> tuple[HardScene, ...]:
 
 
 @functools.cache
-def outcomes(settings: Settings) -> dict[str, list[Check]]:
-    """Checks of every scene under the given settings, by the scene's name; scenes of equal length run as one batch."""
+def outcomes(settings: Settings) -> dict[str, list[Check] | None]:
+    """Checks of every scene under the given settings, by the scene's name; None for one with an effect that the solver
+    does not have. Scenes of equal length run as one batch."""
     engine = Engine(CAPACITY, settings=settings)
-    results: dict[str, list[Check]] = {}
-    for seconds in sorted({scene.seconds for scene in scenes()}):
-        batch = [scene for scene in scenes() if scene.seconds == seconds]
+    results: dict[str, list[Check] | None] = {}
+    known = [scene for scene in scenes() if engine.effects.covers(effects_of(scene.world.scene))]
+    for seconds in sorted({scene.seconds for scene in known}):
+        batch = [scene for scene in known if scene.seconds == seconds]
         for scene, trajectory in zip(batch, record_worlds(engine, [s.world for s in batch], seconds=seconds)):
             overflow = Check("contacts without a slot", trajectory.overflow.sum(), 0)
             results[scene.name] = [*scene.checks(trajectory), overflow]
-    return {scene.name: results[scene.name] for scene in scenes()}
+    return {scene.name: results.get(scene.name) for scene in scenes()}
 
 
 def worst(checks: Sequence[Check]) -> Check:
@@ -48,15 +52,23 @@ def table(presets: Sequence[str]) -> str:
     columns = {name: outcomes(PRESETS[name]) for name in presets}
     rows = [["scene", "figure, at most", *presets], ["---"] * (2 + len(presets))]
     for scene in scenes():
-        shown = [worst(columns[name][scene.name]) for name in presets]
-        cells = [f"{'' if c.holds else '**fails** '}{_figure_if_other(c, shown[0])}{c.value:.2g}" for c in shown]
-        rows.append([scene.name, f"{shown[0].figure}: {shown[0].limit:g}", *cells])
-    rows.append(["fails", "", *(str(sum(not all(c.holds for c in x) for x in columns[n].values())) for n in presets)])
+        checked = [columns[name][scene.name] for name in presets]
+        first = worst(next(checks for checks in checked if checks is not None))
+        rows.append([scene.name, f"{first.figure}: {first.limit:g}", *(_cell(checks, first) for checks in checked)])
+    rows.append(["fails", "", *(str(sum(_fails(checks) for checks in columns[name].values())) for name in presets)])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def _figure_if_other(check: Check, first: Check) -> str:
-    return "" if check.figure == first.figure else f"{check.figure}: "
+def _cell(checks: Sequence[Check] | None, first: Check) -> str:
+    if checks is None:
+        return REFUSED
+    shown = worst(checks)
+    figure = "" if shown.figure == first.figure else f"{shown.figure}: "
+    return f"{'' if shown.holds else '**fails** '}{figure}{shown.value:.2g}"
+
+
+def _fails(checks: Sequence[Check] | None) -> bool:
+    return checks is not None and not all(check.holds for check in checks)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

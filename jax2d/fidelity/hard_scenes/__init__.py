@@ -13,6 +13,7 @@ from jax2d.fidelity.hard_scenes import (
     masonry,
     motors,
     overlaps,
+    sliders,
     sliding,
     stacks,
     structures,
@@ -22,7 +23,7 @@ from jax2d.fidelity.study_scene import by_name
 
 __all__ = ["CAPACITY", "Check", "HardScene", "HardSceneBuilder", "hard_scenes"]
 
-SUBJECTS = (stacks, overlaps, masonry, sliding, extremes, chains, structures, machines, motors)
+SUBJECTS = (stacks, overlaps, masonry, sliding, extremes, chains, structures, machines, motors, sliders)
 
 
 def hard_scenes() -> list[HardScene]:

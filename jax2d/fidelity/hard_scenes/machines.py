@@ -35,10 +35,7 @@ def four_bar() -> HardScene:
     b.revolute(crank, coupler, *crank_end)
     b.revolute(coupler, rocker, *meet)
     b.revolute(frame, rocker, 1.1, 0)
-    bars = (frame, crank, coupler, rocker)
-    for one in range(4):
-        for other in range(one):
-            b.builder.keep_apart(bars[one], bars[other])
+    b.keep_all_apart([frame, crank, coupler, rocker])
 
     def checks(trajectory: Trajectory) -> list[Check]:
         late = trajectory.angular_velocity[trajectory.index_at(1.0) :, crank]

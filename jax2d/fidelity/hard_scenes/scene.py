@@ -11,6 +11,7 @@ Bodies are 1 m large, of density 1 and friction coefficient 0.6 unless said othe
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -73,8 +74,16 @@ class HardSceneBuilder:
     def revolute(self, a: int, b: int, x: float, y: float, **options: object) -> int:
         return self.builder.add_revolute_joint(a, b, at=self.point(x, y), **options)  # type: ignore[arg-type]
 
+    def prismatic(self, a: int, b: int, x: float, y: float, *, axis_angle: float = 0.0, **options: object) -> int:
+        return self.builder.add_prismatic_joint(a, b, at=self.point(x, y), axis_angle=axis_angle, **options)  # type: ignore[arg-type]
+
     def fixed_joint(self, a: int, b: int, x: float, y: float) -> int:
         return self.builder.add_fixed_joint(a, b, at=self.point(x, y))
+
+    def keep_all_apart(self, bodies: Sequence[int]) -> None:
+        """None of them collides with another."""
+        for a, b in itertools.combinations(bodies, 2):
+            self.builder.keep_apart(a, b)
 
     def point(self, x: float, y: float) -> np.ndarray:
         """[2] m, world frame."""
