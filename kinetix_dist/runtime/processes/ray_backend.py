@@ -6,6 +6,7 @@ import dataclasses
 import logging
 import os
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -75,21 +76,25 @@ class RayBackend:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
         address = os.environ.get("RAY_ADDRESS")
+        # log_to_driver: actors log to Ray's session directory; what fails is raised here.
+        options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
         if address:
             os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
-            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+            options |= {"address": address}
         else:
             self._watchdog = Watchdog(os.getpid())
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
-            ray.init(
-                address="local",
-                num_cpus=max(os.cpu_count() or 1, 64),
-                num_gpus=count_gpus(),
-                include_dashboard=False,
-                logging_level=logging.ERROR,
-                log_to_driver=False,  # actors log to Ray's session directory; what fails is raised here
-                _node_ip_address="127.0.0.1",
-            )
+            options |= {
+                "address": "local",
+                "num_cpus": max(os.cpu_count() or 1, 64),
+                "num_gpus": count_gpus(),
+                "include_dashboard": False,
+                "_node_ip_address": "127.0.0.1",
+            }
+        with warnings.catch_warnings():
+            # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
+            warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
+            ray.init(**options)
 
     @property
     def num_gpus(self) -> int:
