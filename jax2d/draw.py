@@ -5,16 +5,13 @@ coverage = clip(0.5 - distance, 0, 1), which gives smooth edges. Nothing here kn
 painted `palette[roles[shape]]`, fixed shapes darker, and a world without roles is grey.
 
     image = draw(scene, state, roles=roles)          # uint8 [height, width, 3]
-    write_png("world.png", image)
+    images.write_png("world.png", image)
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
-import struct
-import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -263,25 +260,3 @@ def _draw_joints(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.
             canvas.disc(places[k], JOINT_RADIUS_M, (255, 255, 255), outline=INK)
             if scene.joints.motor_on[k]:
                 canvas.disc(places[k], JOINT_RADIUS_M * 0.5, MOTOR_PALETTE[0])
-
-
-def encode_png(image: np.ndarray) -> bytes:
-    """PNG bytes of a uint8 [height, width, 3] picture."""
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-        raise ValueError(f"a picture is uint8 [height, width, 3]; got {image.dtype} {list(image.shape)}")
-    height, width = image.shape[:2]
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # first byte of a row: filter 0, none
-    rows[:, 1:] = image.reshape(height, -1)
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    data = zlib.compress(rows.tobytes(), 9)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-
-
-def write_png(path: str | os.PathLike[str], image: np.ndarray) -> None:
-    """Writes a uint8 [height, width, 3] picture as PNG."""
-    with open(path, "wb") as file:
-        file.write(encode_png(image))

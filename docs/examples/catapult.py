@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d import BuiltWorld, Capacity, Engine, Scene, SceneBuilder, State
-from jax2d.draw import draw, write_png
-from jax2d.film_strip import film_strip
+from jax2d.draw import draw
+from jax2d.images import film_strip, write_png
 
 CAPACITY = Capacity(polygons=5, circles=1, joints=1, thrusters=0)
 SECONDS, STEPS_A_SECOND = 4.0, 60

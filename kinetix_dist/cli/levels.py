@@ -195,7 +195,8 @@ def _validate(args: Validate) -> int:
 
 
 def _render(args: Render) -> None:
-    from jax2d.draw import draw, write_png
+    from jax2d.draw import draw
+    from jax2d.images import write_png
     from kinetix_dist.level.start import start_state
 
     level, _ = _read(_one_file(args.level))

@@ -3,6 +3,7 @@
     kinetix-dist replay runs/quickstart                       the last rollout recorded there
     kinetix-dist replay runs/quickstart --list                what is recorded
     kinetix-dist replay a.mcap --solved --picture out.png     the last solved one, without a display
+    kinetix-dist replay a.mcap --gif out.gif                  a moving picture
 
 Recordings hold their levels: a file replays anywhere, without its run. What is wrong with a file (its writer was
 killed, a byte is damaged) is said in one line on stderr, and what is whole is replayed.
@@ -37,6 +38,8 @@ class Args:
     """Show it in a rerun viewer that is running: its address, as `rerun --bind 127.0.0.1` prints it."""
     picture: Path | None = None
     """Write a PNG of moments from start to end; needs no display."""
+    gif: Path | None = None
+    """Write it as a moving picture (GIF); needs no display."""
     index: int | None = None
     """Which rollout, counted from 0 (-1: the last); default: the last one."""
     solved: bool = False
@@ -57,19 +60,14 @@ def run(args: Args) -> int:
         return 0
     file, index, rollout = _select(args, rollouts)
     print(f"{file} rollout {index}: {describe(rollout)}")
-    if args.picture is not None:
-        from kinetix_dist.telemetry.pictures import write_rollout_picture
-
-        with user_errors(OSError, prefix="the picture cannot be written: "):
-            write_rollout_picture(args.picture, rollout)
-        print(f"picture  {args.picture}")
+    _write_pictures(args, rollout)
     if args.connect is not None:
         from kinetix_dist.telemetry.sinks.rerun import rollout_to_viewer
 
         with user_errors(ConnectionError):
             rollout_to_viewer(rollout, args.connect)
         print(f"shown    {args.connect}")
-    if args.to is not None or args.view or (args.picture is None and args.connect is None):
+    if args.to is not None or args.view or not (args.picture or args.gif or args.connect):
         target = args.to or file.with_name(f"{file.stem}_{index:03d}.rrd")
         _write_rrd(target, rollout)
         print(f"rerun    {target}")
@@ -78,6 +76,18 @@ def run(args: Args) -> int:
         if args.to is None:
             print(f"next     rerun {target}")
     return 0
+
+
+def _write_pictures(args: Args, rollout: Rollout) -> None:
+    from kinetix_dist.telemetry.pictures import write_rollout_gif, write_rollout_picture
+
+    with user_errors(OSError, prefix="the picture cannot be written: "):
+        if args.picture is not None:
+            write_rollout_picture(args.picture, rollout)
+            print(f"picture  {args.picture}")
+        if args.gif is not None:
+            write_rollout_gif(args.gif, rollout)
+            print(f"gif      {args.gif}")
 
 
 def recording_files(source: Path) -> list[Path]:

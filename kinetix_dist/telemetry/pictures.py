@@ -1,4 +1,4 @@
-"""A rollout as one picture: moments from start to end side by side, with the paths of the green and blue shape.
+"""A rollout as one picture, moments from start to end side by side, or as a moving one; with paths of green and blue.
 
 Made by jax2d's own rasteriser: no display, no GPU, no system package.
 """
@@ -10,11 +10,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from jax2d.draw import draw, write_png
-from jax2d.film_strip import film_strip
+from jax2d.draw import draw
+from jax2d.images import film_strip, write_gif, write_png
 from kinetix_dist.telemetry.recording import Rollout
 
 DEFAULT_MOMENTS = 5
+GIF_FRAME_S = 1 / 15
+GIF_LAST_FRAME_S = 1.0  # the outcome stays to be seen
 
 
 def rollout_picture(
@@ -49,3 +51,12 @@ def write_rollout_picture(
 ) -> None:
     """Writes `rollout_picture` as a PNG file."""
     write_png(path, rollout_picture(rollout, num_moments=num_moments))
+
+
+def write_rollout_gif(path: str | os.PathLike[str], rollout: Rollout, *, pixels_per_metre: float = 60.0) -> None:
+    """Writes the rollout as a GIF in real time, about 15 pictures a second."""
+    every = max(1, round(GIF_FRAME_S / rollout.step_seconds))
+    moments = np.unique([*range(0, rollout.num_steps, every), rollout.num_steps])
+    images = [moment_picture(rollout, int(k), pixels_per_metre=pixels_per_metre) for k in moments]
+    seconds = [*np.diff(rollout.seconds[moments]), GIF_LAST_FRAME_S]
+    write_gif(path, images, seconds=seconds)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from jax2d.draw import DEFAULT_VIEW, FIXED_SHADE, ROLE_PALETTE, THRUSTER_PALETTE
 from kinetix_dist.env.roles import Role
-from kinetix_dist.telemetry.pictures import moment_picture, rollout_picture, write_rollout_picture
+from kinetix_dist.telemetry.pictures import moment_picture, rollout_picture, write_rollout_gif, write_rollout_picture
 from tests.telemetry.worlds import GREY_TRIANGLE, falling_rollout
 
 
@@ -57,3 +57,13 @@ def test_the_picture_file_is_a_png_of_all_moments(tmp_path: Path) -> None:
 def test_a_short_rollout_shows_no_moment_twice() -> None:
     one, five = rollout_picture(falling_rollout(0)), rollout_picture(falling_rollout(20), num_moments=5)
     assert five.shape[1] == pytest.approx(5 * one.shape[1], rel=0.05)
+
+
+def test_a_gif_plays_the_rollout_in_real_time(tmp_path: Path) -> None:
+    rollout = falling_rollout(20)  # steps of 1/30 s
+    write_rollout_gif(tmp_path / "a.gif", rollout, pixels_per_metre=20.0)
+    with Image.open(tmp_path / "a.gif") as gif:
+        durations = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
+        assert gif.n_frames == 11  # every second state
+    assert sum(durations[:-1]) == pytest.approx(1000 * 20 / 30, abs=5)
+    assert durations[-1] == 1000
