@@ -1,7 +1,7 @@
 """What the published package (jax2d 1.0.2) does where the paper's appendix prescribes something else or nothing.
 
 Names for `Settings.published_details`, for comparison with it; what each means in the solver is in jax2d/xla. What the
-appendix does prescribe is always on in preset `paper`; docs/engine.md lists both.
+appendix does prescribe is always on in preset `paper`; docs/engine_solver.md lists both.
 """
 
 PUBLISHED_DETAILS: dict[str, str] = {

@@ -1,7 +1,7 @@
 """Solver settings and the named presets of them. A preset is a point on the accuracy-time curve.
 
 `paper` is the sequential-impulse solver of the Kinetix paper's appendix, kept for comparison; `standard`
-is soft-step sub-stepping as in Box2D v3 and is the default. Formulas stand in docs/engine.md.
+is soft-step sub-stepping as in Box2D v3 and is the default. Formulas stand in docs/engine_solver.md.
 """
 
 from __future__ import annotations

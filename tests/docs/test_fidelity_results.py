@@ -1,4 +1,4 @@
-"""What docs/engine.md says of accuracy and cost is what the committed records of the study say. Runs no engine."""
+"""What docs/engine_accuracy.md says of accuracy and cost is what the committed records of the study say. Runs no engine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.helpers import REPOSITORY
 
 Key = tuple[str, str, str, str]  # as `frontier.setting_key`
 STUDIES = sorted((REPOSITORY / "docs/results").glob("*/study.json"))
-ENGINE = (REPOSITORY / "docs/engine.md").read_text()
+ENGINE = (REPOSITORY / "docs/engine_accuracy.md").read_text()
 SECTION = ENGINE[ENGINE.index("## What accuracy costs") :]
 
 STANDARD: Key = ("standard", "warp", "float32", "dt 1/60, 4 substeps")
@@ -64,14 +64,14 @@ def records(file: Path) -> list[Record]:
 
 @pytest.fixture(scope="module")
 def shown_study() -> list[Record]:
-    """The study that docs/engine.md shows: the one it links."""
+    """The study that docs/engine_accuracy.md shows: the one it links."""
     link = re.search(r"results/([\w-]+)\.md", SECTION)
     assert link is not None
     return records(REPOSITORY / "docs/results" / link[1] / "study.json")
 
 
 def table(first_cell: str) -> list[list[str]]:
-    """Rows of the table of docs/engine.md whose header starts with this cell; without emphasis and thousands commas."""
+    """Rows of the table of docs/engine_accuracy.md whose header starts with this cell; without emphasis and thousands commas."""
     lines = SECTION[SECTION.index(f"\n| {first_cell} |") + 1 :].split("\n\n", maxsplit=1)[0].splitlines()
     rows = [[cell.strip(" `*").replace("`", "") for cell in line.strip("|").split("|")] for line in lines]
     return [rows[0], *rows[2:]]

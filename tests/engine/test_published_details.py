@@ -387,5 +387,5 @@ def test_details_that_cannot_act_are_refused() -> None:
 
 
 def test_every_detail_is_documented() -> None:
-    text = (REPOSITORY / "docs" / "engine.md").read_text()
+    text = (REPOSITORY / "docs" / "engine_solver.md").read_text()
     assert [name for name in PUBLISHED_DETAILS if f"`{name}`" not in text] == []
