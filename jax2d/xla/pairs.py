@@ -12,7 +12,8 @@ import numpy as np
 from jax2d.scene import Capacity
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.geometry import Geometry
-from jax2d.xla.manifolds import Points, circle_circle, polygon_circle, polygon_polygon
+from jax2d.xla.manifolds import Points, circle_circle, polygon_circle
+from jax2d.xla.polygon_pairs import polygon_polygon
 from jax2d.xla.rules import Rules
 
 

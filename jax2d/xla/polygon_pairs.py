@@ -1,0 +1,235 @@
+"""Contact points of two polygons: the incident edge clipped to the reference face, corner against corner, or a seam.
+
+Everything is relative to the centre of mass of polygon a, as in `manifolds.py`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.constants import CONSTANTS as C
+from jax2d.xla import published, vec2
+from jax2d.xla.geometry import Polygons
+from jax2d.xla.manifolds import Points
+from jax2d.xla.rules import Rules
+from jax2d.xla.seams import Incident, slides_past
+
+T = TypeVar("T")
+
+
+class Faces(NamedTuple):
+    """The reference face of one polygon and the edge of the other that lies over it."""
+
+    flipped: jax.Array  # [] bool, the face is b's
+    reference: Polygons
+    incident: Polygons
+    reference_at: jax.Array  # [2] m, centre of its polygon
+    incident_at: jax.Array
+    edge: jax.Array  # [] int32 of the reference polygon
+    incident_edge: jax.Array
+    normal: jax.Array  # [2] outward of the reference polygon
+    start: jax.Array  # [2] m, the face's ends in counter-clockwise order
+    end: jax.Array
+    upper_end: jax.Array  # [2] m, of the incident edge: the farther along the face, and the nearer
+    lower_end: jax.Array
+    length: jax.Array  # [] m of the face
+    u_upper: jax.Array  # [] m along the face from its start
+    u_lower: jax.Array
+
+    def choose(self, of_b: T, of_a: T) -> T:
+        """`of_b` where the reference face is b's."""
+        return jax.tree.map(lambda x, y: jnp.where(self.flipped, x, y), of_b, of_a)
+
+    @property
+    def base_feature(self) -> jax.Array:
+        return jnp.where(self.flipped, C.feature_flipped, 0) + self.edge * C.feature_edge
+
+
+class Corners(NamedTuple):
+    """Corner against corner: for an incident edge beside the reference face."""
+
+    beside: jax.Array  # [] bool, nothing of the incident edge is over the face
+    is_outside: jax.Array  # [] bool, the corner is above the face's line
+    normal: jax.Array  # [2]
+    point: jax.Array  # [2] m
+    separation: jax.Array  # [] m
+    feature: jax.Array  # [] int32
+
+
+def polygon_polygon(
+    a: Polygons, b: Polygons, d: jax.Array, relative_velocity: jax.Array, margin: jax.Array, *, rules: Rules
+) -> Points:
+    """At most two points, [2].
+
+    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes. In `paper` points lie on
+    the incident edge.
+    """
+    details = rules.published_details
+    zero = jnp.zeros_like(d)
+    of_a, of_b = max_separation(a, zero, b, d), max_separation(b, d, a, zero)
+    (depth_a, _), (depth_b, _) = of_a, of_b
+    faces = find_faces(a, b, d, of_a, of_b, rules)
+    corners = find_corners(faces, rules)
+    clipped = clip(faces)
+    beside = corners.beside
+    if "clip_keeps_depth" in details:
+        ends = jnp.stack([faces.lower_end, faces.upper_end]) - faces.start
+        clipped = published.clip_and_keep_depth(ends, faces.normal, faces.length) + faces.start
+        beside = jnp.array(False)
+    clipped_separation = vec2.dot(clipped - faces.start, faces.normal)
+    clipped_feature = faces.base_feature + faces.incident_edge * C.feature_incident + jnp.arange(2)
+    clipped_point = clipped - _halfway(rules) * clipped_separation[:, None] * faces.normal
+
+    separation = jnp.where(beside, corners.separation, clipped_separation)
+    points = Points(
+        normal=jnp.where(beside & corners.is_outside, corners.normal, faces.normal),
+        point=jnp.where(beside, corners.point, clipped_point),
+        separation=separation,
+        feature=jnp.where(beside, corners.feature, clipped_feature),
+        exists=jnp.where(beside, jnp.array([True, False]), True) & (separation <= margin),
+    )
+    if "deepest_depth" in details:
+        points = points._replace(separation=jnp.full(2, jnp.maximum(depth_a, depth_b)))
+    if rules.is_soft:
+        points = _at_seams(points, faces, relative_velocity, margin)
+    points = points._replace(
+        normal=jnp.broadcast_to(jnp.where(faces.flipped, -points.normal, points.normal), (2, 2)),
+        feature=points.feature.astype(jnp.int32),
+        exists=(depth_a <= margin) & (depth_b <= margin) & points.exists,
+    )
+    if details & {"warm_start_by_depth", "solve_order"}:
+        depth = separation
+        points = jax.tree.map(lambda x: jnp.where(depth[0] <= depth[1], x, x[::-1]), points)
+    if "warm_start_by_depth" in details:
+        points = points._replace(feature=jnp.arange(2, dtype=jnp.int32))
+    return points
+
+
+def max_separation(
+    one: Polygons, one_at: jax.Array, other: Polygons, other_at: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Largest over the edges of one polygon of the least distance of the other's corners to that edge, and the edge."""
+    origin = one.corner + one_at - other_at
+    to_corner = vec2.dot(one.normal[:, None], other.corner[None] - origin[:, None])  # [edge, corner]
+    least = jnp.min(jnp.where(other.is_corner, to_corner, C.far_distance), axis=1)
+    least = jnp.where(one.is_corner, least, -C.far_distance)
+    edge = jnp.argmax(least)
+    return least[edge], edge
+
+
+def find_faces(
+    a: Polygons,
+    b: Polygons,
+    d: jax.Array,
+    of_a: tuple[jax.Array, jax.Array],
+    of_b: tuple[jax.Array, jax.Array],
+    rules: Rules,
+) -> Faces:
+    """`of_a`, `of_b`: what `max_separation` says of the edges of each."""
+    (depth_a, edge_a), (depth_b, edge_b) = of_a, of_b
+    zero = jnp.zeros_like(d)
+    # The reference face is that of the clearly larger shape (a's if neither is) unless the other's is clearly better: a
+    # floor holds its normal while what stands on it rocks.
+    larger_b = b.extent > C.clearly_larger * a.extent
+    flipped = depth_b > depth_a + jnp.where(larger_b, -C.flip_advantage, C.flip_advantage)
+    if "reference_bias" in rules.published_details:
+        flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
+
+    def choose(of_b, of_a):
+        return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)
+
+    ref, inc = choose(b, a), choose(a, b)
+    ref_at, inc_at, edge = choose(d, zero), choose(zero, d), choose(edge_b, edge_a)
+    n = ref.normal[edge]
+    start, end = ref.corner[edge] + ref_at, ref.following[edge] + ref_at
+
+    # The incident edge is the one that faces the reference face most, in `paper` the one whose corners are deepest.
+    alignment = vec2.dot(inc.normal if rules.is_soft else inc.corner + inc.following, n)
+    incident = jnp.argmin(jnp.where(inc.is_corner, alignment, C.far_distance))
+    # Its first corner is the farther along the reference edge, unless a steep and short edge has the deepest corners.
+    upper_end, lower_end = inc.corner[incident] + inc_at, inc.following[incident] + inc_at
+    along = vec2.left(n)  # from the start to the end
+    if not rules.is_soft:
+        is_steep = vec2.dot(upper_end - lower_end, along) < 0
+        upper_end, lower_end = jnp.where(is_steep, lower_end, upper_end), jnp.where(is_steep, upper_end, lower_end)
+    return Faces(
+        flipped=flipped,
+        reference=ref,
+        incident=inc,
+        reference_at=ref_at,
+        incident_at=inc_at,
+        edge=edge,
+        incident_edge=incident,
+        normal=n,
+        start=start,
+        end=end,
+        upper_end=upper_end,
+        lower_end=lower_end,
+        length=vec2.dot(end - start, along),
+        u_upper=vec2.dot(upper_end - start, along),
+        u_lower=vec2.dot(lower_end - start, along),
+    )
+
+
+def find_corners(faces: Faces, rules: Rules) -> Corners:
+    before_start = faces.u_upper < 0
+    ref_corner = jnp.where(before_start, faces.start, faces.end)
+    inc_corner = jnp.where(before_start, faces.upper_end, faces.lower_end)
+    gap = inc_corner - ref_corner
+    distance, face_separation = vec2.length(gap), vec2.dot(faces.normal, gap)
+    is_outside = face_separation > 0
+    at_face = inc_corner - _halfway(rules) * face_separation * faces.normal
+    kind = jnp.where(is_outside, C.feature_corner_outside, C.feature_corner_inside)
+    return Corners(
+        beside=before_start | (faces.u_lower > faces.length),
+        is_outside=is_outside,
+        normal=vec2.unit_or_zero(gap),
+        point=jnp.where(is_outside, 0.5 * (ref_corner + inc_corner), at_face),
+        separation=jnp.where(is_outside, distance, face_separation),
+        feature=kind + faces.base_feature + jnp.where(before_start, 0, 1),
+    )
+
+
+def clip(faces: Faces) -> jax.Array:
+    """[2, 2] m: the lower and the upper end of the incident edge, clipped to the sides of the reference face."""
+    span = faces.u_upper - faces.u_lower
+    is_wide = span > C.min_span
+    share = 1 / jnp.where(is_wide, span, 1)
+    lower_end, upper_end = faces.lower_end, faces.upper_end
+    edge_vector = upper_end - lower_end
+    lower = jnp.where((faces.u_lower < 0) & is_wide, lower_end - edge_vector * (faces.u_lower * share), lower_end)
+    upper = jnp.where(
+        (faces.u_upper > faces.length) & is_wide,
+        lower_end + edge_vector * ((faces.length - faces.u_lower) * share),
+        upper_end,
+    )
+    return jnp.stack([lower, upper])
+
+
+def _halfway(rules: Rules) -> float:
+    """Share of an overlap by which points lie above the incident edge."""
+    return 0.5 if rules.is_soft else 0
+
+
+def _at_seams(points: Points, faces: Faces, relative_velocity: jax.Array, margin: jax.Array) -> Points:
+    """The points, or the one of a pair that slides past the end of the face."""
+    centre = faces.reference_at
+    over = Incident(
+        lower_end=faces.lower_end - centre,
+        upper_end=faces.upper_end - centre,
+        u_lower=faces.u_lower,
+        u_upper=faces.u_upper,
+        face_length=faces.length,
+        closing=vec2.dot(faces.normal, faces.choose(relative_velocity, -relative_velocity)),
+    )
+    seam = slides_past(faces.reference, faces.incident, faces.edge, faces.incident_at - centre, over, margin)
+    return Points(
+        normal=jnp.where(seam.exists, seam.normal, points.normal),
+        point=jnp.where(seam.exists, seam.point + centre, points.point),
+        separation=jnp.where(seam.exists, seam.separation, points.separation),
+        feature=jnp.where(seam.exists, C.feature_seam + faces.base_feature + seam.number, points.feature),
+        exists=jnp.where(seam.exists, jnp.array([True, False]), points.exists),
+    )
