@@ -1,4 +1,4 @@
-"""What docs/engine_accuracy.md says of accuracy and cost is what the committed records of the study say. Runs no engine."""
+"""What docs/engine_accuracy.md says is what the committed records of the study say. Runs no engine."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def shown_study() -> list[Record]:
 
 
 def table(first_cell: str) -> list[list[str]]:
-    """Rows of the table of docs/engine_accuracy.md whose header starts with this cell; without emphasis and thousands commas."""
+    """Rows of the table of that page whose header starts with this cell; without emphasis and thousands commas."""
     lines = SECTION[SECTION.index(f"\n| {first_cell} |") + 1 :].split("\n\n", maxsplit=1)[0].splitlines()
     rows = [[cell.strip(" `*").replace("`", "") for cell in line.strip("|").split("|")] for line in lines]
     return [rows[0], *rows[2:]]

@@ -53,10 +53,8 @@ def levels(size: str, num_worlds: int = NUM_WORLDS) -> Level:
     return jax.tree.map(np.asarray, generate(jax.random.key(7)))
 
 
-def bouncing(level: Level, restitution: float, **changes: Any) -> Level:
-    scene = level.scene.replace(
-        shapes={"restitution": np.full_like(level.scene.shapes.restitution, restitution)}, **changes
-    )
+def bouncing(level: Level, restitution: float) -> Level:
+    scene = level.scene.replace(shapes={"restitution": np.full_like(level.scene.shapes.restitution, restitution)})
     return dataclasses.replace(level, scene=scene)
 
 
@@ -158,7 +156,9 @@ def test_bounces_give_a_world_no_energy(friction: float) -> None:
     """Free shapes, everything elastic: contact by contact, restitution would give up to 10 J/kg at once."""
     level = levels("m")
     nothing = {name: {"active": np.zeros_like(getattr(level.scene, name).active)} for name in ("joints", "thrusters")}
-    level = bouncing(level, 1.0, friction=np.full_like(level.scene.shapes.friction, friction), **nothing)
+    frictions = {"friction": np.full_like(level.scene.shapes.friction, friction)}
+    scene = bouncing(level, 1.0).scene.replace(shapes=frictions, **nothing)
+    level = dataclasses.replace(level, scene=scene)
     one = engine("m", preset("standard"), "warp")
     h = one.settings.substep_seconds
 
