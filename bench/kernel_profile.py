@@ -172,7 +172,7 @@ def phase_records(size: str, source: Path, instructions: list[Record]) -> list[R
 
 
 def load_levels(size: str, folder: Path | None, count: int, seed: int) -> Level:
-    """Public levels from a folder with s/, m/ and l/, in the order of `bench engine speed`; without one, random levels."""
+    """Public levels from a folder with s/, m/ and l/, in order as in `bench engine speed`; else random levels."""
     capacity = SIZES[size]
     if folder is None:
         return generate_levels(jax.random.key(seed), count, capacity, GeneratorConfig())

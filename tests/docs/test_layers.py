@@ -22,7 +22,8 @@ LAYERS = (
     ("models",),
     ("env",),
     ("level",),
-    ("telemetry", "checkpoint", "process_shell", "errors"),
+    ("telemetry", "checkpoint", "process_shell"),
+    ("errors", "installation"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 SOURCES = sorted([*REPOSITORY.glob("jax2d/**/*.py"), *REPOSITORY.glob("kinetix_dist/**/*.py")])
