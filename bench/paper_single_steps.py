@@ -57,12 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     if not args.levels:
         parser.error("where are the public levels? name their folder with --levels or $KINETIX_LEVELS")
+    levels = {size: sorted(Path(args.levels, size).glob("*.json")) for size in args.sizes}
+    if missing := [size for size, files in levels.items() if not files]:
+        parser.error(f"no public levels in {Path(args.levels, missing[0])}; name their folder with --levels")
     jax.config.update("jax_enable_x64", True)
     sizes = []
-    for size in args.sizes:
-        files = sorted(Path(args.levels, size).glob("*.json"))
-        if not files:
-            parser.error(f"no public levels in {Path(args.levels, size)}; name their folder with --levels")
+    for size, files in levels.items():
         recorded = args.steps / f"{size}-seed{args.seed}.npz"
         if not recorded.is_file():
             print(f"{size}: the published engine plays {len(files)} levels")

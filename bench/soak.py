@@ -6,8 +6,8 @@
 
 An episode: worlds of one size start a level each and step 512 times, new actions every `--frame-skip` steps.
 Every `--episodes-a-draw` episodes each world draws a new level. What a world does depends on (seed, size, episode,
-world) and on nothing else, so that one that fails can be run again by itself. The
-episodes of the sizes are interleaved.
+world) and on nothing else, so that one that fails can be run again by itself.
+Episodes of the sizes are interleaved.
 
 Counted: worlds that are no longer finite (with what it takes to reproduce them; any makes the exit code 1), the fastest
 speed and spin, how often a speed limit acted, contacts without a slot, how deep shapes overlap at the end of an
@@ -110,9 +110,8 @@ class Soak:
             finite = _is_finite(after)
             failed_at = jnp.where(finite, failed_at, jnp.minimum(failed_at, index))
             energy_after = energy_of(scene, after)
-            earlier = earlier + max_work(
-                scene, controls, before, after
-            )  # [GAIN_WINDOW, W]: what each would be now, had nothing been lost since
+            # [GAIN_WINDOW, W]: what each would be now, had nothing been lost since
+            earlier = earlier + max_work(scene, controls, before, after)
             gain = jnp.where(finite, (energy_after - jnp.max(earlier, axis=0)) / mass, 0.0)
             earlier = jnp.concatenate([earlier[1:], energy_after[None]])
             movable = finite[:, None] & (

@@ -1,6 +1,6 @@
 """`bench curator`: seconds of a refresh of the level buffer and candidates a second, by level size.
 
-    a short run of the recipe in placement `local` with a refresh every 4 updates, in a process of its own a size
+    a short run of the recipe in placement `local` on one device, a process a size, with a refresh every 4 updates
     refresh = time that the update waited for the curator;  update = the updates that neither ask for nor adopt a buffer
 
 In `local` the curator scores in the process that learns, so the time of a refresh is its cost; elsewhere it is hidden
@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from kinetix_dist.benchmarks.results import Results
 from kinetix_dist.benchmarks.training_options import NUM_WARM_UPDATES, TrainingOptions, shortened, with_run
-from kinetix_dist.benchmarks.training_process import RunFailedError, run_in_process
+from kinetix_dist.benchmarks.training_process import RunFailedError, environment_of, run_in_process
 from kinetix_dist.benchmarks.training_run import number_of_gpus
 from kinetix_dist.config import TrainConfig
 
@@ -71,11 +71,11 @@ class CuratorRecord:
 def measure(options: Options, results: Results) -> None:
     """One record a size."""
     recipe = options.config()
-    number_of_gpus(recipe.run.device)  # refuses at once where there is none
+    environment = environment_of("local", 1, on_gpu=number_of_gpus(recipe.run.device) > 0)
     for size in options.sizes or (recipe.env.size,):
         config = config_of(recipe, size, options.refreshes)
         try:
-            run = run_in_process(config, {}, timeout_seconds=options.run_seconds)
+            run = run_in_process(config, environment, timeout_seconds=options.run_seconds)
         except RunFailedError as error:
             results.fail(f"size {size.upper()}: {error}")
             continue

@@ -14,13 +14,12 @@ One record (`ScalingRecord`) a point.
 from __future__ import annotations
 
 import dataclasses
-import os
 import statistics
 from typing import Any, Literal
 
 from kinetix_dist.benchmarks.results import Results
 from kinetix_dist.benchmarks.training_options import TrainingOptions, shares_of_time, shortened, speeds, with_run
-from kinetix_dist.benchmarks.training_process import RunFailedError, run_in_process
+from kinetix_dist.benchmarks.training_process import RunFailedError, environment_of, run_in_process
 from kinetix_dist.benchmarks.training_run import TrainingRun, check_placement, number_of_gpus
 from kinetix_dist.benchmarks.training_speed import check_updates
 from kinetix_dist.config import TrainConfig
@@ -116,19 +115,6 @@ def measure(options: Options, results: Results) -> None:
         results.save()
     for record in _records(options, points, platform):
         results.report(_row(record))
-
-
-def environment_of(placement: str, devices: int, *, on_gpu: bool) -> dict[str, str]:
-    """Variables with which a process sees so many devices."""
-    if on_gpu:
-        visible = [name for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name.strip()]
-        chosen = visible[:devices] if visible else [str(number) for number in range(devices)]
-        return {"CUDA_VISIBLE_DEVICES": ",".join(chosen)}
-    environment = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
-    if placement == "local" and devices > 1:
-        flags = [os.environ.get("XLA_FLAGS", ""), f"--xla_force_host_platform_device_count={devices}"]
-        environment["XLA_FLAGS"] = " ".join(filter(None, flags))
-    return environment
 
 
 def config_of(options: Options, placement: str, devices: int) -> TrainConfig:

@@ -25,6 +25,19 @@ class RunFailedError(Exception):
     """The process ended without a run, with its last words."""
 
 
+def environment_of(placement: str, devices: int, *, on_gpu: bool) -> dict[str, str]:
+    """Variables with which a process sees so many devices."""
+    if on_gpu:
+        visible = [name for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name.strip()]
+        chosen = visible[:devices] if visible else [str(number) for number in range(devices)]
+        return {"CUDA_VISIBLE_DEVICES": ",".join(chosen)}
+    environment = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
+    if placement == "local" and devices > 1:
+        flags = [os.environ.get("XLA_FLAGS", ""), f"--xla_force_host_platform_device_count={devices}"]
+        environment["XLA_FLAGS"] = " ".join(filter(None, flags))
+    return environment
+
+
 def run_in_process(config: TrainConfig, environment: Mapping[str, str], *, timeout_seconds: float) -> TrainingRun:
     """Runs `config` in a new process; `environment` is added to this one's. Raises RunFailedError."""
     with tempfile.TemporaryDirectory(prefix="kinetix-bench-") as name:

@@ -14,7 +14,7 @@ import difflib
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
 
 BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)
@@ -57,8 +57,7 @@ def run(args: Args) -> int:
     from kinetix_dist.benchmarks.results import Results
 
     results = Results(args.options.json, report=_print)
-    with user_errors(ImportError):
-        args.benchmark.measure(args.options, results)
+    args.benchmark.measure(args.options, results)
     results.save()
     if results.file is not None:
         print(f"{len(results.records)} records in {results.file}")

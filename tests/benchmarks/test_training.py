@@ -10,7 +10,7 @@ import pytest
 
 from kinetix_dist.benchmarks import curator_refresh, scaling, training_speed
 from kinetix_dist.benchmarks.training_options import shares_of_time, shortened, speeds, with_fields
-from kinetix_dist.benchmarks.training_process import RunFailedError, run_in_process
+from kinetix_dist.benchmarks.training_process import RunFailedError, environment_of, run_in_process
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import to_dict
 from kinetix_dist.recipes import RECIPES, recipe
@@ -64,13 +64,13 @@ def test_a_point_of_scaling_has_as_many_workers_as_devices() -> None:
 
 def test_a_process_sees_as_many_devices_as_it_is_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,5,7")
-    assert scaling.environment_of("local", 2, on_gpu=True) == {"CUDA_VISIBLE_DEVICES": "3,5"}
+    assert environment_of("local", 2, on_gpu=True) == {"CUDA_VISIBLE_DEVICES": "3,5"}
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
-    assert scaling.environment_of("colocated", 2, on_gpu=True) == {"CUDA_VISIBLE_DEVICES": "0,1"}
+    assert environment_of("colocated", 2, on_gpu=True) == {"CUDA_VISIBLE_DEVICES": "0,1"}
     monkeypatch.setenv("XLA_FLAGS", "--other")
-    on_cpu = scaling.environment_of("local", 2, on_gpu=False)
+    on_cpu = environment_of("local", 2, on_gpu=False)
     assert on_cpu["XLA_FLAGS"] == "--other --xla_force_host_platform_device_count=2"
-    assert "XLA_FLAGS" not in scaling.environment_of("colocated", 2, on_gpu=False)
+    assert "XLA_FLAGS" not in environment_of("colocated", 2, on_gpu=False)
 
 
 # How it is counted
