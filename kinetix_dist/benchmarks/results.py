@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,11 @@ class Results:
 
     def add(self, *records: Record) -> None:
         self.records += records
+        self.save()
+
+    def replace(self, records: Iterable[Record]) -> None:
+        """Other records in the place of all: those of a benchmark whose every run changes what is known of several."""
+        self.records = list(records)
         self.save()
 
     def fail(self, line: str) -> None:

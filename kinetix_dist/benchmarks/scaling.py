@@ -92,7 +92,7 @@ class _Point:
 
 
 def measure(options: Options, results: Results) -> None:
-    """A record for every point, written again after every repeat."""
+    """A record for every point; all are written again after every run."""
     num_gpus = number_of_gpus(options.config().run.device)
     points = [
         _point(options, placement, count, num_gpus) for placement in options.placements for count in options.devices
@@ -103,17 +103,18 @@ def measure(options: Options, results: Results) -> None:
             if point.config is None or point.left_out is not None:
                 continue
             where = f"{point.placement}, {point.devices} device{'s' if point.devices > 1 else ''}"
-            environment = environment_of(point.placement, point.devices, on_gpu=platform == "gpu")
+            environment = environment_of(point.placement, point.devices, on_gpu=num_gpus > 0)
             try:
                 point.runs.append(run_in_process(point.config, environment, timeout_seconds=options.run_seconds))
+                speed = f"{point.speeds[-1]:,.0f} env steps/s"
+                results.report(f"  {where}: {speed} (run {repeat + 1} of {options.repeats})")
             except RunFailedError as error:
                 results.fail(f"{where}: {error}")
                 point.left_out = f"failed: {error}"
-                continue
-            results.report(f"  {where}: {point.speeds[-1]:,.0f} env steps/s (run {repeat + 1} of {options.repeats})")
-        results.records = [dataclasses.asdict(record) for record in _records(options, points, platform)]
-        results.save()
-    for record in _records(options, points, platform):
+            results.replace(map(dataclasses.asdict, _records(options, points, platform)))
+    records = _records(options, points, platform)
+    results.replace(map(dataclasses.asdict, records))
+    for record in records:
         results.report(_row(record))
 
 
