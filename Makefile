@@ -54,11 +54,11 @@ test-gpu: $(STAMP)
 	$(BIN)/python -m pytest -m gpu -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 bench-engine: $(STAMP)
-	$(BIN)/kinetix-dist bench engine --json runs/bench_engine.json
+	$(BIN)/kinetix-dist bench engine speed --json runs/bench_engine.json
 
 bench-engine-peers: $(STAMP)
 	bash bench/peers/setup.sh
-	$(BIN)/kinetix-dist bench engine --peers --json runs/bench_engine.json
+	$(BIN)/kinetix-dist bench engine speed --peers --json runs/bench_engine.json
 
 # The lock holds versions and hashes only: whoever installs chooses the registry.
 lock: $(STAMP)

@@ -4,7 +4,7 @@
     python bench/compare_revisions.py run --json runs/revisions.json      # anywhere: each beside the working tree
     python bench/compare_revisions.py run --variants --json runs/variants.json
 
-Every engine has a process of its own; all get the same worlds, actions and settings, and they take turns run by run.
+Every engine has a process of its own; all get the same worlds, actions and settings, and their runs are interleaved.
 Printed and written: physics steps/s (median of `--repeats` runs), the ratio to the working tree and to the one before
 in the list, with the spread of the runs, and whether the first run led to the same bits as the working tree's.
 Worlds: the public levels, for numbers of shapes (64) heaps of boxes and balls. On a CPU it is processor time.
@@ -34,14 +34,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from bench.program import exit_code, output_file, parser_of
 from bench.revision_runner import STARTS
 from jax2d.fields import as_dict
 from jax2d.scene import Capacity, stack_worlds
-from kinetix_dist.cli.bench import Args
-from kinetix_dist.cli.bench_engine import level_files, load_levels
-from kinetix_dist.cli.bench_peer import LineProcess, PeerError
-from kinetix_dist.cli.errors import UserError, one_line
-from kinetix_dist.cli.growth_scenes import SCENES, capacity_of
+from kinetix_dist.benchmarks.growth_scenes import SCENES, capacity_of
+from kinetix_dist.benchmarks.level_files import level_files, load_levels
+from kinetix_dist.benchmarks.line_process import LineProcess, ProcessError
+from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.level.level import SIZES
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -61,7 +61,7 @@ REVISIONS = {
     "bf89792": "fixed bodies once a call",
     "9678843": "speed limits hold for every state",
     "afbda07": "pushes and twists written once, in Pair",
-    "1a08b34": "bounces in rounds, sub-steps stopped for what strays",
+    "1a08b34": "bounces in rounds, sub-steps stopped where a body leaves its predicted motion",
 }
 VARIANTS: dict[str, dict[str, Any]] = {  # fields of `jax2d.warp.variant.CompileOptions`
     "blocks of 32": {"block_dim": 32},
@@ -82,7 +82,7 @@ WORLDS_CPU, WORLDS_GPU = (256,), (8192, 65536)
 Record = dict[str, Any]
 
 
-def export(folder: Path, revisions: dict[str, str]) -> None:
+def export(folder: Path, revisions: dict[str, str]) -> int:
     """Writes FOLDER/<number>_<revision>/jax2d and FOLDER/revisions.json."""
     shutil.rmtree(folder, ignore_errors=True)
     listed = []
@@ -96,6 +96,7 @@ def export(folder: Path, revisions: dict[str, str]) -> None:
         listed.append({"folder": name, "revision": revision, "label": label})
     (folder / "revisions.json").write_text(json.dumps(listed, indent=1) + "\n")
     print(f"{len(listed)} revisions in {folder}")
+    return 0
 
 
 @dataclasses.dataclass
@@ -140,8 +141,8 @@ def entrants(stack: ExitStack, folder: Path, variants: bool, only: list[str] | N
 def write_worlds(size: str, levels: Path | None, file: Path) -> tuple[Capacity, str]:
     """Worlds of a size as one .npz of the fields of Scene and of where bodies start."""
     if size in SIZES:
-        capacity, args = SIZES[size], Args(what="engine", levels=levels)
-        with level_files(args, size) as (files, source):
+        capacity = SIZES[size]
+        with level_files(size, levels, seed=0) as (files, source):
             batch = load_levels(files, size)
         scene, starts = batch.scene, [getattr(batch, name) for name in STARTS]
     else:
@@ -154,8 +155,8 @@ def write_worlds(size: str, levels: Path | None, file: Path) -> tuple[Capacity, 
     return capacity, source
 
 
-def race(engines: list[Engine], request: Record, repeats: int, at_once: int) -> None:
-    """Prepares all, some at the same time since most of it is compiling; then times them turn by turn."""
+def time_interleaved(engines: list[Engine], request: Record, repeats: int, at_once: int) -> None:
+    """Prepares all, some at the same time since most of it is compiling; then times them, interleaved."""
     for engine in engines:
         engine.seconds, engine.prepared, engine.failed = [], {}, None
     for first in range(0, len(engines), at_once):
@@ -165,14 +166,14 @@ def race(engines: list[Engine], request: Record, repeats: int, at_once: int) -> 
         for engine in group:
             try:
                 engine.prepared = engine.process.receive()
-            except PeerError as error:
+            except ProcessError as error:
                 engine.failed = str(error)
     for _ in range(repeats):
         for engine in engines:
             if engine.failed is None:
                 try:
                     engine.seconds.append(engine.process.ask("run")["seconds"])
-                except PeerError as error:
+                except ProcessError as error:
                     engine.failed = str(error)
 
 
@@ -234,7 +235,7 @@ def run(args: argparse.Namespace) -> int:
         for engine in list(engines):
             try:
                 told = engine.process.receive()
-            except PeerError as error:
+            except ProcessError as error:
                 result["failures"].append(f"{engine.name}: {error}")
                 engines.remove(engine)
                 continue
@@ -260,20 +261,19 @@ def run(args: argparse.Namespace) -> int:
                 "steps": args.steps,
                 "seed": 0,
             }
-            race(engines, request, args.repeats, args.at_once)
+            time_interleaved(engines, request, args.repeats, args.at_once)
             new = records_of(engines, request, size)
             result["records"] += [record | {"levels": source} for record in new]
             failed = [f"{one.name}, {size.upper()}, {count} worlds: {one.failed}" for one in engines if one.failed]
             result["failures"] += failed
             print("\n".join([*map(row, new), *(f"  failed: {line}" for line in failed)]), flush=True)
             if args.json:
-                args.json.parent.mkdir(parents=True, exist_ok=True)
                 args.json.write_text(json.dumps(result, indent=1) + "\n")
     return 1 if result["failures"] or result["left_out"] else 0
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("do", choices=("export", "run"))
     parser.add_argument("revisions", nargs="*", help="export: other revisions than those of the lab log, oldest first")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the exported revisions")
@@ -282,26 +282,21 @@ def main() -> int:
     parser.add_argument("--sizes", nargs="+", default=["s", "m", "l"], help="s, m, l, or numbers of shapes")
     parser.add_argument("--worlds", type=int, nargs="+", help="default: by device")
     parser.add_argument("--preset", default="standard")
-    parser.add_argument("--levels", type=Path, help="folder with s/, m/ and l/; default as in bench engine")
+    parser.add_argument("--levels", type=Path, help="folder with s/, m/ and l/; default as in `bench engine speed`")
     parser.add_argument("--steps", type=int, default=128, help="physics steps of a timed run, an even number")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--at-once", type=int, default=max(1, (os.cpu_count() or 1) // 2), help="that compile at once")
     parser.add_argument("--seconds", type=float, help="begin no further size or number of worlds after this time")
-    parser.add_argument("--json", type=Path, help="write the records here")
+    parser.add_argument("--json", type=output_file, help="write the records here")
     args = parser.parse_args()
     if args.steps < 2 or args.steps % 2 or args.repeats < 1 or any(count < 1 for count in args.worlds or []):
         parser.error("--steps must be even and 2 or more, --repeats and --worlds 1 or more")
     for size in args.sizes:
         if size not in SIZES and not (size.isdigit() and 4 <= int(size) <= 512):
             parser.error(f"--sizes has {size!r}; give s, m, l, or a number of shapes from 4 to 512")
-    try:
-        if args.do == "export":
-            named = dict.fromkeys(args.revisions, "")
-            export(args.folder, named or REVISIONS)
-            return 0
-        return run(args)
-    except UserError as error:
-        parser.exit(2, f"{parser.prog}: {error}\n")
+    if args.do == "export":
+        return exit_code(parser, lambda: export(args.folder, dict.fromkeys(args.revisions, "") or REVISIONS))
+    return exit_code(parser, lambda: run(args))
 
 
 if __name__ == "__main__":

@@ -22,16 +22,24 @@ from pathlib import Path
 
 import jax
 
+from bench.program import exit_code, output_file, parser_of
 from jax2d import Capacity, Effects, Engine, SceneBuilder, preset
 from jax2d.warp.memory import thread_bytes
-from kinetix_dist.cli.growth_scenes import capacity_of
+from kinetix_dist.benchmarks.growth_scenes import capacity_of
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.level.level import SIZES
 
 CHECKOUT = str(Path(__file__).resolve().parent.parent)
 
 
 def capacity_named(size: str) -> Capacity:
-    return SIZES[size] if size in SIZES else capacity_of(int(size))
+    """Of s, m, l or a number of shapes; raises UserError for anything else."""
+    if size in SIZES:
+        return SIZES[size]
+    if not size.isdigit():
+        raise UserError(f"--sizes has {size!r}; give s, m, l, or a number of shapes")
+    with user_errors(ValueError):
+        return capacity_of(int(size))
 
 
 def first_step(size: str) -> dict:
@@ -85,17 +93,18 @@ def measure(size: str, compute_capability: str | None) -> list[dict]:
             command = [sys.executable, __file__, "--in-this-process", size, what]
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             if done.returncode != 0:
-                raise SystemExit(f"the process that was to compile size {size} failed:\n{done.stderr}")
+                last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+                raise SystemExit(f"the process that was to compile size {size} failed: {last}")
             records.append({"cache": cache} | json.loads(done.stdout.splitlines()[-1]))
             row = "{size:>4} {cache:<7} {seconds:8.2f} s {cpu_seconds:8.2f} s of processor, {device}"
             print(row.format(**records[-1]), flush=True)
     return records
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main() -> int:
+    parser = parser_of(__doc__)
     parser.add_argument("--sizes", nargs="+", default=["s", "m", "l", "64", "128", "512"])
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=output_file)
     parser.add_argument("--compute-capability")
     parser.add_argument("--in-this-process", help=argparse.SUPPRESS)
     parser.add_argument("--first-step", action="store_true", help=argparse.SUPPRESS)
@@ -104,11 +113,18 @@ def main() -> None:
         size = arguments.in_this_process
         record = first_step(size) if arguments.first_step else compile_for_gpu(size, arguments.compute_capability)
         print(json.dumps(record))
-        return
+        return 0
+    return exit_code(parser, lambda: run(arguments))
+
+
+def run(arguments: argparse.Namespace) -> int:
+    for size in arguments.sizes:
+        capacity_named(size)  # refused before anything is compiled
     records = [record for size in arguments.sizes for record in measure(size, arguments.compute_capability)]
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(records, indent=1) + "\n")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

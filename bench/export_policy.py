@@ -8,37 +8,45 @@ replayed but not resumed. Level sets given as paths are dropped from the configu
 
 from __future__ import annotations
 
-import argparse
 import shutil
+import sys
 from pathlib import Path
 
-from kinetix_dist.checkpoint import load_checkpoint, save_checkpoint
+from bench.program import exit_code, parser_of
+from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from kinetix_dist.checkpoint.manifest import write_manifest
+from kinetix_dist.errors import user_errors
 
 PARAMS_PREFIX = "learner/params"
 KEPT = ("config", "config_hash", "env_steps", "training_seconds")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main() -> int:
+    parser = parser_of(__doc__)
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("to", type=Path)
     args = parser.parse_args()
-    checkpoint = load_checkpoint(args.checkpoint)
+    return exit_code(parser, lambda: export(args.checkpoint, args.to))
+
+
+def export(source: Path, to: Path) -> int:
+    with user_errors(CheckpointError):
+        checkpoint = load_checkpoint(source)
     arrays = {name: array for name, array in checkpoint.arrays.items() if name.startswith(PARAMS_PREFIX)}
     description = {name: checkpoint.description[name] for name in KEPT}
     evaluation = description["config"]["evaluation"]
     evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name]
-    draft = args.to.parent / f".{args.to.name}-draft"
+    draft = to.parent / f".{to.name}-draft"
     written = save_checkpoint(draft, checkpoint.description["num_updates"], arrays, description, keep=1)
     # Orbax notes the absolute path it wrote to, which means nothing elsewhere.
     for note in written.rglob("commit_success.txt"):
         note.write_text("Checkpoint commit was successful\n")
     write_manifest(written)
-    shutil.rmtree(args.to, ignore_errors=True)
-    written.rename(args.to)
+    shutil.rmtree(to, ignore_errors=True)
+    written.rename(to)
     draft.rmdir()
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

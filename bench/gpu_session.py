@@ -30,8 +30,14 @@ from pathlib import Path
 from typing import Any
 
 CHECKOUT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(CHECKOUT))  # run as a script where the project is not installed
+
+from bench.program import exit_code, parser_of  # noqa: E402
+from kinetix_dist.errors import UserError  # noqa: E402
+
 PART_SECONDS = 540.0
 PEER_STEPS = 128  # of a timed run beside the published engine
+SEED = 0  # of levels and actions, as `bench engine speed` has it by default
 # Where each engine is at its best lies within these.
 PEER_WORLDS = {"s": (65536, 131072), "m": (65536, 131072), "l": (8192, 32768, 65536)}
 OUR_WORLDS = (2048, 16384, 131072, 262144)
@@ -66,7 +72,8 @@ def python(*arguments: Any) -> list[str]:
 
 
 def bench(*arguments: Any) -> list[str]:
-    return python("-m", "kinetix_dist.cli.main", "bench", "engine", *arguments, "--json", "{json}")
+    """A benchmark of `kinetix-dist bench`."""
+    return python("-m", "kinetix_dist.cli.main", "bench", *arguments, "--json", "{json}")
 
 
 def steps_of(part: int, mini: bool) -> list[Step]:
@@ -91,7 +98,7 @@ def first_part(mini: bool) -> list[Step]:
         limit = {"l": 190, "m": 130, "s": 90}[size]
         return Step(
             f"beside the published engine, {size.upper()}",
-            {"": bench("--sizes", size, "--worlds", *worlds, *end)},
+            {"": bench("engine", "speed", "--sizes", size, "--worlds", *worlds, *end)},
             limit,
         )
 
@@ -114,9 +121,7 @@ def second_part(mini: bool) -> list[Step]:
 
     def effects(size: str, *amount: Any) -> list[str]:
         tiny = ("--worlds", 4) if mini else ()
-        return bench(
-            "--effects", "--presets", "standard", "--sizes", size, "--steps", 2 if mini else 32, *tiny, *amount
-        )
+        return bench("engine", "effects", "--sizes", size, "--steps", 2 if mini else 32, *tiny, *amount)
 
     # Nor does the soak time anything: the engines of the last steps are compiled beside it.
     warm = {} if mini else {f"compile effects {size}": effects(size)[:-2] for size in sizes}  # without --json FILE
@@ -150,15 +155,14 @@ def third_part(mini: bool) -> list[Step]:
     largest = ("--sizes", "s", "--worlds", 1, "--shapes", 4 if mini else 512)
     compiling = {size: python("bench/compile_time.py", "--sizes", size, "--json", "{json}") for size in sizes}
     alone = ("--worlds", 4, "--steps", 2) if mini else ("--worlds", *OUR_WORLDS)
-    growing = ("--growth", "--presets", "standard")
     return [
         Step("revisions", {"": python(*compare, *revisions)}, 200),
         Step("variants", {"": python(*compare, "--variants", *variants)}, 140),
-        Step("our engine by worlds", {"": bench("--presets", "standard", *alone)}, 100),
-        Step("growth", {"": bench(*growing, *growth)}, 240, draws=(".md", ".png")),
+        Step("our engine by worlds", {"": bench("engine", "speed", "--presets", "standard", *alone)}, 100),
+        Step("growth", {"": bench("engine", "growth", *growth)}, 240, draws=(".md", ".png")),
         Step("compiling", compiling, 60),
         Step("profile", {"": python("bench/kernel_profile.py", *profile, "--json", "{json}")}, 80),
-        Step("512 shapes", {"": bench(*growing, *largest)}, 60),
+        Step("512 shapes", {"": bench("engine", "growth", *largest)}, 60),
     ]
 
 
@@ -203,7 +207,7 @@ def revision_of(given: str | None) -> str:
         return head + (" with changes" if status.strip() else "")
     if (CHECKOUT / "REVISION").is_file():
         return (CHECKOUT / "REVISION").read_text().strip()
-    raise SystemExit("gpu_session: no git here and no file REVISION; say what is measured with --revision COMMIT")
+    raise UserError("no git here and no file REVISION; say what is measured with --revision COMMIT")
 
 
 def environment() -> dict[str, str]:
@@ -290,7 +294,7 @@ def run_part(args: argparse.Namespace) -> int:
     }
     steps = steps_of(args.part, args.miniature)
     if unknown := set(args.only or []) - {step.name for step in steps}:
-        raise SystemExit(f"gpu_session: --only has {unknown.pop()!r}; part {args.part} has {[s.name for s in steps]}")
+        raise UserError(f"--only has {unknown.pop()!r}; part {args.part} has {', '.join(s.name for s in steps)}")
     with (args.out / f"part_{args.part}.log").open("w") as log:
         for step in steps:
             if args.only and step.name not in args.only:
@@ -369,21 +373,19 @@ def at_their_best(steps: list[Record]) -> list[str]:
 
 def compile_peer(size: str) -> int:
     """Compiles the published engine's programs of one size into JAX's cache."""
-    from kinetix_dist.cli.bench import Args
-    from kinetix_dist.cli.bench_engine import level_files
-    from kinetix_dist.cli.bench_peer import Peer
+    from kinetix_dist.benchmarks.level_files import level_files
+    from kinetix_dist.benchmarks.published_engine import PublishedProcess
 
-    args = Args(what="engine")
-    with Peer(CHECKOUT) as peer, level_files(args, size) as (files, _):
+    with PublishedProcess(CHECKOUT) as peer, level_files(size, None, SEED) as (files, _):
         for worlds in PEER_WORLDS[size]:
             levels = [str(file) for file in files]
-            told = peer.ask("compile", levels=levels, worlds=worlds, steps=PEER_STEPS, seed=args.seed)
+            told = peer.ask("compile", levels=levels, worlds=worlds, steps=PEER_STEPS, seed=SEED)
             print(f"{size.upper()}, {worlds} worlds: {told['seconds']:.1f} s", flush=True)
     return 0
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--part", type=int, choices=(1, 2, 3))
     parser.add_argument("--out", type=Path, default=Path("runs/gpu"))
     parser.add_argument("--revision", help="the commit measured; default: what git says, or the file REVISION")
@@ -393,10 +395,10 @@ def main() -> int:
     parser.add_argument("--compile-peer", choices=tuple(PEER_WORLDS), help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.compile_peer:
-        return compile_peer(args.compile_peer)
+        return exit_code(parser, lambda: compile_peer(args.compile_peer))
     if args.part is None:
         parser.error("give --part 1, 2 or 3")
-    return run_part(args)
+    return exit_code(parser, lambda: run_part(args))
 
 
 if __name__ == "__main__":

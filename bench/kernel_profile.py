@@ -38,10 +38,14 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from jax2d import Controls, Engine, preset
+from bench.program import exit_code, output_file, parser_of
+from jax2d import Engine, preset
 from jax2d.scene import stack_worlds
+from jax2d.settings import PRESETS
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.variant import CompileOptions, KernelVariant
+from kinetix_dist.benchmarks.random_play import FRAME_SKIP, Play, random_play
+from kinetix_dist.errors import UserError
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import load_kinetix
@@ -51,7 +55,6 @@ BLOCK = CompileOptions().block_dim
 ARCH = 90  # H100 and H200
 WARP = 32  # lanes that run in lockstep
 REGISTERS_PER_SM, WARPS_PER_SM, REGISTER_UNIT = 65536, 64, 256  # sm_90; registers are given to a warp in units of 256
-FRAME_SKIP = 2  # physics steps a launch, as in training
 STEPS = 128  # physics steps before contacts are counted, and in a timed run
 
 KINDS = {
@@ -63,6 +66,7 @@ KINDS = {
     "control": "BRA BRX BSSY BSYNC BREAK CALL RET EXIT WARPSYNC NOP BMOV",
 }
 KIND_OF = {name: kind for kind, names in KINDS.items() for name in names.split()}
+PARTS = ("code", "divergence", "speed")
 Record = dict[str, Any]
 
 
@@ -76,7 +80,7 @@ def find_tool(name: str) -> str:
     for folder in list(spec.submodule_search_locations or []) if spec and not found else []:
         found = next((str(p) for p in sorted(Path(folder).glob(f"*/bin/{name}"))), found)
     if not found:
-        raise SystemExit(
+        raise UserError(
             f"{name} is neither on $PATH nor in an nvidia wheel; install nvidia-cuda-nvcc and nvidia-cuda-nvdisasm "
             "(13.x), or leave the machine code out: --parts divergence speed"
         )
@@ -168,13 +172,13 @@ def phase_records(size: str, source: Path, instructions: list[Record]) -> list[R
 
 
 def load_levels(size: str, folder: Path | None, count: int, seed: int) -> Level:
-    """Public levels from a folder with s/, m/ and l/ of level files, in turn as in `bench engine`, else random ones."""
+    """Public levels from a folder with s/, m/ and l/, in order as in `bench engine speed`; else random levels."""
     capacity = SIZES[size]
     if folder is None:
         return generate_levels(jax.random.key(seed), count, capacity, GeneratorConfig())
     files = sorted(Path(folder, size).glob("*.json"))
     if not files:
-        raise SystemExit(f"no level files in {Path(folder, size)}; give --levels a folder with s/, m/ and l/")
+        raise UserError(f"no level files in {Path(folder, size)}; give --levels a folder with s/, m/ and l/")
     levels = stack_worlds([fit_level(load_kinetix(file), capacity) for file in files])
     return jax.tree.map(lambda x: jnp.take(jnp.asarray(x), jnp.arange(count) % len(files), axis=0), levels)
 
@@ -184,22 +188,9 @@ def packed(engine: Engine, levels: Level) -> tuple[Any, Any]:
     return engine.pack_scene(levels.scene), engine.pack_state(state)
 
 
-def stepper(engine: Engine, worlds: int) -> Any:
-    """f(scene, state, key) -> (state, keys [STEPS / FRAME_SKIP, K, worlds]): STEPS steps under random actions."""
-    joints, thrusters = engine.capacity.joints, engine.capacity.thrusters
-
-    def launch(scene: Any, state: Any, key: jax.Array) -> Any:
-        motor_key, thruster_key = jax.random.split(key)
-        motor = jax.random.randint(motor_key, (worlds, joints), -1, 2).astype(jnp.float32)
-        thruster = jax.random.randint(thruster_key, (worlds, thrusters), 0, 2).astype(jnp.float32)
-        return engine.step_packed(scene, state, Controls(motor=motor, thruster=thruster), FRAME_SKIP)[0]
-
-    @jax.jit
-    def run(scene: Any, state: Any, key: jax.Array) -> Any:
-        keys = jax.random.split(key, STEPS // FRAME_SKIP)
-        return jax.lax.scan(lambda state, k: (launch(scene, state, k), None), state, keys)[0]
-
-    return run
+def stepper(engine: Engine, worlds: int) -> Play:
+    """f(scene, state, key) -> state: STEPS steps under random actions."""
+    return jax.jit(random_play(engine, worlds, STEPS))
 
 
 def divergence_record(size: str, engine: Engine, levels: Level, runs: int) -> Record:
@@ -279,20 +270,25 @@ def show(title: str, rows: list[Record]) -> None:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = ("code", "divergence", "speed")
-    parser.add_argument("--parts", nargs="+", choices=parts, help="default: all; speed where there is a GPU")
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, help="default: all; speed where there is a GPU")
     parser.add_argument("--sizes", nargs="+", choices=sorted(SIZES), default=["s", "m", "l"])
-    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="standard")
     parser.add_argument("--levels", type=Path, help="folder of public levels (s/, m/, l/); default: random levels")
     parser.add_argument("--worlds", type=int, default=2048, help="a multiple of 32")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--json", type=Path, help="write the records here")
+    parser.add_argument("--json", type=output_file, help="write the records here")
     args = parser.parse_args()
     if args.worlds < WARP or args.worlds % WARP:
         parser.error(f"--worlds is {args.worlds}; give a multiple of {WARP}")
-    chosen = args.parts or (parts if jax.default_backend() == "gpu" else parts[:2])
+    if args.repeats < 1:
+        parser.error(f"--repeats is {args.repeats}; give 1 or more")
+    return exit_code(parser, lambda: run(args))
+
+
+def run(args: argparse.Namespace) -> int:
+    chosen = args.parts or (PARTS if jax.default_backend() == "gpu" else PARTS[:2])
     results: dict[str, list[Record]] = {"code": [], "phases": [], "divergence": [], "speed": []}
     for size in args.sizes:
         engine = Engine(SIZES[size], settings=preset(args.preset))
@@ -314,6 +310,7 @@ def main() -> None:
         show(title, rows)
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
+    return 0
 
 
 if __name__ == "__main__":

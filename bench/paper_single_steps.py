@@ -12,7 +12,6 @@ of the published engine. States that differ with all details on are listed by na
 
 from __future__ import annotations
 
-import argparse
 import importlib.metadata
 import json
 import os
@@ -24,6 +23,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from bench.program import output_file, parser_of
 from bench.published_steps import PeerMissing, Steps, differences, load, run_published, warm
 from jax2d import Engine, Settings, State, preset
 from jax2d.published_details import PUBLISHED_DETAILS
@@ -42,7 +42,7 @@ PUBLISHED = PAPER.replace(solver_batch_size=BATCH, published_details=tuple(PUBLI
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument(
         "--levels",
         default=os.environ.get("KINETIX_LEVELS"),
@@ -53,16 +53,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--steps", type=Path, default=Path("runs/published_steps"), help="the published engine's steps; made if absent"
     )
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=output_file)
     args = parser.parse_args(arguments)
     if not args.levels:
         parser.error("where are the public levels? name their folder with --levels or $KINETIX_LEVELS")
+    levels = {size: sorted(Path(args.levels, size).glob("*.json")) for size in args.sizes}
+    if missing := [size for size, files in levels.items() if not files]:
+        parser.error(f"no public levels in {Path(args.levels, missing[0])}; name their folder with --levels")
     jax.config.update("jax_enable_x64", True)
     sizes = []
-    for size in args.sizes:
-        files = sorted(Path(args.levels, size).glob("*.json"))
-        if not files:
-            parser.error(f"no public levels in {Path(args.levels, size)}; name their folder with --levels")
+    for size, files in levels.items():
         recorded = args.steps / f"{size}-seed{args.seed}.npz"
         if not recorded.is_file():
             print(f"{size}: the published engine plays {len(files)} levels")
@@ -79,7 +79,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.json:
         versions = {name: importlib.metadata.version(name) for name in ("jax", "numpy")}
         document = {"moments": MOMENTS, "seed": args.seed, "versions": versions, "tolerance": TOLERANCE, "sizes": sizes}
-        args.json.parent.mkdir(parents=True, exist_ok=True)
         args.json.write_text(json.dumps(document, indent=1) + "\n")
     return 0
 

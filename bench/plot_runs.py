@@ -6,6 +6,7 @@ python bench/plot_runs.py --set random_s --to curve.png a=runs/a/metrics/metrics
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -13,25 +14,31 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from bench.program import exit_code, output_file, parser_of
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main() -> int:
+    parser = parser_of(__doc__)
     parser.add_argument("runs", nargs="+", help="LABEL=metrics.jsonl")
     parser.add_argument("--set", dest="level_set", required=True)
     parser.add_argument("--random", type=float, help="solve rate of random actions, drawn as a line")
     parser.add_argument("--title", default="")
-    parser.add_argument("--to", type=Path, required=True)
+    parser.add_argument("--to", type=output_file, required=True)
     args = parser.parse_args()
+    return exit_code(parser, lambda: draw(args))
+
+
+def draw(args: argparse.Namespace) -> int:
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
     for run in args.runs:
         label, _, path = run.partition("=")
-        rows = read_jsonl(Path(path))
         key = f"evaluation/{args.level_set}"
-        rows = [row for row in rows if f"{key}/solve_rate" in row]
+        with user_errors(OSError, prefix=f"{path}: "):
+            rows = [row for row in read_jsonl(Path(path)) if f"{key}/solve_rate" in row]
         if not rows:
-            parser.error(f"{path} has no evaluations of {args.level_set}; train with --evaluation.every N")
+            raise UserError(f"{path} has no evaluations of {args.level_set}; train with --evaluation.every N")
         steps = [row["progress/env_steps"] for row in rows]
         axes.plot(steps, [100 * row[f"{key}/solve_rate"] for row in rows], marker="o", markersize=3, label=label)
         low, high = ([100 * row[f"{key}/{end}"] for row in rows] for end in ("low", "high"))
@@ -42,7 +49,8 @@ def main() -> None:
     axes.grid(alpha=0.3)
     axes.legend()
     figure.savefig(args.to, dpi=110)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
+from bench.program import parser_of
 from jax2d import Capacity, Controls, JointKind, Joints, Scene, Shapes, State, Thrusters
-from jax2d.fidelity.arguments import OneLineParser
 from jax2d.scene import JOINT_IMPULSES
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -209,7 +209,7 @@ def write_excerpt(file: Path, to: Path, moments: int = 8) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = OneLineParser(prog="python -m bench.published_steps", description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__, prog="python -m bench.published_steps")
     parser.add_argument("steps", type=Path, help="a file of steps that bench/paper_single_steps.py had made")
     parser.add_argument("excerpt", type=Path, help="the file to write")
     args = parser.parse_args(arguments)

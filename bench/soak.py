@@ -4,16 +4,17 @@
     python bench/soak.py --steps 1e7 --worlds 512             # two CPU cores: minutes
     python bench/soak.py --replay m 3 1742 --seed 0           # one world of one episode again, alone
 
-An episode: worlds of one size start a level each and step 512 times, actions drawn anew every `--frame-skip` steps.
+An episode: worlds of one size start a level each and step 512 times, new actions every `--frame-skip` steps.
 Every `--episodes-a-draw` episodes each world draws a new level. What a world does depends on (seed, size, episode,
-world) and on nothing else, so that one that fails can be run again by itself. Sizes take turns and share the steps.
+world) and on nothing else, so that one that fails can be run again by itself.
+Episodes of the sizes are interleaved.
 
 Counted: worlds that are no longer finite (with what it takes to reproduce them; any makes the exit code 1), the fastest
 speed and spin, how often a speed limit acted, contacts without a slot, how deep shapes overlap at the end of an
 episode, and energy from nothing.
 
 Energy from nothing, J/kg of a world's movable mass: energy after an action - the most that it was after any of the
-four before - the most that motors and thrusters can have done since (`jax2d.measure.max_work`). (Four, because an
+four before - the most that motors and thrusters can have done since (`jax2d.measure.work_at_most`). (Four, because an
 impact that is passed from body to body takes a few steps, in which its energy is in the overlaps.) Undoing overlaps
 and pulling joints together gives a little; an explosion gives much. 1 J/kg lifts everything by 10 cm.
 
@@ -27,13 +28,13 @@ import dataclasses
 import json
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bench.program import output_file, parser_of
 from jax2d import Controls, Engine, preset
 from jax2d.measure import energy, max_work, overlaps
 from jax2d.scene import Array, Scene, State, index_worlds
@@ -99,7 +100,7 @@ class Soak:
         num_actions = EPISODE_STEPS // self.frame_skip
         seconds = self.frame_skip * engine.settings.dt
         energy_of = jax.vmap(energy)
-        most_work = jax.vmap(partial(max_work, engine.settings, seconds))
+        work_bound = jax.vmap(partial(max_work, engine.settings, seconds))
 
         def act(carry: Any, index: Array) -> Any:
             packed, before, earlier, failed_at, largest = carry
@@ -109,15 +110,15 @@ class Soak:
             finite = _is_finite(after)
             failed_at = jnp.where(finite, failed_at, jnp.minimum(failed_at, index))
             energy_after = energy_of(scene, after)
-            most = most_work(scene, controls, before, after)
-            earlier = earlier + most  # [GAIN_WINDOW, W]: what each would be now, had nothing been lost since
+            # [GAIN_WINDOW, W]: what each would be now, had nothing been lost since
+            earlier = earlier + work_bound(scene, controls, before, after)
             gain = jnp.where(finite, (energy_after - jnp.max(earlier, axis=0)) / mass, 0.0)
             earlier = jnp.concatenate([earlier[1:], energy_after[None]])
             movable = finite[:, None] & (
                 jnp.asarray(scene.shapes.inverse_mass) + jnp.asarray(scene.shapes.inverse_inertia) > 0
             )
             speed = jnp.linalg.norm(after.velocity, axis=-1)
-            noted = (
+            of_action = (
                 jnp.max(jnp.where(movable, speed, 0.0)),
                 jnp.max(jnp.where(movable, jnp.abs(after.angular_velocity), 0.0)),
                 jnp.sum(gain[:, None] > jnp.array(GAIN_EDGES), axis=0, dtype=jnp.int32),
@@ -125,15 +126,15 @@ class Soak:
                 jnp.sum(touching.limited, dtype=jnp.int32),
                 jnp.sum(touching.overflow, dtype=jnp.int32),
             )
-            return (packed, after, earlier, failed_at, jnp.maximum(largest, gain)), noted
+            return (packed, after, earlier, failed_at, jnp.maximum(largest, gain)), of_action
 
         none = jnp.full(worlds.shape, num_actions, jnp.int32)
         earlier = jnp.tile(energy_of(scene, start), (GAIN_WINDOW, 1))
         first = (engine.pack_state(start), start, earlier, none, jnp.zeros(worlds.shape))
-        (packed, final, _, failed_at, largest), noted = jax.lax.scan(act, first, jnp.arange(num_actions))
+        (packed, final, _, failed_at, largest), of_action = jax.lax.scan(act, first, jnp.arange(num_actions))
         some = index_worlds((scene, final.position, final.angle), slice(0, WORLDS_MEASURED))
         deepest = jax.lax.map(lambda one: jnp.max(overlaps(*one)), some, batch_size=256)
-        fastest, fastest_spin, gains, largest_then, limited, overflow = noted
+        fastest, fastest_spin, gains, largest_then, limited, overflow = of_action
         return Episode(
             failed_at, fastest, fastest_spin, gains, largest, largest_then, limited, overflow, deepest, packed
         )
@@ -268,7 +269,7 @@ def soak(args: argparse.Namespace) -> dict[str, Any]:
 
 def replay(args: argparse.Namespace) -> dict[str, Any]:
     """One world of one episode, alone: to the bit what it did among the others."""
-    size, episode, world = args.replay[0], int(args.replay[1]), int(args.replay[2])
+    size, episode, world = args.replay
     one = Soak(size, preset(args.preset), args.frame_skip, args.seed)
     named = jnp.array([world])
     result = one.play(episode, named, one.draw(episode // args.episodes_a_draw, named))
@@ -305,17 +306,17 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--steps", type=float, default=1e7, help="physics steps of all worlds together")
     parser.add_argument("--seconds", type=float, help="stop after this time, whatever the steps")
     parser.add_argument("--worlds", type=int, help="of one size; default: by device")
     parser.add_argument("--sizes", nargs="+", choices=sorted(SIZES), default=["s", "m", "l"])
     parser.add_argument("--preset", choices=sorted(PRESETS), default="standard")
     parser.add_argument("--frame-skip", type=int, default=2, help="physics steps an action is held for")
-    parser.add_argument("--episodes-a-draw", type=int, default=4, help="episodes after which levels are drawn anew")
+    parser.add_argument("--episodes-a-draw", type=int, default=4, help="episodes after which new levels are drawn")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--replay", nargs=3, metavar=("SIZE", "EPISODE", "WORLD"), help="run one world alone")
-    parser.add_argument("--json", type=Path, help="write the result here")
+    parser.add_argument("--json", type=output_file, help="write the result here")
     args = parser.parse_args()
     if args.worlds is None:
         args.worlds = WORLDS_GPU if jax.default_backend() == "gpu" else WORLDS_CPU
@@ -325,6 +326,10 @@ def main() -> int:
     if EPISODE_STEPS % args.frame_skip:
         parser.error(f"--frame-skip is {args.frame_skip}; an episode of {EPISODE_STEPS} steps must be a multiple of it")
     if args.replay:
+        size, *numbers = args.replay
+        if size not in SIZES or not all(number.isdigit() for number in numbers):
+            parser.error(f"--replay is {' '.join(args.replay)}; give a size (s, m or l), an episode and a world")
+        args.replay = (size, *map(int, numbers))
         print(json.dumps(replay(args), indent=1))
         return 0
     result = soak(args)

@@ -1,4 +1,4 @@
-"""The published jax2d, timed, in its own environment: the other end of `kinetix-dist bench engine --peers`.
+"""The published jax2d, timed, in its own environment: the other end of `bench engine speed --peers`.
 
 Reads one JSON request a line from stdin and answers each with one line on stdout:
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs the published jax2d into an environment of its own, bench/.peers/jax2d (git ignores it), so that
-# `kinetix-dist bench engine --peers` can run it beside ours. Both packages are called jax2d: never mix them.
+# `kinetix-dist bench engine speed --peers` can run it beside ours. Both packages are called jax2d: never mix them.
 # Usage: bash bench/peers/setup.sh [cpu|cuda12|cuda13]        the extra of jax; default cpu
 set -euo pipefail
 cd "$(dirname "$0")/../.."

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.checkpoint.manifest import manifest_fault, write_manifest
+from kinetix_dist.checkpoint.pretrained import find_checkpoint, pretrained_names
 
 FORMAT = 1
 DESCRIPTION_NAME = "checkpoint.json"
@@ -85,10 +86,14 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Verifies a checkpoint directory against its manifest and reads it; raises CheckpointError otherwise."""
-    path = Path(path)
+    """Verifies a checkpoint directory against its manifest and reads it; raises CheckpointError otherwise.
+
+    `path` may be the name of a pretrained policy that comes with the installation.
+    """
+    path = find_checkpoint(Path(path))
     if not path.is_dir():
-        raise CheckpointError(f"there is no checkpoint {path}")
+        known = ", ".join(pretrained_names()) or "none"
+        raise CheckpointError(f"there is no checkpoint {path}; pretrained policies here: {known}")
     if fault := manifest_fault(path):
         raise CheckpointError(f"checkpoint {path} is damaged: {fault}")
     description = json.loads((path / DESCRIPTION_NAME).read_text())

@@ -1,36 +1,7 @@
-"""How a command fails because of what it was given: one line, exit code 2.
+"""How a command fails because of what it was given: a `UserError` is one line on stderr and exit code 2."""
 
-Library code raises its own errors (ValueError and its subclasses, OSError); a command turns those it
-expects into a `UserError`. Anything else is a bug and keeps its traceback.
-"""
+from kinetix_dist.errors import UserError, one_line, user_errors
 
-from __future__ import annotations
-
-from collections.abc import Generator
-from contextlib import contextmanager
+__all__ = ["EXIT_USER_ERROR", "UserError", "one_line", "user_errors"]
 
 EXIT_USER_ERROR = 2
-
-
-class UserError(Exception):
-    """What was wrong and what to do about it, in one line."""
-
-
-def one_line(error: BaseException | str) -> str:
-    """The text of an error without line breaks, for stderr."""
-    text = " ".join(str(error).split())
-    return text or type(error).__name__
-
-
-@contextmanager
-def user_errors(*expected: type[Exception], prefix: str = "") -> Generator[None]:
-    """Turns the `expected` exceptions raised inside into a `UserError` with the same text.
-
-    `with user_errors(ValueError, OSError): config = load(path)`
-    """
-    try:
-        yield
-    except UserError:
-        raise
-    except expected as error:
-        raise UserError(f"{prefix}{one_line(error)}") from error

@@ -5,9 +5,9 @@ Each subcommand is a module of this package with
     class Args            a dataclass, or a Union of dataclasses (nested subcommands); tyro makes the flags
     run(args) -> int      the exit status, 0 for success
 
-and, only where the flags depend on other flags (a recipe that sets defaults), `parse(argv) -> Args`,
-which calls `parse_args` below. A module is imported when its command is asked for and not before, so
-`kinetix-dist doctor` still answers on a machine where ray, warp or jax cannot be imported.
+and, only where the flags depend on what else is given (a recipe that sets defaults, the name of a benchmark),
+`parse(argv) -> Args`, which calls `parsing.parse_args`. A module is imported when its command is asked for and not
+before, so `kinetix-dist doctor` still answers on a machine where ray, warp or jax cannot be imported.
 
 Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was given something wrong
 (one line on stderr says what and what to do), 130 interrupted.
@@ -15,19 +15,16 @@ Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was g
 
 from __future__ import annotations
 
-import contextlib
 import difflib
-import importlib
-import io
 import os
-import re
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
+from kinetix_dist.cli.parsing import PROG, load_module, parse_args
 
-PROG = "kinetix-dist"
+__all__ = ["COMMANDS", "main", "parse_args"]
+
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, what shells report
 
 COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
@@ -35,7 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
     "eval": ("kinetix_dist.cli.eval_command", "solve rates of a run or a checkpoint on a set of levels"),
     "replay": ("kinetix_dist.cli.replay", "turn a recording into an .rrd that rerun opens, or view it"),
     "levels": ("kinetix_dist.cli.levels", "list, show, validate, render, import and export levels"),
-    "bench": ("kinetix_dist.cli.bench", "measure the speed of the engine, next to the published one"),
+    "bench": ("kinetix_dist.cli.bench", "measure the speed of engine, training, learner, scaling and curator"),
     "doctor": ("kinetix_dist.cli.doctor", "what this machine can run, and what is missing"),
 }
 
@@ -56,25 +53,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
 
 
-def parse_args(args_type: Any, argv: Sequence[str], *, prog: str, default: Any = None) -> Any:
-    """`tyro.cli` whose complaints are one line each: an unknown flag or a bad value raises `UserError`.
-
-    `default` is an instance of `args_type` that replaces the defaults of its fields. `--help` prints
-    and raises `SystemExit(0)` as usual.
-    """
-    import tyro
-
-    complaint = io.StringIO()
-    keywords = {} if default is None else {"default": default}
-    try:
-        with contextlib.redirect_stderr(complaint):
-            return tyro.cli(args_type, prog=prog, args=list(argv), **keywords)
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
-        raise UserError(_flatten(complaint.getvalue(), prog)) from None
-
-
 def _dispatch(argv: list[str]) -> int:
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(_usage())
@@ -89,24 +67,10 @@ def _dispatch(argv: list[str]) -> int:
         near = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"commands: {', '.join(COMMANDS)}"
         raise UserError(f"unknown command {name!r}; {hint}")
-    module = _load(name)
-    prog = f"{PROG} {name}"
+    module = load_module(COMMANDS[name][0], name)
     parse = getattr(module, "parse", None)
-    args = parse(rest) if parse is not None else parse_args(module.Args, rest, prog=prog)
+    args = parse(rest) if parse is not None else parse_args(module.Args, rest, prog=f"{PROG} {name}")
     return int(module.run(args) or 0)
-
-
-def _load(name: str) -> Any:
-    module_name = COMMANDS[name][0]
-    try:
-        return importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name is not None and error.name.split(".")[0] in ("kinetix_dist", "jax2d"):
-            raise
-        raise UserError(
-            f"{name!r} needs the package {error.name!r}, which is not installed; "
-            f"run `make install` in the repository, then `{PROG} doctor`"
-        ) from error
 
 
 def _usage() -> str:
@@ -114,18 +78,6 @@ def _usage() -> str:
     lines = [f"usage: {PROG} COMMAND [options]        {PROG} COMMAND --help shows the options", ""]
     lines += [f"  {name:<{width}}  {text}" for name, (_, text) in COMMANDS.items()]
     return "\n".join(lines)
-
-
-def _flatten(text: str, prog: str) -> str:
-    """One line out of the box that tyro draws around a complaint."""
-    text = re.sub(r"\x1b\[[0-9;]*m", "", text)
-    text = re.sub(r"[╭╮╰╯│─┌┐└┘├┤━┃]+", " ", text)
-    text = one_line(text)
-    text = re.sub(r"For full helptext, (run|see):? (\S+ )*?--help\.?", " ", text)
-    text = re.sub(r"^(Parsing error|Value error|Missing argument|Required options:?|Invalid choice:?) ", "", text)
-    text = re.sub(r"^(Unrecognized options:?) \1", r"\1", one_line(text))
-    text = text.replace(" Argument helptext:", ";")
-    return f"{text.rstrip(' .')}; see `{prog} --help`"
 
 
 if __name__ == "__main__":

@@ -2,24 +2,65 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from bench import published_steps
+from bench import (
+    compare_revisions,
+    compile_time,
+    export_policy,
+    gpu_session,
+    kernel_profile,
+    paper_single_steps,
+    plot_runs,
+    published_steps,
+    soak,
+)
 from jax2d.fidelity import hard_table, references
+from tests.helpers import REPOSITORY
 
-PROGRAMS = [hard_table.main, references.main, published_steps.main]
+PROGRAMS = [
+    compare_revisions.main,
+    compile_time.main,
+    export_policy.main,
+    gpu_session.main,
+    hard_table.main,
+    kernel_profile.main,
+    paper_single_steps.main,
+    plot_runs.main,
+    published_steps.main,
+    references.main,
+    soak.main,
+]
+
+
+def end_of(main: Callable, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
+    """The exit code of a program that is called with these arguments."""
+    monkeypatch.setattr(sys, "argv", ["program", *arguments])
+    try:
+        return main()
+    except SystemExit as end:
+        assert isinstance(end.code, int), end.code
+        return end.code
 
 
 @pytest.mark.parametrize("main", PROGRAMS, ids=lambda main: main.__module__)
-def test_help_is_printed(main: Callable, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["--help"])
-    assert end.value.code == 0
-    assert capsys.readouterr().out.startswith(f"usage: python -m {main.__module__}")
+def test_help_is_printed(main: Callable, monkeypatch, capsys):
+    assert end_of(main, ["--help"], monkeypatch) == 0
+    assert capsys.readouterr().out.startswith("usage: ")
+
+
+@pytest.mark.parametrize("main", PROGRAMS, ids=lambda main: main.__module__)
+def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
+    assert end_of(main, ["--no-such-option"], monkeypatch) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "usage" not in line
 
 
 @pytest.mark.parametrize(
@@ -32,15 +73,46 @@ def test_help_is_printed(main: Callable, capsys):
         (published_steps.main, ["nosuch.npz", "to.npz"], "nosuch.npz does not exist"),
         (published_steps.main, ["other.npz", "to.npz"], "no excerpt of other.npz in to.npz"),
         (published_steps.main, ["text.npz", "to.npz"], "no excerpt of text.npz in to.npz"),
+        (compare_revisions.main, ["run", "--sizes", "xl"], "--sizes has 'xl'"),
+        (compare_revisions.main, ["run", "--json", "text.npz/out.json"], "cannot write text.npz/out.json"),
+        (compare_revisions.main, ["export", "nosuch", "--folder", "revisions"], "nosuch"),
+        (compile_time.main, ["--sizes", "xl"], "--sizes has 'xl'"),
+        (compile_time.main, ["--sizes", "3"], "a world of 3 shapes"),
+        (export_policy.main, ["nosuch", "to"], "there is no checkpoint nosuch"),
+        (gpu_session.main, [], "give --part 1, 2 or 3"),
+        (gpu_session.main, ["--part", "1", "--only", "nosuch"], "--only has 'nosuch'; part 1 has "),
+        (kernel_profile.main, ["--worlds", "33"], "--worlds is 33; give a multiple of 32"),
+        (kernel_profile.main, ["--preset", "nosuch"], "'nosuch'"),
+        (
+            kernel_profile.main,
+            ["--parts", "divergence", "--sizes", "s", "--levels", "none"],
+            "no level files in none/s",
+        ),
+        (paper_single_steps.main, ["--levels", "none"], "no public levels in none/s"),
+        (plot_runs.main, ["--set", "random_s", "--to", "a.png", "a=nosuch.jsonl"], "nosuch.jsonl"),
+        (plot_runs.main, ["--set", "random_s", "--to", "a.png", "a=text.npz"], "text.npz"),
+        (plot_runs.main, ["--set", "random_s", "--to", "text.npz/a.png", "a=b"], "cannot write text.npz/a.png"),
+        (soak.main, ["--worlds", "0"], "--worlds is 0"),
+        (soak.main, ["--replay", "xl", "0", "0"], "--replay is xl 0 0"),
+        (soak.main, ["--replay", "s", "first", "0"], "--replay is s first 0"),
     ],
 )
 def test_bad_input_is_one_line(main: Callable, arguments: list[str], says: str, tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("KINETIX_LEVELS", raising=False)
     Path("text.npz").write_text("steps")
     with zipfile.ZipFile("other.npz", "w"):
         pass
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert end.value.code == 2
+    assert end_of(main, arguments, monkeypatch) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
+
+
+def test_a_session_on_a_gpu_runs_as_a_script_of_this_checkout(tmp_path: Path) -> None:
+    """Nothing on the path says where the checkout is: so it is on a machine where only packages are unpacked."""
+    command = [sys.executable, str(REPOSITORY / "bench" / "gpu_session.py"), "--part", "1", "--only", "nosuch"]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [*command, "--out", str(tmp_path)], capture_output=True, text=True, cwd=tmp_path, env=environment, check=False
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr

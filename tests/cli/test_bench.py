@@ -1,139 +1,72 @@
-"""bench engine: its records, its refusals, and the published engine where it is installed."""
+"""`kinetix-dist bench`: which benchmark is meant, and one line for what cannot be measured."""
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import os
-import sys
-from pathlib import Path
-
-import numpy as np
 import pytest
 
-from jax2d.effects import EFFECTS, effects_of
-from kinetix_dist.cli.bench_effects import without
-from kinetix_dist.cli.bench_growth import Record, exponent
-from kinetix_dist.cli.growth_scenes import SCENES
+from kinetix_dist.cli.bench import BENCHMARKS, DEFAULT_OF_ENGINE, parse
 from kinetix_dist.cli.main import main
-from kinetix_dist.level.sets import load_level_set
-from tests.helpers import REPOSITORY
-
-FIELDS = {"engine", "backend", "preset", "size", "worlds", "device", "physics_steps_per_second"}
-SMALL = ["--sizes", "s", "--steps", "2"]
 
 
-def bench(json_file: Path, *arguments: str) -> list[dict]:
-    assert main(["bench", "engine", *SMALL, "--json", str(json_file), *arguments]) == 0
-    return json.loads(json_file.read_text())
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_benchmark_explains_its_options(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", *name.split(), "--help"])
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out
+    assert f"usage: kinetix-dist bench {name}" in printed and "--json" in printed
 
 
-def test_records_have_exactly_the_documented_fields(tmp_path: Path) -> None:
-    records = bench(tmp_path / "new" / "bench.json", "--worlds", "2", "5", "--presets", "standard")
-    assert [record["worlds"] for record in records] == [2, 5]
-    for record in records:
-        assert set(record) == FIELDS
-        assert (record["engine"], record["size"], record["preset"]) == ("ours", "s", "standard")
-        assert record["physics_steps_per_second"] > 0
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_benchmark_has_defaults_that_can_run(name: str) -> None:
+    args = parse([*name.split(), "--json", "out.json"])
+    assert args.benchmark.__name__ == BENCHMARKS[name][0]
+    assert str(args.options.json) == "out.json"
+
+
+def test_engine_alone_is_its_speed() -> None:
+    assert parse(["engine", "--sizes", "m"]) == parse([*DEFAULT_OF_ENGINE.split(), "--sizes", "m"])
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--steps", "3"], "--steps is 3"),
-        (["--repeats", "2"], "--repeats is 2"),
-        (["--growth", "--shapes", "64", "3"], "a world of 3 shapes"),
-        (["--growth", "--peers"], "--growth measures our engine alone"),
-        (["--growth", "--shapes", "513"], "at most 512 shapes"),
-        (["--worlds", "0"], "--worlds has 0"),
-        (["--levels", "no/such/folder"], "no/such/folder"),
-        (["--presets", "exact", "--worlds", "2", "--sizes", "s"], "exact"),
-        (["--backend", "cuda", "--worlds", "2", "--sizes", "s"], "cuda"),
-        (["--effects", "--peers"], "--effects"),
-        (["--effects", "--growth"], "--growth"),
-        (["--effects", "--backend", "xla"], "--backend xla"),
+        ("", "say what to measure: engine speed, engine effects"),
+        ("--json out.json", "stands first, not --json"),
+        ("scalign", "did you mean 'scaling'?"),
+        ("engine spede", "did you mean 'engine speed'?"),
+        ("engine --effects", "kinetix-dist bench engine effects"),
+        ("engine --sizes s --growth", "kinetix-dist bench engine growth"),
+        ("engine --steps 3", "--steps is 3"),
+        ("engine --repeats 2", "--repeats is 2"),
+        ("engine --worlds 0", "--worlds has 0"),
+        ("engine --sizes", "--sizes is empty"),
+        ("engine --levels no/such/folder", "no/such/folder"),
+        ("engine --levels tests --sizes s", "no level files in tests/s"),
+        ("engine --json /dev/null/out.json", "/dev/null"),
+        ("engine --presets exact --worlds 2 --sizes s", "exact"),
+        ("engine --backend cuda --worlds 2 --sizes s", "cuda"),
+        ("engine effects --preset exact --worlds 2 --sizes s", "exact"),
+        ("engine effects --backend xla", "--backend"),
+        ("engine growth --shapes 64 3", "a world of 3 shapes"),
+        ("engine growth --shapes 513", "at most 512 shapes"),
+        ("engine growth --peers", "--peers"),
+        ("learner --worlds 10 --steps 3 --minibatch 7", "30 samples, no multiple of --minibatch 7"),
+        ("learner --worlds 12 --minibatch 256", "12 worlds cannot be divided"),
+        ("train --recipe quickstrat", "did you mean 'quickstart'?"),
+        ("train --updates 2", "--updates is 2"),
+        ("train --set ppo.epoch=3", "--set has 'ppo.epoch=3'"),
+        ("train --set ppo.epochs=many", "ppo.epochs"),
+        ("train --recipe sfl_s --device gpu", "no GPU is visible"),
+        ("scaling --devices 0", "--devices has [0]"),
+        ("scaling --placements", "--placements is empty"),
+        ("curator --recipe single_level", "'single_level' has no curator"),
     ],
 )
-def test_what_cannot_be_measured_is_refused(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+def test_what_cannot_be_measured_is_one_line(
+    arguments: str, words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert main(["bench", "engine", *arguments]) == 2
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")  # no GPU, whatever the machine
+    assert main(["bench", *arguments.split()]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and words in error
-
-
-def test_growth_measures_worlds_and_shapes_and_says_what_it_left_out(tmp_path: Path) -> None:
-    file = tmp_path / "growth.json"
-    arguments = ["--growth", "--worlds", "1", "3", "--shapes", "4", "--presets", "standard", "--point-seconds", "1e-9"]
-    one, three, *shapes = bench(file, *arguments)
-    assert all(set(record) == {field.name for field in dataclasses.fields(Record)} for record in (one, three, *shapes))
-    assert (one["swept"], one["size"], one["worlds"], one["left_out"]) == ("worlds", "s", 1, None)
-    assert one["physics_steps_per_second"] == pytest.approx(1e6 / one["us_per_world_step"], abs=0.1)
-    assert (three["worlds"], three["us_per_world_step"]) == (3, None)
-    assert "--point-seconds" in three["left_out"]
-    assert [record["scene"] for record in shapes] == ["row", "platforms", "heap"]
-    assert all(record["us_per_world_step"] > 0 and record["shapes"] == 4 for record in shapes)
-    assert file.with_suffix(".png").stat().st_size > 0
-    table = file.with_suffix(".md").read_text()
-    assert "| 3 | left out |" in table and "| S (7) |" in table
-
-
-def test_the_exponent_of_growth_is_that_of_the_power_law() -> None:
-    assert exponent([16, 64, 512], [3 * n**1.5 for n in (16, 64, 512)]) == pytest.approx(1.5)
-
-
-@pytest.mark.parametrize("shapes", [4, 5, 33])
-@pytest.mark.parametrize("scene", SCENES)
-def test_worlds_of_growth_have_as_many_shapes_as_asked_for(scene: str, shapes: int) -> None:
-    world = SCENES[scene](shapes)
-    assert world.scene.shapes.active.all() and world.scene.shapes.active.size == shapes
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_levels_edited_to_do_without_an_effect_do_not_call_for_it(effect: str) -> None:
-    scene = load_level_set("designed_l")[0].scene
-    everything_meets = np.broadcast_to(
-        ~np.eye(scene.shapes.can_touch.shape[-1], dtype=bool), scene.shapes.can_touch.shape
-    )
-    bounces = np.full_like(scene.shapes.restitution, 0.5)
-    scene = scene.replace(shapes={"can_touch": everything_meets, "restitution": bounces})
-    before, after = effects_of(scene), effects_of(without(scene, effect))
-    gone = {effect} | ({"motors", "joint_limits"} if effect == "revolute_joints" else set())
-    if effect == "continuous_collision":  # all that may touch calls for it
-        gone = set()
-    assert all(getattr(before, name) for name in EFFECTS)
-    assert {name for name in EFFECTS if not getattr(after, name)} == gone
-
-
-@pytest.mark.slow
-def test_every_effect_is_measured_with_and_without_its_code(tmp_path: Path) -> None:
-    records = bench(tmp_path / "effects.json", "--effects", "--worlds", "4", "--presets", "standard")
-    fields = {"size", "effect", "engine", "worlds", "device", "us_per_world_step", "relative_to_full"}
-    assert all(set(record) == fields for record in records)
-    measured = [(record["effect"], record["engine"]) for record in records]
-    assert len(set(measured)) == len(measured)
-    assert {effect for effect, engine in measured if engine == "without"} == set(EFFECTS)
-    assert {effect for effect, engine in measured if engine == "full"} == {
-        "all", "bouncing everywhere", "empty scene", "one falling box", *EFFECTS
-    } - {"continuous_collision"}  # fmt: skip
-    assert ("all", "specialised") in measured
-    assert records[0]["relative_to_full"] == 1.0
-
-
-def test_our_own_engine_is_not_taken_for_the_published_one(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("KINETIX_PEER_PYTHON", sys.executable)
-    monkeypatch.setenv("KINETIX_PEER_PYTHONPATH", str(REPOSITORY))
-    assert main(["bench", "engine", *SMALL, "--peers"]) == 2
-    assert "setup.sh" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_the_published_engine_is_measured_next_to_ours(tmp_path: Path, public_levels: Path) -> None:
-    installed = REPOSITORY / "bench" / ".peers" / "jax2d" / "bin" / "python"
-    if "KINETIX_PEER_PYTHON" not in os.environ and not installed.exists():
-        pytest.skip("the published jax2d is not installed: bash bench/peers/setup.sh")
-    records = bench(tmp_path / "bench.json", "--worlds", "4", "--presets", "paper", "--peers")
-    assert [record["engine"] for record in records] == ["ours", "published"]
-    assert all(set(record) == FIELDS for record in records)

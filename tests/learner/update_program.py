@@ -13,8 +13,8 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from bench.learner_step import synthetic_static_obs, synthetic_trajectory
 from jax2d.scene import Capacity
+from kinetix_dist.benchmarks.synthetic_batch import synthetic_static_obs, synthetic_trajectory
 from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, shard_worlds
 from kinetix_dist.learner.state import LearnerState, init_learner_state

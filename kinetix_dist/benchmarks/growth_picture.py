@@ -1,4 +1,4 @@
-"""The picture of `kinetix-dist bench engine --growth`: steps a second over worlds, time and memory over shapes."""
+"""The picture of `bench engine growth`: steps a second over worlds, time and memory over shapes."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.cli.bench_growth import exponents
+from kinetix_dist.benchmarks.growth_fit import exponents
+from kinetix_dist.benchmarks.results import Record
 
 COLOURS = {"s": "#2ca02c", "m": "#1f77b4", "l": "#d62728", "row": "#1f77b4", "platforms": "#ff7f0e", "heap": "#7f3c8d"}
 TABLES = {"scene": "#1f77b4", "state": "#ff7f0e", "out": "#2ca02c"}
 
-Records = Sequence[dict[str, Any]]
+Records = Sequence[Record]
 
 
 def draw(records: Records, file: Path) -> None:

@@ -1,14 +1,15 @@
-"""The tables of `kinetix-dist bench engine --growth` in Markdown, as docs/engine.md shows them."""
+"""The tables of `bench engine growth` in Markdown, as docs/engine.md shows them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.bench_growth import FITTED_FROM_SHAPES, exponents
-from kinetix_dist.cli.growth_scenes import SCENES
+from kinetix_dist.benchmarks.growth_fit import FITTED_FROM_SHAPES, exponents
+from kinetix_dist.benchmarks.growth_scenes import SCENES
+from kinetix_dist.benchmarks.results import Record
 
-Records = Sequence[dict[str, Any]]
+Records = Sequence[Record]
 EMPTY = "left out"
 
 
@@ -66,12 +67,12 @@ def _first(records: Records, cell: Any, **wanted: Any) -> str:
     return ""
 
 
-def _speed(record: dict[str, Any]) -> str:
+def _speed(record: Record) -> str:
     speed = record["physics_steps_per_second"]
     return f"{speed / 1e6:.2f} M" if speed >= 1e6 else f"{speed / 1e3:.0f} k"
 
 
-def _microseconds(record: dict[str, Any]) -> str:
+def _microseconds(record: Record) -> str:
     return f"{record['us_per_world_step']:.3g} ({record['contacts_per_world']:.0f})"
 
 

@@ -1,0 +1,34 @@
+"""What the programs of bench/ share: help is the module's docstring, what was wrong is one line and exit code 2."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from jax2d.fidelity.arguments import OneLineParser
+from kinetix_dist.errors import UserError
+
+
+def parser_of(doc: str | None, prog: str | None = None) -> OneLineParser:
+    """A parser whose description is a module's docstring, as it is written."""
+    return OneLineParser(prog=prog, description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
+def exit_code(parser: OneLineParser, work: Callable[[], int]) -> int:
+    """What `work()` returns; a `UserError` in it is one line and exit code 2."""
+    try:
+        return work()
+    except UserError as error:
+        parser.error(str(error))
+
+
+def output_file(text: str) -> Path:
+    """An argument that names a file to write: refused at once where it cannot be, not after the measurement."""
+    file = Path(text)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"cannot write {file}: {error.strerror}") from None
+    return file

@@ -1,0 +1,141 @@
+"""`bench curator`: seconds of a refresh of the level buffer and candidates a second, by level size.
+
+    a short run of the recipe in placement `local` on one device, a process a size, with a refresh every 4 updates
+    refresh = time that the update waited for the curator;  update = the updates that neither ask for nor adopt a buffer
+
+In `local` the curator scores in the process that learns, so the time of a refresh is its cost; elsewhere it is hidden
+behind training as long as it fits into `adopt_after` updates. `share_of_training_time` is the share of a run's time
+that refreshes take in `local`, as often as the recipe asks for them. One record (`CuratorRecord`) a size.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+from typing import Any, Literal
+
+from kinetix_dist.benchmarks.results import Results
+from kinetix_dist.benchmarks.training_options import NUM_WARM_UPDATES, TrainingOptions, shortened, with_run
+from kinetix_dist.benchmarks.training_process import RunFailedError, environment_of, run_in_process
+from kinetix_dist.benchmarks.training_run import number_of_gpus
+from kinetix_dist.config import TrainConfig
+
+REFRESH_EVERY = 4  # updates: one asks, the next adopts, two do neither
+ADOPT_AFTER = 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options(TrainingOptions):
+    """Seconds of a refresh of the level buffer, candidates a second, and what they cost of training."""
+
+    sizes: tuple[Literal["s", "m", "l"], ...] = ()
+    """Level sizes. Default: that of the recipe."""
+    refreshes: int = 3
+    """Refreshes of which the median counts, after one that compiles."""
+    run_seconds: float = 1800.0
+    """A run that takes longer is ended and counts as failed."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.config().curriculum.has_buffer:
+            raise ValueError(f"recipe {self.recipe!r} has no curator; choose one whose curriculum is sfl")
+        if self.refreshes < 1:
+            raise ValueError(f"--refreshes is {self.refreshes}; give 1 or more")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CuratorRecord:
+    """One size."""
+
+    benchmark: str = "curator"
+    recipe: str
+    overrides: tuple[str, ...]
+    size: str
+    platform: str  # "cpu" or "gpu"
+    device: str  # kind
+    num_candidates: int
+    scoring_steps: int
+    scoring_batch: int
+    refreshes: int  # measured
+    refresh_seconds: float  # median
+    slowest: float  # s
+    fastest: float  # s
+    candidates_per_second: float
+    env_steps_per_second: float  # of scoring
+    update_seconds: float  # median, of an update without a refresh
+    refresh_every: int  # updates, as the recipe says
+    share_of_training_time: float  # of refreshes, in placement local
+    versions: dict[str, str]
+
+
+def measure(options: Options, results: Results) -> None:
+    """One record a size."""
+    recipe = options.config()
+    environment = environment_of("local", 1, on_gpu=number_of_gpus(recipe.run.device) > 0)
+    for size in options.sizes or (recipe.env.size,):
+        config = config_of(recipe, size, options.refreshes)
+        try:
+            run = run_in_process(config, environment, timeout_seconds=options.run_seconds)
+        except RunFailedError as error:
+            results.fail(f"size {size.upper()}: {error}")
+            continue
+        refreshes, updates = seconds_of(run.rows, config.rollout.steps_per_update)
+        record = _record(options, size, refreshes, updates, run.report)
+        results.add(dataclasses.asdict(record))
+        results.report(
+            f"  size {size.upper()} on {record.device}: {record.num_candidates:,} candidates in "
+            f"{record.refresh_seconds:.3g} s, {record.candidates_per_second:,.0f} a second; an update takes "
+            f"{record.update_seconds:.3g} s, so that a refresh every {record.refresh_every} updates is "
+            f"{record.share_of_training_time:.1%} of the time"
+        )
+
+
+def config_of(recipe: TrainConfig, size: str, refreshes: int) -> TrainConfig:
+    """The run that is measured: refreshes at updates 0 (compiles), 4, 8, ..."""
+    config = dataclasses.replace(
+        recipe,
+        env=dataclasses.replace(recipe.env, size=size),
+        curriculum=dataclasses.replace(recipe.curriculum, refresh_every=REFRESH_EVERY, adopt_after=ADOPT_AFTER),
+    )
+    return with_run(shortened(config, REFRESH_EVERY * refreshes + 1), placement="local")
+
+
+def seconds_of(rows: list[dict[str, Any]], env_steps_per_update: int) -> tuple[list[float], list[float]]:
+    """(seconds of each refresh but the first, seconds of each update that has nothing to do with one)."""
+    refreshes, updates = [], []
+    for row in rows:
+        update = row["update"] - 1  # rows name how many updates are done
+        seconds = env_steps_per_update / row["progress/env_steps_per_second"]
+        if update % REFRESH_EVERY == 0 and update > 0:
+            refreshes.append(seconds * row["time/curate"])
+        elif update % REFRESH_EVERY > ADOPT_AFTER and update >= NUM_WARM_UPDATES:
+            updates.append(seconds)
+    return refreshes, updates
+
+
+def _record(
+    options: Options, size: str, refreshes: list[float], updates: list[float], report: dict[str, Any]
+) -> CuratorRecord:
+    curriculum = options.config().curriculum
+    refresh_seconds, update_seconds = statistics.median(refreshes), statistics.median(updates)
+    training_seconds = curriculum.refresh_every * update_seconds  # between two refreshes
+    return CuratorRecord(
+        recipe=options.recipe,
+        overrides=options.set,
+        size=size,
+        platform=report["device"]["platform"],
+        device=report["device"]["kind"],
+        num_candidates=curriculum.num_candidates,
+        scoring_steps=curriculum.scoring_steps,
+        scoring_batch=curriculum.scoring_batch,
+        refreshes=len(refreshes),
+        refresh_seconds=round(refresh_seconds, 4),
+        slowest=round(max(refreshes), 4),
+        fastest=round(min(refreshes), 4),
+        candidates_per_second=round(curriculum.num_candidates / refresh_seconds, 1),
+        env_steps_per_second=round(curriculum.num_candidates * curriculum.scoring_steps / refresh_seconds, 1),
+        update_seconds=round(update_seconds, 4),
+        refresh_every=curriculum.refresh_every,
+        share_of_training_time=round(refresh_seconds / (refresh_seconds + training_seconds), 4),
+        versions=report["versions"],
+    )

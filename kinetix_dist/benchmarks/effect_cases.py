@@ -1,0 +1,123 @@
+"""What the cost of effects is measured on: levels as they are, and edited to do without an effect.
+
+    full, the levels as they are               what everything is relative to
+    specialised, the levels as they are        an engine for what these levels call for
+    full, the levels without friction          its code is there and finds nothing to do
+    without, the levels without friction       the same worlds on an engine compiled without friction
+    ...                                        for every effect
+    full, bouncing everywhere                  the public levels do not bounce: every shape gets restitution 0.5
+    full, an empty scene or one falling box    what an engine costs that finds next to nothing to do
+
+Continuous collision is called for wherever shapes may touch, so those worlds stay as they are and it has no row "full".
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d import Controls, Engine, JointKind, Scene, SceneBuilder, stack_worlds
+from jax2d.effects import EFFECTS, Effects, effects_of
+from kinetix_dist.benchmarks.random_play import FRAME_SKIP, take_worlds
+from kinetix_dist.level.level import Level
+
+# In the place of an effect's name
+AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX = "all", "bouncing everywhere", "empty scene", "one falling box"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Case:
+    """Worlds and the engine that steps them."""
+
+    effect: str  # that the worlds do without, or one of the names above
+    engine: str  # "full", "without" or "specialised"
+    effects: Effects  # of the engine
+    scene: Any  # packed
+    start: Any  # packed state
+
+
+def without(scene: Scene, effect: str) -> Scene:
+    """The scenes of a batch without an effect. As they are for continuous collision, which cannot be edited away."""
+    zero = np.zeros_like
+    polygons = np.shape(scene.shapes.vertices)[-3]
+    is_circle = np.arange(np.shape(scene.shapes.radius)[-1] + polygons) >= polygons
+    num_circles = is_circle[:, None].astype(int) + is_circle[None, :]
+    can_touch = np.asarray(scene.shapes.can_touch)
+    changes: dict[str, dict[str, Any]] = {
+        "polygon_pairs": {"shapes": {"can_touch": can_touch & (num_circles != 0)}},
+        "polygon_circle_pairs": {"shapes": {"can_touch": can_touch & (num_circles != 1)}},
+        "circle_pairs": {"shapes": {"can_touch": can_touch & (num_circles != 2)}},
+        "friction": {"shapes": {"friction": zero(scene.shapes.friction)}},
+        "restitution": {"shapes": {"restitution": zero(scene.shapes.restitution)}},
+        "continuous_collision": {},
+        "joint_limits": {"joints": {"has_limits": zero(scene.joints.has_limits)}},
+        "motors": {"joints": {"motor_on": zero(scene.joints.motor_on)}},
+        "thrusters": {"thrusters": {"active": zero(scene.thrusters.active)}},
+        "gravity": {"gravity": zero(scene.gravity)},
+    }
+    for kind in JointKind:
+        others = scene.joints.active & ~np.asarray(scene.joints.is_kind(kind))
+        changes[f"{kind.name.lower()}_joints"] = {"joints": {"active": others}}
+    return scene.replace(**changes[effect])
+
+
+def cases_of(full: Engine, levels: Level, controls: Controls, seed: int) -> list[Case]:
+    """All cases; the first is the full engine on the levels as they are.
+
+    controls: [calls, W, ...], random actions of an episode. Every world starts where they lead to at a random moment.
+    """
+    worlds = controls.motor.shape[1]
+    spread = partial(take_worlds, order=jnp.arange(worlds) % len(levels.position))
+    state = full.initial_state(levels.scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity)
+    as_they_are = spread(full.pack_scene(levels.scene))
+    start = _at_random_moments(full, as_they_are, spread(full.pack_state(state)), controls, seed)
+    everything = full.effects
+
+    def case(effect: str, engine: str, effects: Effects, scene: Any = as_they_are, start: Any = start) -> Case:
+        return Case(effect=effect, engine=engine, effects=effects, scene=scene, start=start)
+
+    cases = [
+        case(AS_THEY_ARE, "full", everything),
+        case(AS_THEY_ARE, "specialised", effects_of(levels.scene)),
+    ]
+    for effect in EFFECTS:
+        edited = spread(full.pack_scene(without(levels.scene, effect)))
+        if effect != "continuous_collision":
+            cases.append(case(effect, "full", everything, edited))
+        cases.append(case(effect, "without", everything.without(effect), edited))
+    bouncing = levels.scene.replace(shapes={"restitution": np.full_like(levels.scene.shapes.restitution, 0.5)})
+    cases.append(case(BOUNCING, "full", everything, spread(full.pack_scene(bouncing))))
+    for name, num_boxes in ((EMPTY, 0), (FALLING_BOX, 1)):
+        cases.append(case(name, "full", everything, *_falling_boxes(full, num_boxes, worlds)))
+    return cases
+
+
+def _falling_boxes(engine: Engine, num_boxes: int, worlds: int) -> tuple[Any, Any]:
+    builder = SceneBuilder(engine.capacity)
+    for _ in range(num_boxes):
+        builder.add_box(width=0.5, height=0.5, position=(2.5, 2.5))
+    world = builder.build()
+    scene, state = stack_worlds([(world.scene, engine.initial_state(*world))])
+    return take_worlds((engine.pack_scene(scene), engine.pack_state(state)), jnp.zeros(worlds, jnp.int32))
+
+
+def _at_random_moments(engine: Engine, scene: Any, start: Any, controls: Controls, seed: int) -> Any:
+    """The packed state of each world at a moment of its own, as the full engine gets there from the start."""
+    num_calls = controls.motor.shape[0]
+    moments = jax.random.randint(jax.random.key(seed), scene.missing.shape, 0, num_calls)
+
+    @jax.jit
+    def play(scene: Any, start: Any, controls: Controls) -> Any:
+        def advance(carry: tuple[Any, Any], now: tuple[Any, Controls]) -> tuple[tuple[Any, Any], None]:
+            state, kept = carry
+            kept = jax.tree.map(lambda a, b: jnp.where(moments == now[0], a, b), state, kept)
+            return (engine.step_packed(scene, state, now[1], num_steps=FRAME_SKIP)[0], kept), None
+
+        return jax.lax.scan(advance, (start, start), (jnp.arange(num_calls), controls))[0][1]
+
+    return play(scene, start, controls)

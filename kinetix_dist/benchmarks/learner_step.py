@@ -1,0 +1,150 @@
+"""`bench learner`: milliseconds of a PPO gradient step on made-up observations: the learner without the rest.
+
+Times a whole update (`steps` steps of `worlds` worlds, all local devices), divides it by its gradient steps, and
+times the forward pass of one minibatch. `env_steps_per_second_bound` is what training with 8 epochs, as in the paper,
+could reach if rollouts were free.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from kinetix_dist.benchmarks.results import BenchmarkOptions, Record, Results
+from kinetix_dist.benchmarks.synthetic_batch import HEAD_SIZES, synthetic_static_obs, synthetic_trajectory
+from kinetix_dist.benchmarks.timing import median_seconds
+from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.errors import user_errors
+from kinetix_dist.learner.sharding import data_mesh, replicate, shard_worlds
+from kinetix_dist.learner.state import init_learner_state
+from kinetix_dist.learner.update import PpoConfig, make_update
+from kinetix_dist.level.level import SIZES
+from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy, num_parameters
+
+PAPER_EPOCHS = 8
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options(BenchmarkOptions):
+    """Milliseconds of a PPO gradient step, on made-up observations."""
+
+    size: Literal["s", "m", "l"] = "m"
+    """Level size."""
+    dtype: Literal["float32", "bfloat16"] = "bfloat16"
+    """Of activations."""
+    network: Literal["transformer", "flat"] = "transformer"
+    """Policy network."""
+    encoder_size: int = 128
+    """Width of tokens and of hidden layers."""
+    minibatch: int = 16_384
+    """Samples, over all devices together."""
+    worlds: int = 2_048
+    """Worlds of an update."""
+    steps: int = 256
+    """Environment steps of each world in an update."""
+    epochs: int = 1
+    """Epochs of the update; the bound is given for 8, as in the paper."""
+    repeats: int = 5
+    """Timed updates of which the median counts, after one that is not timed."""
+    profile: Path | None = None
+    """Write a trace of the benchmark into this folder."""
+
+    def __post_init__(self) -> None:
+        for name in ("encoder_size", "minibatch", "worlds", "steps", "epochs", "repeats"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"--{name.replace('_', '-')} is {getattr(self, name)}; give 1 or more")
+        if self.num_samples % self.minibatch:
+            raise ValueError(
+                f"{self.steps} steps of {self.worlds} worlds are {self.num_samples} samples, no multiple of "
+                f"--minibatch {self.minibatch}; change one of them"
+            )
+
+    @property
+    def num_samples(self) -> int:
+        return self.steps * self.worlds
+
+
+def measure(options: Options, results: Results) -> None:
+    """One record."""
+    with user_errors(ValueError):
+        config = PpoConfig(epochs=options.epochs, minibatches=options.num_samples // options.minibatch)
+        num_devices = len(jax.devices())
+        config.check_batch(num_steps=options.steps, num_worlds=options.worlds, num_devices=num_devices)
+    if options.profile is None:
+        record = _timed(options, config)
+    else:
+        with jax.profiler.trace(str(options.profile)):
+            record = _timed(options, config)
+    results.add(record)
+    results.report(
+        f"{record['device']} x {record['devices']}, {options.network} of {record['parameters']:,} parameters, "
+        f"size {options.size.upper()}, {options.dtype}, {options.minibatch} samples: "
+        f"{record['milliseconds_a_gradient_step']:.4g} ms a gradient step, "
+        f"{record['milliseconds_forward']:.4g} ms forward; "
+        f"at most {record['env_steps_per_second_bound']:,} env steps/s with {PAPER_EPOCHS} epochs"
+    )
+
+
+def _timed(options: Options, config: PpoConfig) -> Record:
+    mesh, capacity = data_mesh(), SIZES[options.size]
+    policy = make_policy(
+        PolicyConfig(
+            network=options.network,
+            dtype=options.dtype,
+            encoder_size=options.encoder_size,
+            hidden_size=options.encoder_size,
+        ),
+        HEAD_SIZES,
+    )
+    static = synthetic_static_obs(options.worlds, capacity)
+    trajectory = synthetic_trajectory(options.steps, options.worlds, capacity)
+    first = observe(jax.tree.map(lambda x: x[:1], static), jax.tree.map(lambda x: x[0, :1], trajectory.dynamic_obs))
+    params = init_params(policy, first, jax.random.key(0))
+    state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(1)), mesh)
+    inputs = (
+        shard_worlds(static, mesh),
+        shard_worlds(trajectory, mesh, axis=1),
+        shard_worlds(np.zeros(options.worlds, np.float32), mesh),
+    )
+    # A forward pass over one minibatch, on one device.
+    chosen = np.arange(options.minibatch)
+    forward_inputs = jax.tree.map(
+        jnp.asarray,
+        (
+            jax.tree.map(lambda x: x[chosen % options.worlds], static),
+            jax.tree.map(lambda x: x[chosen // options.worlds, chosen % options.worlds], trajectory.dynamic_obs),
+        ),
+    )
+
+    @jax.jit
+    def forward(params: Any, static: Any, dynamic: Any) -> Any:
+        return policy.apply(params, observe(static, dynamic))
+
+    started = time.perf_counter()
+    update = make_update(policy, observe, config, mesh).lower(state, *inputs).compile()
+    compile_seconds = time.perf_counter() - started
+    update_seconds = median_seconds(lambda: update(state, *inputs), options.repeats)
+    forward_seconds = median_seconds(lambda: forward(params, *forward_inputs), options.repeats)
+    gradient_steps = config.epochs * config.minibatches
+    return {
+        "benchmark": "learner_step",
+        "device": jax.devices()[0].device_kind,
+        "devices": mesh.devices.size,
+        "jax": jax.__version__,
+        "network": options.network,
+        "parameters": num_parameters(params),
+        "size": options.size,
+        "dtype": options.dtype,
+        "minibatch": options.minibatch,
+        "gradient_steps": gradient_steps,
+        "compile_seconds": round(compile_seconds, 2),
+        "milliseconds_a_gradient_step": round(1e3 * update_seconds / gradient_steps, 4),
+        "milliseconds_forward": round(1e3 * forward_seconds, 4),
+        "env_steps_per_second_bound": round(options.num_samples / (update_seconds * PAPER_EPOCHS / config.epochs)),
+    }

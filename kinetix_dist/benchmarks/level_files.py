@@ -1,0 +1,107 @@
+"""The levels that engines are measured on: the public Kinetix levels of a size, else levels drawn at random."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import jax
+import numpy as np
+
+import jax2d
+import kinetix_dist
+from jax2d.engine import BACKENDS
+from jax2d.scene import stack_worlds
+from kinetix_dist.benchmarks.results import BenchmarkOptions
+from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.level.fit import fit_level
+from kinetix_dist.level.generator import GeneratorConfig, generate_level
+from kinetix_dist.level.kinetix_format import export_kinetix, load_kinetix
+from kinetix_dist.level.level import SIZES, Level
+
+CHECKOUT = Path(kinetix_dist.__file__).resolve().parent.parent
+NUM_RANDOM_LEVELS = 32  # a size, where the public ones are absent
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EngineOptions(BenchmarkOptions):
+    """What every benchmark of the engine takes."""
+
+    sizes: tuple[Literal["s", "m", "l"], ...] = ("s", "m", "l")
+    """Level sizes."""
+    worlds: tuple[int, ...] = ()
+    """Numbers of worlds. Default: a range that fits the device."""
+    repeats: int = 5
+    """Timed runs of which the median counts, after one that is not timed; at least 5."""
+    levels: Path | None = None
+    """Folder of the public Kinetix levels (s/, m/, l/). Default: $KINETIX_LEVELS, else beside the checkout, else
+    levels drawn at random."""
+    seed: int = 0
+    """Seed of the actions, and of the levels where they are drawn."""
+
+    def __post_init__(self) -> None:
+        if not self.sizes:
+            raise ValueError("--sizes is empty; give one or more, such as --sizes s")
+        if self.repeats < 5:
+            raise ValueError(f"--repeats is {self.repeats}; give 5 or more, since a median of fewer says little")
+        for worlds in self.worlds:
+            if worlds < 1:
+                raise ValueError(f"--worlds has {worlds}; give 1 or more")
+        if self.levels is not None and not self.levels.is_dir():
+            raise ValueError(f"--levels {self.levels} is not a folder; give one with s/, m/ and l/ of level files")
+
+
+def check_engine(preset: str, backend: str = "warp") -> None:
+    """Raises ValueError for settings or a backend that the engine does not have."""
+    jax2d.preset(preset)
+    if backend not in BACKENDS:
+        raise ValueError(f"--backend is {backend!r}; backends are {', '.join(BACKENDS)}")
+
+
+def check_steps(steps: int) -> None:
+    """Raises ValueError for a number of physics steps that actions of two cannot fill."""
+    if steps < 2 or steps % 2:
+        raise ValueError(f"--steps is {steps}; give an even number of physics steps, 2 or more")
+
+
+@contextmanager
+def level_files(size: str, levels: Path | None, seed: int) -> Iterator[tuple[list[Path], str]]:
+    """Level files of one size in the public format, and a phrase that says where they are from.
+
+    `levels`: the folder to take them from, with s/, m/ and l/; None: the first of the usual places that has them.
+    """
+    usual = [os.environ.get("KINETIX_LEVELS"), CHECKOUT.parent / "shared" / "kinetix_levels"]
+    for directory in usual if levels is None else [levels]:
+        files = sorted(Path(directory, size).glob("*.json")) if directory else []
+        if files:
+            yield files, "the public Kinetix levels"
+            return
+    if levels is not None:
+        raise UserError(f"no level files in {levels / size}; give --levels a folder with s/, m/ and l/")
+    with tempfile.TemporaryDirectory() as folder:
+        yield _random_level_files(Path(folder), size, seed), f"drawn at random with seed {seed}"
+
+
+def load_levels(files: list[Path], size: str) -> Level:
+    """The levels of these files as one batch; raises UserError for one that is not a level of this size."""
+    with user_errors(ValueError, OSError):
+        return stack_worlds([fit_level(load_kinetix(file), SIZES[size]) for file in files])
+
+
+def _random_level_files(folder: Path, size: str, seed: int) -> list[Path]:
+    keys = jax.random.split(jax.random.key(seed), NUM_RANDOM_LEVELS)
+    draw = partial(generate_level, capacity=SIZES[size], config=GeneratorConfig())
+    levels = jax.device_get(jax.jit(jax.vmap(draw))(keys))
+    files = []
+    for index in range(NUM_RANDOM_LEVELS):
+        files.append(folder / f"{index:03}.json")
+        document = export_kinetix(jax.tree.map(lambda x, i=index: np.asarray(x)[i], levels))
+        files[-1].write_text(json.dumps(document))
+    return files

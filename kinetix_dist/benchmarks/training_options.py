@@ -1,0 +1,92 @@
+"""What the benchmarks of training have in common: a recipe, made so short that only its speed can be seen."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import statistics
+from typing import Any, Literal
+
+from kinetix_dist.benchmarks.results import BenchmarkOptions
+from kinetix_dist.config import EvaluationConfig, RecordingConfig, TrainConfig, from_dict, to_dict
+from kinetix_dist.recipes import recipe
+
+# A run evaluates at its beginning and end; the easiest designed level, which fits every size, takes least time.
+EVALUATION = EvaluationConfig(sets=("s/hop_home",), attempts=1, min_attempts=0)
+NUM_WARM_UPDATES = 2  # of a run, not measured: the first compiles, the second may load what the first compiled
+SHARE = "time/"  # of a metric: the share of an update that a role took
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainingOptions(BenchmarkOptions):
+    """What every benchmark of training takes."""
+
+    recipe: str = "quickstart"
+    """The recipe to measure (docs/training.md lists them)."""
+    set: tuple[str, ...] = ()
+    """Fields of its configuration, such as rollout.num_envs=1024 ppo.epochs=1."""
+    device: Literal["auto", "cpu", "gpu"] | None = None
+    """Where it runs. Default: as the recipe says."""
+
+    def __post_init__(self) -> None:
+        self.config()
+
+    def config(self) -> TrainConfig:
+        """The recipe with `set` and `device`; raises ConfigError for a field or a value that cannot be."""
+        config = with_fields(recipe(self.recipe), self.set)
+        if self.device is not None:
+            config = with_run(config, device=self.device)
+        return config
+
+
+def with_fields(config: TrainConfig, assignments: tuple[str, ...]) -> TrainConfig:
+    """`config` with fields changed as "section.field=value" says; a value is JSON, or else a string."""
+    content = to_dict(config)
+    for assignment in assignments:
+        name, is_assigned, text = assignment.partition("=")
+        *sections, field = name.split(".")
+        part: Any = content
+        for section in sections:
+            part = part.get(section) if isinstance(part, dict) else None
+        if not is_assigned or not isinstance(part, dict) or field not in part:
+            raise ValueError(f"--set has {assignment!r}; give a field of the configuration, such as ppo.epochs=1")
+        try:
+            part[field] = json.loads(text)
+        except json.JSONDecodeError:
+            part[field] = text
+    return from_dict(content)
+
+
+def with_run(config: TrainConfig, **fields: Any) -> TrainConfig:
+    return dataclasses.replace(config, run=dataclasses.replace(config.run, **fields))
+
+
+def shortened(config: TrainConfig, num_updates: int) -> TrainConfig:
+    """`config` for so many updates, with as little evaluating, recording and saving as a run can do."""
+    config = dataclasses.replace(config, evaluation=EVALUATION, recording=RecordingConfig(num_rollouts=0))
+    return with_run(
+        config,
+        total_env_steps=num_updates * config.rollout.steps_per_update,
+        max_seconds=0.0,
+        checkpoint_every=num_updates + 1,
+    )
+
+
+def speeds(rows: list[dict[str, Any]]) -> list[float]:
+    """Environment steps/s of the measured updates, everything included."""
+    return [row["progress/env_steps_per_second"] for row in measured(rows)]
+
+
+def measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of the updates that count."""
+    return [row for row in rows if row["update"] > NUM_WARM_UPDATES]
+
+
+def shares_of_time(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Of the time of the measured updates, by role; they add up to 1."""
+    weights = [1.0 / speed for speed in speeds(rows)]  # updates have the same number of steps
+    return {
+        name.removeprefix(SHARE): round(statistics.fmean((row[name] for row in measured(rows)), weights), 4)
+        for name in rows[0]
+        if name.startswith(SHARE)
+    }
