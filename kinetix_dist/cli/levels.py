@@ -111,9 +111,10 @@ def _list(args: List) -> None:
             {
                 "set": name,
                 "levels": HELD_OUT_LEVELS,
-                "description": f"Random levels of size {size.upper()} that training never draws",
+                "description": f"Random levels of size {drawn.size.upper()} that training never draws, generator "
+                f"{drawn.generator!r}",
             }
-            for name, size in RANDOM_SETS.items()
+            for name, drawn in RANDOM_SETS.items()
         ]
     elif args.set in RANDOM_SETS:
         raise UserError(f"{args.set!r} is drawn when it is used; there are no files to list")

@@ -2,7 +2,8 @@
 
 Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
 field of the configuration is an option; `--help` lists them with the values of the recipe. `--env.preset NAME` replaces
-all solver settings (env.physics) by those of a preset, before single fields are overridden.
+all solver settings (env.physics) by those of a preset, `--curriculum.generator NAME` all parameters of random levels,
+before single fields are overridden.
 """
 
 from __future__ import annotations
@@ -42,11 +43,13 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--run", type=Path)
     own.add_argument("--resume", action="store_true")
     own.add_argument("--env.preset", dest="preset")
+    own.add_argument("--curriculum.generator", dest="generator")
     try:
         known, overrides = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
         raise UserError(f"{one_line(error)}; see `kinetix-dist train --help`") from None
     from jax2d.settings import PRESETS, preset
+    from kinetix_dist.level.generator_config import GENERATORS, generator
     from kinetix_dist.recipes import RECIPES, recipe
 
     if {"-h", "--help"} & set(overrides):
@@ -55,7 +58,8 @@ def parse(argv: Sequence[str]) -> Args:
             f"  --recipe NAME   {', '.join(RECIPES)} (default {DEFAULT_RECIPE})\n"
             "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)\n"
             "  --resume        go on with the run in --run, or with the newest run of the recipe\n"
-            f"  --env.preset NAME  all of env.physics at once: {', '.join(PRESETS)}; single fields are set after it\n\n"
+            f"  --env.preset NAME  all of env.physics at once: {', '.join(PRESETS)}; single fields are set after it\n"
+            f"  --curriculum.generator NAME  all of curriculum.generator likewise: {', '.join(GENERATORS)}\n\n"
             f"fields and their values in recipe {known.recipe or DEFAULT_RECIPE!r}:\n"
         )
     run = known.run
@@ -67,6 +71,10 @@ def parse(argv: Sequence[str]) -> Args:
     if known.preset is not None:
         with user_errors(ValueError):
             base = dataclasses.replace(base, env=dataclasses.replace(base.env, physics=preset(known.preset)))
+    if known.generator is not None:
+        with user_errors(ValueError):
+            curriculum = dataclasses.replace(base.curriculum, generator=generator(known.generator))
+        base = dataclasses.replace(base, curriculum=curriculum)
     return Args(config=_override(base, overrides), run=run, resume=known.resume)
 
 
@@ -144,7 +152,7 @@ def _check_levels(config: TrainConfig) -> None:
     for name in filter(None, (*config.evaluation.sets, config.curriculum.levels)):
         if name not in RANDOM_SETS:
             load_level_set(name, config.env.size)
-        elif order.index(RANDOM_SETS[name]) > order.index(config.env.size):
+        elif order.index(RANDOM_SETS[name].size) > order.index(config.env.size):
             raise ValueError(f"level set {name!r} does not fit size {config.env.size!r}; choose a larger env.size")
 
 

@@ -1,7 +1,8 @@
-"""What follows from a level's geometry: centres of mass, masses, inertias and who may touch whom.
+"""What follows from a level's geometry: centres of mass, masses, inertias, who may touch whom, and the canonical form.
 
 One source of truth for files, importers, the generator and mutators: they say what the shapes are, these functions
-say the rest. Everything here is pure and traceable, for one level; `jax.vmap` gives a batch.
+say the rest, and bring corners and ends of joints into the order of `canonical.py`. Everything here is pure and
+traceable, for one level; `jax.vmap` gives a batch.
 """
 
 from __future__ import annotations
@@ -14,8 +15,11 @@ import numpy as np
 
 from jax2d.scene import Array
 from jax2d.shapes import circle_mass_properties, polygon_mass_properties
+from kinetix_dist.level.canonical import canonical
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.walls import COLLIDES_WITH_ALL
+
+CENTRED_WITHIN_M = 2e-6  # float32 computes the centroid of walls of 10 m to some 1e-6 m
 
 
 def touch_permissions(
@@ -51,13 +55,15 @@ def touch_permissions(
 def centre_on_mass(level: Level) -> Level:
     """Moves the origin of each polygon's frame to its area centroid; the world looks the same afterwards.
 
-    Shifts position, vertices, joint anchors and thruster positions.
+    Shifts position, vertices, joint anchors and thruster positions. What is centred stays as it is, bit for bit.
     """
     scene = level.scene
     num_polygons, num_circles = scene.shapes.num_vertices.shape[0], scene.shapes.radius.shape[0]
     _, centroid, _ = jax.vmap(polygon_mass_properties)(
         scene.shapes.vertices, scene.shapes.num_vertices, jnp.ones(num_polygons)
     )
+    is_centred = jnp.all(jnp.abs(centroid) < CENTRED_WITHIN_M, axis=-1, keepdims=True)
+    centroid = jnp.where(is_centred, 0.0, centroid)
     shift = jnp.concatenate([centroid, jnp.zeros((num_circles, 2))])  # [n, 2] m, body frame
     cos, sin = jnp.cos(level.angle), jnp.sin(level.angle)
     shift_world = jnp.stack([cos * shift[:, 0] - sin * shift[:, 1], sin * shift[:, 0] + cos * shift[:, 1]], axis=-1)
@@ -73,10 +79,12 @@ def centre_on_mass(level: Level) -> Level:
 
 
 def derive(level: Level, is_fixed: Array) -> Level:
-    """Fills in inverse masses, inverse inertias and `can_touch`; vertices must be about the centre of mass.
+    """The level in canonical form, with inverse masses, inverse inertias and `can_touch` filled in.
 
-    `is_fixed` [n] bool: shapes that never move, with zero inverse mass and inertia. Inactive shapes get zeros too.
+    Vertices must be about the centre of mass. `is_fixed` [n] bool: shapes that never move, with zero inverse mass and
+    inertia. Inactive shapes get zeros too.
     """
+    level = canonical(level)
     scene = level.scene
     num_polygons = scene.shapes.num_vertices.shape[0]
     polygon_mass, _, polygon_inertia = jax.vmap(polygon_mass_properties)(
@@ -106,9 +114,10 @@ def derive(level: Level, is_fixed: Array) -> Level:
 
 @jax.jit
 def _centre_and_derive(level: Level, is_fixed: Array) -> Level:
-    return derive(centre_on_mass(level), is_fixed)
+    # In canonical order before the centroid is computed, whose rounding depends on the first corner.
+    return derive(centre_on_mass(canonical(level)), is_fixed)
 
 
 def complete(level: Level, is_fixed: np.ndarray) -> Level:
-    """`derive(centre_on_mass(level))` on numpy arrays, for levels that come from files."""
+    """`derive` on numpy arrays and about centres of mass, for levels that come from files or are built by hand."""
     return jax.tree.map(np.asarray, _centre_and_derive(level, is_fixed))

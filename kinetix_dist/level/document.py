@@ -154,6 +154,7 @@ def _joint_document(level: Level, slot: int, names: dict[int, str]) -> dict[str,
         "anchor_a": _numbers(scene.joints.anchor_a[slot]),
         "anchor_b": _numbers(scene.joints.anchor_b[slot]),
         "rest_angle": _number(scene.joints.rest_angle[slot]),
+        **({"axis": _number(scene.joints.axis_angle[slot])} if kind == JointKind.PRISMATIC else {}),
         **({"limits": limits} if scene.joints.has_limits[slot] and kind != JointKind.FIXED else {}),
         "motor": motor,
     }

@@ -99,7 +99,9 @@ def _add_shapes(
 ) -> Draft:
     """Green and blue, the forced motor's shape or a free one, then whatever chance says."""
     num_steps = capacity.shapes - NUM_WALLS
-    allow_fixed = num_steps > _NUM_FIRST if config.allow_fixed is None else config.allow_fixed
+    is_small = num_steps <= _NUM_FIRST
+    num_proposals = config.num_proposals_s if is_small else config.num_proposals
+    allow_fixed = not is_small if config.allow_fixed is None else config.allow_fixed
     # One of green and blue can move, whatever happens: the first if the floor is the goal.
     first_moves = (coin < 0.5) | (draft.shapes.role[0] == Role.BLUE)
 
@@ -113,7 +115,7 @@ def _add_shapes(
         request = Request(
             is_joined=is_joined, force_motor=wants_motor, may_be_fixed=allow_fixed & ~must_move, step=step
         )
-        draws = jax.random.uniform(jax.random.fold_in(key, step), (config.num_proposals, NUM_DRAWS))
+        draws = jax.random.uniform(jax.random.fold_in(key, step), (num_proposals, NUM_DRAWS))
         proposals = jax.vmap(lambda draw: propose(draft, request, draw, capacity.polygons, config))(draws)
         return add_best(draft, proposals, is_joined, is_wanted), None
 

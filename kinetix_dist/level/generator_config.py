@@ -1,14 +1,22 @@
-"""Parameters of the random level generator; defaults are those of the public package."""
+"""Parameters of the random level generator, and two sets of them: our own, and those of the public package."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 
+# What the public package does that no number says. docs/level_format.md, "Random levels", says what each changes.
+PUBLISHED_DETAILS = (
+    "contact_points",  # a proposal costs 1 or 2 for each polygon it overlaps, of its own body too
+    "exchanged_anchors",  # whether a joined shape is hidden is judged with each other's anchors
+    "wide_margins",  # free boxes keep 0.1 m from walls at least, circles sometimes 0.14 m
+    "joined_to_walls",  # where every polygon holds two joints, any is joined, walls too
+    "limits_from_zero",  # limits of a hinge count from equal angles of its shapes, not from those at the start
+)
 _CHANCES = (
     "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",
-    "motor_on_chance", "limits_chance", "fixed_joint_chance", "thruster_aligned_chance", "joined_shape_chance",
-    "free_shape_chance", "thruster_chance", "floor_blue_chance", "floor_red_chance",
+    "motor_on_chance", "forced_motor_on_chance", "limits_chance", "fixed_joint_chance", "thruster_aligned_chance",
+    "joined_shape_chance", "free_shape_chance", "thruster_chance", "floor_blue_chance", "floor_red_chance",
 )  # fmt: skip
 
 
@@ -17,6 +25,8 @@ class GeneratorConfig:
     """How random levels are drawn. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
 
     num_proposals: int = 8  # drawn for each addition; the one with the fewest overlaps is kept
+    num_proposals_s: int = 8  # the same where there are at most 3 shapes besides the walls, as in size S
+    published_details: tuple[str, ...] = ()  # of PUBLISHED_DETAILS
     # What is added after green, blue and the forced control
     joined_shape_chance: float = 0.35
     free_shape_chance: float = 0.35  # the rest: nothing
@@ -42,9 +52,11 @@ class GeneratorConfig:
     min_visibility: float = 0.05  # m by which each of two joined shapes must stick out of the other
     hidden_fine: float = 10.0  # cost, in overlaps, of a shape that does not
     fixed_joint_chance: float = 0.1
+    min_revolute_joints: int = 0  # that a level has before it gets a fixed joint
     limits_chance: float = 0.4  # between polygons
     limit_max: float = math.pi  # rad, of either limit
     motor_on_chance: float = 0.8
+    forced_motor_on_chance: float = 1.0  # of the motor that a level gets first: below 1 some have nothing to control
     motor_speed_min: float = 0.4
     motor_speed_max: float = 3.0
     motor_power_min: float = 1.0
@@ -65,8 +77,15 @@ class GeneratorConfig:
             )
         if self.floor_blue_chance + self.floor_red_chance > 1.0:
             raise ValueError("floor_blue_chance and floor_red_chance add up to more than 1; lower one")
-        if self.num_proposals < 1:
-            raise ValueError(f"GeneratorConfig.num_proposals is {self.num_proposals}; draw at least 1")
+        for name in ("num_proposals", "num_proposals_s"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"GeneratorConfig.{name} is {getattr(self, name)}; draw at least 1")
+        if self.min_revolute_joints < 0:
+            raise ValueError(f"GeneratorConfig.min_revolute_joints is {self.min_revolute_joints}; it must be 0 or more")
+        if unknown := [name for name in self.published_details if name not in PUBLISHED_DETAILS]:
+            raise ValueError(
+                f"GeneratorConfig.published_details has {unknown[0]!r}; there are {', '.join(PUBLISHED_DETAILS)}"
+            )
         smallest = 2.0 * max(self.min_half_extent * math.sqrt(2.0), self.min_radius / self.circle_size_factor)
         if self.max_shape_size < smallest:
             raise ValueError(
@@ -79,3 +98,22 @@ class GeneratorConfig:
             )
         if self.motor_speed_min > self.motor_speed_max or self.motor_power_min > self.motor_power_max:
             raise ValueError("motor_speed_min and motor_power_min must not be above their maxima")
+
+
+GENERATORS = {
+    "default": GeneratorConfig(),
+    "kinetix": GeneratorConfig(  # the public package, 3.0.2
+        num_proposals_s=1,
+        published_details=PUBLISHED_DETAILS,
+        fixed_joint_chance=0.5,
+        min_revolute_joints=2,
+        forced_motor_on_chance=0.8,
+    ),
+}
+
+
+def generator(name: str) -> GeneratorConfig:
+    """The parameters of that name; raises ValueError where there are none."""
+    if name not in GENERATORS:
+        raise ValueError(f"unknown generator {name!r}; generators are {', '.join(GENERATORS)}")
+    return GENERATORS[name]

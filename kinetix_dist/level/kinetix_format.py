@@ -112,13 +112,13 @@ def import_kinetix(document: Any) -> Level:
 
 def _read_state(state: dict[str, Any]) -> Level:
     polygons, circles, joints, thrusters = (state[part] for part in _PARTS)
-    most_corners = max((shape["n_vertices"] for shape in polygons if shape["active"]), default=4)
+    max_corners = max((shape["n_vertices"] for shape in polygons if shape["active"]), default=4)
     capacity = Capacity(
         polygons=len(polygons),
         circles=len(circles),
         joints=len(joints),
         thrusters=len(thrusters),
-        vertices=max(4, most_corners),
+        vertices=max(4, max_corners),
     )
     level = empty_level(capacity)
     scene = level.scene
@@ -175,9 +175,15 @@ def _read_state(state: dict[str, Any]) -> Level:
 
 
 def export_kinetix(level: Level) -> dict[str, Any]:
-    """A public document of one level. Impulse caches are empty; masses are ours (see the module docstring)."""
+    """A public document of one level. Impulse caches are empty; masses are ours (see the module docstring).
+
+    Raises `LevelFormatError` for a level with a slider, which the public format does not have.
+    """
     level = jax.tree.map(np.asarray, level)
     scene, capacity = level.scene, capacity_of(level)
+    sliders = np.flatnonzero(scene.joints.active & scene.joints.is_kind(JointKind.PRISMATIC))
+    if len(sliders):
+        raise LevelFormatError(f"joints[{sliders[0]}]", "is prismatic, which public files cannot hold", "remove it")
     polygons, circles = capacity.polygons, capacity.circles
     state = {
         "polygon": [_shape_document(level, slot, capacity) for slot in range(polygons)],

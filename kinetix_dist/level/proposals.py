@@ -17,9 +17,9 @@ from jax2d.scene import JointKind, Joints
 from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, read_slot, write_slot
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M
-from kinetix_dist.level.overlap import inset, reach, separation, world_corners
+from kinetix_dist.level.overlap import contact_points, inset, reach, separation, world_corners
 from kinetix_dist.level.roles import Role
-from kinetix_dist.level.walls import FLOOR_TOP_M
+from kinetix_dist.level.walls import FLOOR_TOP_M, WALL_CENTRES_M
 
 NUM_DRAWS = 28  # uniform numbers that one proposal uses
 
@@ -54,15 +54,15 @@ def pick(weights: Array, draw: Array) -> Array:
     return jnp.argmax(total > draw * total[-1]).astype(jnp.int32)
 
 
-def sample_size(draw: Array, config: GeneratorConfig) -> tuple[Array, Array]:
-    """Half extents [2] of a box and radius [] of a circle, m, from 5 uniform numbers."""
+def sample_size(draw: Array, config: GeneratorConfig) -> tuple[Array, Array, Array]:
+    """Half extents [2] of a box (m), whether one was lengthened, and radius of a circle (m), from 5 uniform numbers."""
     box_limit = config.max_shape_size / 2.0 / math.sqrt(2.0)
     circle_limit = config.max_shape_size / 2.0 * config.circle_size_factor
     half = config.min_half_extent + draw[0:2] * (box_limit - config.min_half_extent)
     is_long = draw[2] < config.large_rectangle_chance
     long_side = jnp.arange(2) == (draw[3] < 0.5)
     half = half * jnp.where(is_long & long_side, config.large_rectangle_scale, 1.0)
-    return half, config.min_radius + draw[4] * (circle_limit - config.min_radius)
+    return half, is_long, config.min_radius + draw[4] * (circle_limit - config.min_radius)
 
 
 def box_or_triangle(half: Array, is_triangle: Array, num_corners: int) -> tuple[Array, Array]:
@@ -100,6 +100,10 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
     wish = may_hold * wish * jnp.where(shapes.is_fixed, config.connect_to_fixed_factor, 1.0)
     wish_polygon, wish_circle = wish * is_polygon_slot, wish * ~is_polygon_slot * room_polygon
     any_polygon, any_circle = wish_polygon.sum() > 0, wish_circle.sum() > 0
+    if "joined_to_walls" in config.published_details:
+        can_hold_none, is_polygon_here = ~any_polygon, shapes.active & is_polygon_slot
+        any_polygon = (is_polygon_here & may_hold).any()
+        wish_polygon = jnp.where(can_hold_none, is_polygon_here * 1.0, wish_polygon)
     to_polygon = any_polygon & (~any_circle | (draw[0] < 0.5))
     target_index = pick(jnp.where(to_polygon, wish_polygon, wish_circle), draw[2])
     target = read_slot(shapes, target_index)
@@ -107,11 +111,14 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
 
     # Which kind of shape, how large, which role.
     is_polygon = room_polygon & (~room_circle | (draw[1] < 0.5) | (is_joined & ~to_polygon))
-    half, radius = sample_size(draw[3:8], config)
+    half, is_long, radius = sample_size(draw[3:8], config)
     is_triangle = (draw[8] < config.triangle_chance) & is_polygon
     corners, num_vertices = box_or_triangle(half, is_triangle, num_corners)
     corners = jnp.where(is_polygon, corners, 0.0)
     half_width = jnp.where(is_polygon, jnp.max(half) * math.sqrt(2.0), radius)
+    if "wide_margins" in config.published_details:  # boxes have a radius there, circles half extents
+        unused = config.min_half_extent * math.sqrt(2.0) * jnp.where(is_long, config.large_rectangle_scale, 1.0)
+        half_width = jnp.maximum(half_width, jnp.where(is_polygon, config.min_radius, unused))
     area = jnp.where(is_polygon, 4.0 * half[0] * half[1] * jnp.where(is_triangle, 0.5, 1.0), math.pi * radius**2)
     radius = jnp.where(is_polygon, 0.0, radius)
     role = _sample_role(shapes, target.role, is_joined, draw[9])
@@ -153,25 +160,44 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
     joined_at = world_corners(target.position, target.angle, anchor_target[None])[0]
     held = joined_at - world_corners(jnp.zeros(2), angle, anchor_new[None])[0]
     shape = dataclasses.replace(shape, position=jnp.where(is_joined, held, shape.position))
-    joint = _sample_joint(request, draw[20:28], target, angle, is_polygon & to_polygon, config)
-    ends = {"a": target_index, "b": slot, "anchor_a": anchor_target, "anchor_b": anchor_new}
-    joint = replace(joint, joints=ends)
+    # End a is the lower slot, so that of a wheel it is the polygon: motors run the same way whichever came first.
+    is_first = slot < target_index
+    a, b, anchor_a, anchor_b, angle_a, angle_b = (
+        jnp.where(is_first, new, old)
+        for new, old in (
+            (slot, target_index),
+            (target_index, slot),
+            (anchor_new, anchor_target),
+            (anchor_target, anchor_new),
+            (angle, target.angle),
+            (target.angle, angle),
+        )
+    )
+    num_hinges = jnp.sum(draft.joints.active & draft.joints.is_kind(JointKind.REVOLUTE))
+    joint = _sample_joint(request, draw[20:28], angle_b - angle_a, is_polygon & to_polygon, num_hinges, config)
+    joint = replace(joint, joints={"a": a, "b": b, "anchor_a": anchor_a, "anchor_b": anchor_b})
 
+    seen_at_new, seen_at_target = anchor_new, anchor_target
+    if "exchanged_anchors" in config.published_details:
+        on_target = anchor_target + _from_published_origin(target_index)
+        seen_at_new = jnp.where(to_polygon, jnp.where(is_polygon, on_target, 0.0), anchor_new)
+        seen_at_target = jnp.where(to_polygon, anchor_new, anchor_target)
     is_visible = (
-        reach(anchor_new, shape.vertices, shape.radius)
-        > inset(anchor_target, target.vertices, target.radius) + config.min_visibility
+        reach(seen_at_new, shape.vertices, shape.radius)
+        > inset(seen_at_target, target.vertices, target.radius) + config.min_visibility
     ) & (
-        reach(anchor_target, target.vertices, target.radius)
-        > inset(anchor_new, shape.vertices, shape.radius) + config.min_visibility
+        reach(seen_at_target, target.vertices, target.radius)
+        > inset(seen_at_new, shape.vertices, shape.radius) + config.min_visibility
     )
     fine = jnp.where(is_joined & ~is_visible, config.hidden_fine, 0.0)
+    count = _count_contact_points if "contact_points" in config.published_details else _count_overlaps
     return Proposal(
         shape=shape,
         slot=slot,
         joint=joint,
         target=target_index,
         is_possible=(room_polygon | room_circle) & (~is_joined | can_join),
-        cost=_count_overlaps(shapes, shape) + fine,
+        cost=count(shapes, shape) + fine,
     )
 
 
@@ -195,6 +221,22 @@ def _count_overlaps(shapes: Shapes, new: Shapes) -> Array:
     return jnp.sum((gap < 0.0) & shapes.active & (shapes.body != new.body)).astype(jnp.float32)
 
 
+def _count_contact_points(shapes: Shapes, new: Shapes) -> Array:
+    """How many points of contact the new shape has with active shapes, those of its own body too."""
+    corners = world_corners(shapes.position, shapes.angle, shapes.vertices)
+    new_corners = world_corners(new.position, new.angle, new.vertices)
+    count = jax.vmap(contact_points, in_axes=(0, 0, 0, None, None, None))
+    points = count(corners, shapes.num_vertices, shapes.radius, new_corners, new.num_vertices, new.radius)
+    return jnp.sum(points * shapes.active).astype(jnp.float32)
+
+
+def _from_published_origin(index: Array) -> Array:
+    """[2] m, from the origin of a shape's frame in the public package to that of ours: side walls have it at (0, 0)."""
+    side_walls = (1, 2)
+    offsets = jnp.zeros((NUM_WALLS, 2)).at[jnp.array(side_walls)].set(WALL_CENTRES_M[list(side_walls)])
+    return jnp.where(index < NUM_WALLS, offsets[jnp.minimum(index, NUM_WALLS - 1)], 0.0)
+
+
 def _sample_role(shapes: Shapes, target_role: Array, is_joined: Array, draw: Array) -> Array:
     """Green and blue come first, then plain shapes and at most one red; green, blue and red share no body."""
     present = jnp.stack([(shapes.active & (shapes.role == role)).any() for role in Role])
@@ -208,12 +250,27 @@ def _sample_role(shapes: Shapes, target_role: Array, is_joined: Array, draw: Arr
 
 
 def _sample_joint(
-    request: Request, draw: Array, target: Shapes, angle: Array, both_polygons: Array, config: GeneratorConfig
+    request: Request,
+    draw: Array,
+    angle_between: Array,
+    both_polygons: Array,
+    num_hinges: Array,
+    config: GeneratorConfig,
 ) -> DrivenJoints:
-    """How a joint holds and drives; ends and anchors are filled in by the caller."""
-    is_fixed = (draw[0] < config.fixed_joint_chance) & ~request.force_motor
+    """How a joint holds and drives; ends and anchors are filled in by the caller.
+
+    angle_between: of b minus that of a at the start, rad. num_hinges: that the level has so far.
+    """
+    may_be_fixed = ~request.force_motor & (num_hinges >= config.min_revolute_joints)
+    is_fixed = (draw[0] < config.fixed_joint_chance) & may_be_fixed
+    motor_on_chance = jnp.where(request.force_motor, config.forced_motor_on_chance, config.motor_on_chance)
+    rest_angle = angle_between
+    if "limits_from_zero" in config.published_details:
+        rest_angle = jnp.where(is_fixed, angle_between, 0.0)
+    speed = config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min)
     strongest = jnp.where(both_polygons, config.motor_power_max, config.wheel_power_max)
     has_limits = (draw[4] < config.limits_chance) & both_polygons & ~is_fixed
+    power = config.motor_power_min + draw[3] * (strongest - config.motor_power_min)
     joint = Joints(
         active=jnp.array(True),
         kind=jnp.where(is_fixed, JointKind.FIXED, JointKind.REVOLUTE),
@@ -221,11 +278,11 @@ def _sample_joint(
         b=jnp.array(0),
         anchor_a=jnp.zeros(2),
         anchor_b=jnp.zeros(2),
-        rest_angle=angle - target.angle,
+        rest_angle=rest_angle,
         axis_angle=jnp.zeros(()),
-        motor_on=((draw[1] < config.motor_on_chance) | request.force_motor) & ~is_fixed,
-        motor_speed=config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min),
-        motor_power=config.motor_power_min + draw[3] * (strongest - config.motor_power_min),
+        motor_on=(draw[1] < motor_on_chance) & ~is_fixed,
+        motor_speed=jnp.where(is_fixed, 0.0, speed),
+        motor_power=jnp.where(is_fixed, 0.0, power),
         has_limits=has_limits,
         lower_limit=jnp.where(has_limits, -config.limit_max * draw[5], 0.0),
         upper_limit=jnp.where(has_limits, config.limit_max * draw[6], 0.0),

@@ -139,10 +139,12 @@ def _fill_joint(level: Level, slot: int, joint: dict[str, Any], slots: dict[str,
         scene.joints.anchor_b[slot] = _to_local(level, b, joint["anchor"])
     else:
         scene.joints.anchor_a[slot], scene.joints.anchor_b[slot] = joint["anchor_a"], joint["anchor_b"]
-        ends = _to_world(level, a, joint["anchor_a"]) - _to_world(level, b, joint["anchor_b"])
-        check_anchor_gap(math.hypot(*ends), f"joints[{slot}]")
+        x, y = _to_world(level, b, joint["anchor_b"]) - _to_world(level, a, joint["anchor_a"])
+        axis = float(level.angle[a]) + joint["axis"] if "axis" in joint else None
+        check_anchor_gap((float(x), float(y)), f"joints[{slot}]", axis=axis)
     scene.joints.kind[slot] = JOINT_KINDS[joint["type"]]
     scene.joints.rest_angle[slot] = joint.get("rest_angle", float(level.angle[b] - level.angle[a]))
+    scene.joints.axis_angle[slot] = joint.get("axis", 0.0)
     if "limits" in joint:
         scene.joints.has_limits[slot] = True
         scene.joints.lower_limit[slot], scene.joints.upper_limit[slot] = joint["limits"]

@@ -3,11 +3,13 @@
     levels, names = load_level_set("designed_s")
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
-("random_s", "random_m", "random_l"), or a file or directory of level files, ours or of the public Kinetix package.
+("random_s" to "random_l", and with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l"), or a
+file or directory of level files, ours or of the public package.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import tomllib
 from collections.abc import Callable, Sequence
@@ -20,7 +22,7 @@ import numpy as np
 from jax2d.scene import Array, stack_worlds
 from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fit import LevelSizeError, capacity_of_size, fit_level, smallest_size
-from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.kinetix_format import is_kinetix_document, load_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
@@ -30,7 +32,22 @@ from kinetix_dist.level.validate import LevelFormatError
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
 HELD_OUT_LEVELS = 256
-RANDOM_SETS = {f"random_{size}": size for size in SIZES}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RandomSet:
+    """Held-out random levels of a size."""
+
+    name: str
+    size: str
+    generator: str  # of GENERATORS
+
+
+RANDOM_SETS = {
+    f"{prefix}_{size}": RandomSet(name=f"{prefix}_{size}", size=size, generator=generator)
+    for prefix, generator in (("random", "default"), ("kinetix", "kinetix"))
+    for size in SIZES
+}
 
 
 def load_level_set(
@@ -99,12 +116,13 @@ def held_out_key(size: str) -> Array:
 
 
 def _random_set(
-    drawn_size: str, size: str | None, num_levels: int, noop_outcome_fn: Callable[[Level], Array]
+    drawn: RandomSet, size: str | None, num_levels: int, noop_outcome_fn: Callable[[Level], Array]
 ) -> tuple[Level, list[str]]:
-    levels = generate_filtered(held_out_key(drawn_size), num_levels, drawn_size, GeneratorConfig(), noop_outcome_fn)
+    config = generator(drawn.generator)
+    levels = generate_filtered(held_out_key(drawn.size), num_levels, drawn.size, config, noop_outcome_fn)
     levels = jax.tree.map(np.asarray, levels)
-    names = [f"random_{drawn_size}_{i}" for i in range(num_levels)]
-    if size is None or size == drawn_size:
+    names = [f"{drawn.name}_{i}" for i in range(num_levels)]
+    if size is None or size == drawn.size:
         return levels, names
     singles = [jax.tree.map(lambda x, i=i: x[i], levels) for i in range(num_levels)]
     return stack_worlds([fit_level(level, capacity_of_size(size)) for level in singles]), names

@@ -181,13 +181,26 @@ def _check_joint(joint: dict[str, Any], path: str, names: list[str]) -> None:
         raise LevelFormatError(f"{path}.limits", f"lower {limits[0]} is above upper {limits[1]}", "swap them")
     if limits is not None and joint["type"] == "fixed":
         raise LevelFormatError(f"{path}.limits", "a fixed joint has no limits", "remove them or use type 'revolute'")
-
-
-def check_anchor_gap(gap: float, path: str) -> None:
-    """Raises when the two anchors of a joint are too far apart in the world (m)."""
-    if gap > MAX_ANCHOR_GAP_M:
+    if joint["type"] == "prismatic" and "axis" not in joint:
+        raise LevelFormatError(f"{path}.axis", "is missing", "give the angle (rad, frame of a) along which b slides")
+    if joint["type"] != "prismatic" and "axis" in joint:
         raise LevelFormatError(
-            path, f"its anchors are {gap:.3g} m apart", f"move shapes or anchors to within {MAX_ANCHOR_GAP_M} m"
+            f"{path}.axis", f"a {joint['type']} joint has no axis", "remove it or use type 'prismatic'"
+        )
+
+
+def check_anchor_gap(gap: tuple[float, float], path: str, *, axis: float | None = None) -> None:
+    """Raises when the two anchors of a joint are too far apart: `gap`, m, from one to the other in the world.
+
+    axis: of a slider, rad in the world: along it they may be apart.
+    """
+    apart = math.hypot(*gap) if axis is None else abs(math.cos(axis) * gap[1] - math.sin(axis) * gap[0])
+    if apart > MAX_ANCHOR_GAP_M:
+        across = "" if axis is None else " across its axis"
+        raise LevelFormatError(
+            path,
+            f"its anchors are {apart:.3g} m apart{across}",
+            f"move shapes or anchors to within {MAX_ANCHOR_GAP_M} m",
         )
 
 

@@ -27,7 +27,7 @@ DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyConfig:
-    """The defaults are the paper's transformer: 786,417 parameters with its six action heads."""
+    """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
 
     network: str = "transformer"  # or "flat"
     encoder_size: int = 128  # width of tokens

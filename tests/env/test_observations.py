@@ -21,6 +21,7 @@ from kinetix_dist.env.observations.entities import (
 )
 from kinetix_dist.env.observations.flat import flat_size, flatten
 from kinetix_dist.env.roles import Role
+from kinetix_dist.level.canonical import swap_ends
 from kinetix_dist.level.level import SIZES, Level
 from tests.env.worlds import BOX, DISC_1, DISC_2, MOTOR_JOINT, RADIUS_M, THRUSTER, batch, small_level
 
@@ -95,34 +96,71 @@ def test_triangle_has_minus_one_in_its_unused_vertex_and_the_triangle_flag() -> 
     np.testing.assert_array_equal(row[23:26], [-1.0, -1.0, 1.0])
 
 
-def test_a_joint_gives_two_rows_with_its_ends_swapped() -> None:
-    limits = {
-        "joints.has_limits": True,
-        "joints.lower_limit": -0.5,
-        "joints.upper_limit": 1.0,
-        "joints.rest_angle": 0.2,
-    }
-    obs = observe_start(batch(small_level(joint={**MOTOR_JOINT, **limits})))
-    start, rest = [1, 0], [np.sin(0.2), np.cos(0.2)]
-    motor = [1.5, 2.0, 1, 1, 0, 0, 1, 0]
-    limit = [np.sin(-0.5), np.cos(-0.5), np.sin(1.0), np.cos(1.0), -0.7, 0.8]
-    assert obs.joints.shape == (1, 2, 22)
-    np.testing.assert_allclose(obs.joints[0, 0], [*start, 0.5, 0.1, -0.2, 0.3, *rest, *motor, *limit], rtol=1e-6)
-    np.testing.assert_allclose(obs.joints[0, 1], [*start, -0.2, 0.3, 0.5, 0.1, *rest, *motor, *limit], rtol=1e-6)
+LIMITS = {
+    "joints.has_limits": True,
+    "joints.lower_limit": -0.5,
+    "joints.upper_limit": 1.0,
+    "joints.rest_angle": 0.2,
+}
+
+
+def test_a_joint_gives_two_rows_of_which_the_second_sees_it_from_its_other_end() -> None:
+    obs = observe_start(batch(small_level(joint={**MOTOR_JOINT, **LIMITS})))
+    power_on_and_colour = [2.0, 1, 1, 0, 0, 1, 0]
+    from_a = [1, 0, 0.5, 0.1, -0.2, 0.3, np.sin(0.2), np.cos(0.2), 1.5, *power_on_and_colour]
+    from_a += [np.sin(-0.5), np.cos(-0.5), np.sin(1.0), np.cos(1.0), -0.7, 0.8, 0, 0, 0]
+    from_b = [1, 0, -0.2, 0.3, 0.5, 0.1, np.sin(-0.2), np.cos(0.2), -1.5, *power_on_and_colour]
+    from_b += [np.sin(-1.0), np.cos(1.0), np.sin(0.5), np.cos(0.5), -0.8, 0.7, 0, 0, 0]
+    assert obs.joints.shape == (1, 2, 25)
+    np.testing.assert_allclose(obs.joints[0], [from_a, from_b], rtol=1e-6)
     np.testing.assert_array_equal(obs.joint_from[0], [BOX, DISC_1])
     np.testing.assert_array_equal(obs.joint_to[0], [DISC_1, BOX])
+
+
+def test_a_slider_has_its_axis_in_the_frame_of_either_end_and_its_limits_in_metres() -> None:
+    slider = {"joints.kind": JointKind.PRISMATIC, "joints.axis_angle": 0.7}
+    obs = observe_start(batch(small_level(joint={**MOTOR_JOINT, **LIMITS, **slider})))
+    motor = [1.5, 2.0, 1, 1, 0, 0, 1, 0]
+    axis = 0.7 - 0.2 + np.pi  # of a against b
+    from_a = [1, 0, 0.5, 0.1, -0.2, 0.3, np.sin(0.2), np.cos(0.2), *motor]
+    from_a += [0, 0, 0, 0, -0.5, 1.0, 1, np.sin(0.7), np.cos(0.7)]
+    from_b = [1, 0, -0.2, 0.3, 0.5, 0.1, np.sin(-0.2), np.cos(0.2), *motor]
+    from_b += [0, 0, 0, 0, -0.5, 1.0, 1, np.sin(axis), np.cos(axis)]
+    np.testing.assert_allclose(obs.joints[0], [from_a, from_b], rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", JointKind)
+def test_the_rows_of_a_joint_are_the_same_whichever_end_is_called_a(kind: JointKind) -> None:
+    level = small_level(joint={**MOTOR_JOINT, **LIMITS, "joints.kind": kind, "joints.axis_angle": 0.7})
+    other = dataclasses.replace(level, scene=level.scene.replace(joints=swapped(level)))
+    one, two = observe_start(batch(level)), observe_start(batch(other))
+    np.testing.assert_allclose(one.joints[0], two.joints[0, ::-1], atol=1e-6)  # the axis has turned round twice
+    np.testing.assert_array_equal(one.joint_from, two.joint_from[:, ::-1])
+
+
+def swapped(level: Level) -> dict[str, np.ndarray]:
+    """What `swap_ends` says of the joints of a level, by field."""
+    joints = swap_ends(level.scene.joints)
+    return {field.name: np.asarray(getattr(joints, field.name)) for field in dataclasses.fields(joints)}
 
 
 def test_motor_and_limit_features_of_a_fixed_joint_are_zero() -> None:
     joint = {**MOTOR_JOINT, "joints.kind": JointKind.FIXED, "joints.has_limits": True, "joints.upper_limit": 1.0}
     row = observe_start(batch(small_level(joint=joint))).joints[0, 0]
     np.testing.assert_array_equal(row[:2], [1, 1])
-    np.testing.assert_array_equal(row[8:], np.zeros(14))
+    np.testing.assert_array_equal(row[8:], np.zeros(17))
 
 
-def test_limit_features_of_a_joint_without_limits_are_zero() -> None:
-    row = observe_start(batch(small_level(joint={**MOTOR_JOINT, "joints.upper_limit": 1.0}))).joints[0, 0]
-    np.testing.assert_array_equal(row[16:], np.zeros(6))
+def test_features_of_limits_and_the_rest_angle_of_a_hinge_without_limits_are_zero() -> None:
+    joint = {**MOTOR_JOINT, "joints.upper_limit": 1.0, "joints.rest_angle": 0.3}
+    row = observe_start(batch(small_level(joint=joint))).joints[0, 0]
+    np.testing.assert_array_equal(row[6:8], np.zeros(2))
+    np.testing.assert_array_equal(row[16:], np.zeros(9))
+
+
+def test_speed_power_and_colour_of_a_motor_that_is_off_are_zero() -> None:
+    row = observe_start(batch(small_level(joint={**MOTOR_JOINT, "joints.motor_on": False}))).joints[0, 0]
+    np.testing.assert_array_equal(row[8:16], np.zeros(8))
 
 
 def test_thruster_row_has_the_8_features_in_the_published_order() -> None:
@@ -221,7 +259,7 @@ def test_roles_are_one_hot() -> None:
 def test_flat_observation_is_the_concatenation() -> None:
     obs = observe_start(batch(small_level(joint=MOTOR_JOINT, thruster=THRUSTER)))
     flat = flatten(obs)
-    assert flat.shape == (1, flat_size(SIZES["s"])) == (1, 5 * 27 + 2 * 19 + 22 + 8 + 3 * 7)
+    assert flat.shape == (1, flat_size(SIZES["s"])) == (1, 5 * 27 + 2 * 19 + 25 + 8 + 3 * 7)
     np.testing.assert_array_equal(flat[0, : 5 * 27], obs.polygons.reshape(-1))
     ends = flat[0, -21:].reshape(3, 7)
     np.testing.assert_array_equal(ends.argmax(axis=1), [BOX, DISC_1, BOX])

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from jax2d.scene import Array, Capacity
-from kinetix_dist.env.observations.entities import EntityObs
+from kinetix_dist.env.observations.entities import NUM_JOINT_FEATURES, EntityObs
 
 
 def random_obs(num_worlds: int, capacity: Capacity, seed: int = 0) -> EntityObs:
@@ -25,7 +25,7 @@ def random_obs(num_worlds: int, capacity: Capacity, seed: int = 0) -> EntityObs:
     obs = EntityObs(
         polygons=features(capacity.polygons, 19 + 2 * capacity.vertices),
         circles=features(capacity.circles, 19),
-        joints=features(num_joints, 22),
+        joints=features(num_joints, NUM_JOINT_FEATURES),
         thrusters=features(capacity.thrusters, 8),
         shape_mask=shape_mask,
         joint_mask=rng.random((num_worlds, num_joints)) < 0.7,

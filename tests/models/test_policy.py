@@ -38,17 +38,17 @@ def _as_vector(output) -> np.ndarray:
     return np.concatenate([*[np.asarray(head) for head in logits], np.asarray(value)[:, None]], axis=1)
 
 
-def test_the_paper_transformer_has_786417_parameters():
+def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders():
     """Also term by term: the paper's table of sizes leaves open where layers are counted."""
     obs = random_obs(1, CAPACITY)
     shapes = jax.eval_shape(make_policy(PolicyConfig()).init, jax.random.key(0), obs)
-    encoders = sum((features + 1) * 128 for features in (27, 19, 22, 8))
+    encoders = sum((features + 1) * 128 for features in (27, 19, 22, 8)) + 3 * 128
     gate = 6 * 128 * 128 + 128
     attention = 3 * (128 + 1) * 16 + (16 + 1) * 128
     messages = (3 * 128 + 1) * 128 + (2 * 128 + 1) * 128
     layer = attention + 2 * gate + 2 * 2 * 128 + (128 + 1) * 128 + messages
     towers = 2 * 5 * (128 + 1) * 128 + (128 + 1) * (16 + 1)
-    assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417
+    assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417 + 3 * 128
 
 
 @pytest.mark.parametrize("network", ["transformer", "flat"])

@@ -15,6 +15,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
 from kinetix_dist.config import differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.env.physics import describe
+from kinetix_dist.level.generator_config import generator
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
@@ -145,6 +146,12 @@ def test_a_preset_is_replaced_first_and_single_fields_after_it_in_any_order():
     assert twice.config.env.physics == preset("draft")
 
 
+def test_a_generator_is_replaced_first_and_single_fields_after_it():
+    options = ["--curriculum.generator.triangle_chance", "0.5", "--curriculum.generator", "kinetix"]
+    found = parse(["--recipe", "tiny", *options]).config.curriculum.generator
+    assert found == dataclasses.replace(generator("kinetix"), triangle_chance=0.5)
+
+
 @pytest.mark.parametrize("field", dataclasses.fields(Settings), ids=lambda field: field.name)
 def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
     other = {"solver": "sequential_impulses", "friction_mixing": "root_sum_square", "warm_start": False}
@@ -159,6 +166,7 @@ def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
 
 def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
     assert "unknown preset 'good'; known presets: draft, fine" in _refusal(capsys, "--env.preset", "good")
+    assert "unknown generator 'good'; generators are default" in _refusal(capsys, "--curriculum.generator", "good")
     assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
     line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")
     assert "environments are stepped by the kernel: use 1 and ()" in line

@@ -15,15 +15,23 @@ Features, in the order of the public package:
     circle      shape, radius, 1, gravity_y / 10                                                          19
     joint       active, is fixed, anchor on `from` 2, anchor on `to` 2, sin and cos of the rest angle      8
                 motor speed, power, on, has limits, colour one-hot 4, sin and cos of the lower limit,
-                sin and cos of the upper limit, lower - rest, upper - rest (all 14 zero for fixed joints,
-                the last 6 also without limits)                                                           22
+                sin and cos of the upper limit, lower - rest, upper - rest (all 14 zero for fixed joints) 22
+                is prismatic, sin and cos of its axis in the frame of `from` (zero for others); its limits
+                stand as lower - rest and upper - rest, in m, and their sines and cosines are zero        25
     thruster    active, position 2, colour one-hot 2, sin, cos, power                                      8
 
-Inverse mass and inertia x stand as 0.2 log(1 + x). This is the one difference from the public package: small shapes
-have 1/inertia of 100 to 2,500, which saturates a first layer of tanh and hides all other features of such a shape.
+What differs from the public package, so that what is the same is seen the same:
+- inverse mass and inertia x stand as 0.2 log(1 + x): small shapes have 1/inertia of 100 to 2,500, which saturates a
+  first layer of tanh and hides all other features of such a shape;
+- the row of a joint seen from b is that of the joint with its ends swapped (`swap_ends`: rest angle, speed and limits
+  of the other sign): it says which end is which, and the two rows do not depend on which end is called a;
+- masks 2 and 3 have True on the diagonal and are symmetric, and shapes that cannot collide do not touch: there a shape
+  does not see itself, only the lower slot of a touching pair sees the other, and joined shapes that overlap touch;
+- numbers that nothing depends on are zero: of a motor that is off (speed, power, colour), of limits that are not there,
+  and the rest angle of a hinge without limits. Makers of levels fill them in differently.
 
 Rows of things that do not exist are zero. Units: m, m/s, rad, 1/kg; powers and speeds in units of the engine
-settings, as in `Scene`. Every joint gives two rows: row j goes from a to b, row J + j from b to a.
+settings, as in `Scene`. Every joint gives two rows: row j is seen from a, row J + j from b.
 
 Attention masks [4, n, n], symmetric, True on the diagonal of active shapes, False wherever a shape is inactive:
 0 all shapes; 1 connected by any number of joints; 2 connected by one joint; 3 touching now.
@@ -37,14 +45,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity, JointKind, Scene, touch_matrix
+from jax2d.scene import Array, Capacity, JointKind, Joints, Scene, touch_matrix
 from kinetix_dist.env.reward import pack_bits
 from kinetix_dist.env.roles import Role
+from kinetix_dist.level.canonical import swap_ends
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
 
 NUM_BODY_FEATURES = 7
 NUM_CIRCLE_FEATURES = 19
-NUM_JOINT_FEATURES = 22
+NUM_JOINT_FEATURES = 25
 NUM_THRUSTER_FEATURES = 8
 NUM_ATTENTION_MASKS = 4
 INVERSE_MASS_SCALE = 0.2  # 0.2 log(1 + 2,500) = 1.6
@@ -73,7 +82,7 @@ class StaticObs:
 
     polygons: Array  # [W, P, 20] (19 + 2 V - 7)
     circles: Array  # [W, C, 12]
-    joints: Array  # [W, 2 J, 22]
+    joints: Array  # [W, 2 J, 25]
     thrusters: Array  # [W, T, 8]
     shape_mask: Array  # [W, n] bool
     joint_mask: Array  # [W, 2 J] bool
@@ -92,7 +101,7 @@ class EntityObs:
 
     polygons: Array  # [W, P, 27]
     circles: Array  # [W, C, 19]
-    joints: Array  # [W, 2 J, 22]
+    joints: Array  # [W, 2 J, 25]
     thrusters: Array  # [W, T, 8]
     shape_mask: Array  # [W, n] bool, polygons first
     joint_mask: Array  # [W, 2 J] bool
@@ -214,33 +223,40 @@ def _polygon_features(scene: Scene) -> Array:
 
 
 def _joint_features(levels: Level) -> Array:
-    """[W, 2 J, 22]: joints from a to b, then the same joints from b to a."""
-    scene = levels.scene
-    is_free = 1.0 - scene.joints.is_kind(JointKind.FIXED)
-    is_limited = is_free * scene.joints.has_limits
-    limits = [
-        jnp.sin(scene.joints.lower_limit),
-        jnp.cos(scene.joints.lower_limit),
-        jnp.sin(scene.joints.upper_limit),
-        jnp.cos(scene.joints.upper_limit),
-        scene.joints.lower_limit - scene.joints.rest_angle,
-        scene.joints.upper_limit - scene.joints.rest_angle,
-    ]
-    motor = [scene.joints.motor_speed, scene.joints.motor_power, scene.joints.motor_on, scene.joints.has_limits]
+    """[W, 2 J, 25]: joints as seen from a, then the same joints as seen from b."""
+    joints = levels.scene.joints
     colour = jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS)
-    kind = jnp.stack([scene.joints.active, scene.joints.is_kind(JointKind.FIXED)], axis=-1).astype(jnp.float32)
-    rest = jnp.stack([jnp.sin(scene.joints.rest_angle), jnp.cos(scene.joints.rest_angle)], axis=-1)
-    revolute = jnp.concatenate(
-        [
-            jnp.stack(motor, axis=-1) * is_free[..., None],
-            colour * is_free[..., None],
-            jnp.stack(limits, axis=-1) * is_limited[..., None],
-        ],
-        axis=-1,
-    )
-    a_to_b = jnp.concatenate([kind, scene.joints.anchor_a, scene.joints.anchor_b, rest, revolute], axis=-1)
-    b_to_a = jnp.concatenate([kind, scene.joints.anchor_b, scene.joints.anchor_a, rest, revolute], axis=-1)
-    return jnp.concatenate([a_to_b, b_to_a], axis=1)
+    return jnp.concatenate([_seen_from_a(joints, colour), _seen_from_a(swap_ends(joints), colour)], axis=1)
+
+
+def _seen_from_a(joints: Joints, colour: Array) -> Array:
+    """[W, J, 25]"""
+    is_fixed, slides = (joints.is_kind(kind)[..., None] for kind in (JointKind.FIXED, JointKind.PRISMATIC))
+    is_limited = jnp.asarray(joints.has_limits)[..., None] & ~is_fixed
+    turns = is_limited & ~slides
+    drives = jnp.asarray(joints.motor_on)[..., None] & ~is_fixed
+    motor = jnp.stack([joints.motor_speed, joints.motor_power, joints.motor_on], axis=-1)
+    limits = jnp.stack([joints.lower_limit, joints.upper_limit], axis=-1)
+    parts = [
+        jnp.asarray(joints.active)[..., None],
+        is_fixed,
+        joints.anchor_a,
+        joints.anchor_b,
+        jnp.where(is_limited | is_fixed | slides, _sin_cos(joints.rest_angle), 0.0),
+        jnp.where(drives, motor, 0.0),
+        is_limited,
+        jnp.where(drives, colour, 0.0),
+        jnp.where(turns, _sin_cos(joints.lower_limit), 0.0),
+        jnp.where(turns, _sin_cos(joints.upper_limit), 0.0),
+        jnp.where(is_limited, jnp.where(slides, limits, limits - joints.rest_angle[..., None]), 0.0),
+        slides,
+        jnp.where(slides, _sin_cos(joints.axis_angle), 0.0),
+    ]
+    return jnp.concatenate([jnp.asarray(part, jnp.float32) for part in parts], axis=-1)
+
+
+def _sin_cos(angle: Array) -> Array:
+    return jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=-1)
 
 
 def _thruster_features(levels: Level) -> Array:

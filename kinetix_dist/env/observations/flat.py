@@ -1,8 +1,8 @@
 """Flat observations: the entity observation as one vector, for policies that are plain multilayer perceptrons.
 
-    [polygons P x 27 | circles C x 19 | joints J x 22 | thrusters T x 8 | joint ends J x 2 n | thruster owners T x n]
+    [polygons P x 27 | circles C x 19 | joints J x 25 | thrusters T x 8 | joint ends J x 2 n | thruster owners T x n]
 
-Each joint appears once (from a to b). Ends and owners are one-hot over shapes, since a vector has no indices.
+Each joint appears once (as seen from a). Ends and owners are one-hot over shapes, since a vector has no indices.
 """
 
 from __future__ import annotations

@@ -1,0 +1,84 @@
+"""The form in which levels are kept: two that look alike and move alike are alike, number by number, whoever made them.
+
+    corners of a polygon   counter-clockwise, first the one with the smallest polar angle about the centroid, in
+                           [0, 2 pi) and the shape's own frame: a box begins at (+, +)
+    ends of a joint        a is the lower slot; polygons come before circles
+
+A policy reads corners and ends as they are stored, so that an order of its own in a file, an importer or a generator
+would be a difference that it has to learn. `derive` brings every level into this form; whatever makes levels ends
+there. Slots are not ordered: policies see shapes as a set. Everything here is pure and traceable.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.fields import Array
+from jax2d.scene import JointKind, Joints
+from jax2d.shapes import polygon_mass_properties
+from kinetix_dist.level.level import Level
+
+SEAM_TOLERANCE_RAD = 1e-4  # a corner at angle 0 is computed at up to some 1e-5 rad to either side of it in float32
+
+
+def canonical(level: Level) -> Level:
+    """The same level (one, not a batch) in the form above. Corners must run counter-clockwise."""
+    shapes, joints = level.scene.shapes, level.scene.joints
+    num_polygons = shapes.num_vertices.shape[0]
+    vertices = jax.vmap(canonical_corners)(jnp.asarray(shapes.vertices), jnp.asarray(shapes.num_vertices))
+    is_polygon = jnp.asarray(shapes.active)[:num_polygons, None, None]
+    is_reversed = jnp.asarray(joints.active) & (jnp.asarray(joints.a) > jnp.asarray(joints.b))
+    in_order = jax.tree.map(
+        lambda swapped, as_is: jnp.where(
+            is_reversed.reshape(is_reversed.shape + (1,) * (as_is.ndim - 1)), swapped, as_is
+        ),
+        swap_ends(joints),
+        joints,
+    )
+    scene = level.scene.replace(shapes={"vertices": jnp.where(is_polygon, vertices, shapes.vertices)}, joints=in_order)
+    return dataclasses.replace(level, scene=scene)
+
+
+def canonical_corners(vertices: Array, num_vertices: Array) -> Array:
+    """`[V, 2]` corners of one polygon in the order above; unused slots repeat the last corner.
+
+    The frame's origin need not be the centroid.
+    """
+    slot = jnp.arange(vertices.shape[0])
+    _, centroid, _ = polygon_mass_properties(vertices, num_vertices, 1.0)
+    x, y = vertices[:, 0] - centroid[0], vertices[:, 1] - centroid[1]
+    angle = jnp.arctan2(y, x)  # -pi to pi
+    angle = jnp.where(angle < -SEAM_TOLERANCE_RAD, angle + 2.0 * math.pi, angle)
+    first = jnp.argmin(jnp.where(slot < num_vertices, angle, jnp.inf))
+    used = jnp.maximum(num_vertices, 1)
+    return vertices[(first + jnp.minimum(slot, used - 1)) % used]
+
+
+def swap_ends(joints: Joints) -> Joints:
+    """The same joints (any leading axes) with a called b and b called a: they hold and drive as before.
+
+    Angles of b against a become those of a against b. How far b has slid along the axis from a is how far a has slid
+    from b along the opposite axis, so that of a slider only the axis changes, and the frame in which it is given.
+    """
+    slides = joints.is_kind(JointKind.PRISMATIC)
+    return dataclasses.replace(
+        joints,
+        a=joints.b,
+        b=joints.a,
+        anchor_a=joints.anchor_b,
+        anchor_b=joints.anchor_a,
+        rest_angle=_negative(joints.rest_angle),
+        axis_angle=jnp.where(slides, joints.axis_angle - joints.rest_angle + math.pi, joints.axis_angle),
+        motor_speed=jnp.where(slides, joints.motor_speed, _negative(joints.motor_speed)),
+        lower_limit=jnp.where(slides, joints.lower_limit, _negative(joints.upper_limit)),
+        upper_limit=jnp.where(slides, joints.upper_limit, _negative(joints.lower_limit)),
+    )
+
+
+def _negative(x: Array) -> Array:
+    """-x, and 0 of 0: a negative zero would be another number in files."""
+    return jnp.where(x == 0, 0, -jnp.asarray(x)).astype(jnp.asarray(x).dtype)
