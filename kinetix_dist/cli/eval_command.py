@@ -3,6 +3,7 @@
     kinetix-dist eval --run runs/quickstart --levels designed_s
     kinetix-dist eval --checkpoint pretrained/sfl_s --levels random_s --attempts 5 --json rates.json
     kinetix-dist eval --policy random --levels designed_m
+    kinetix-dist eval --checkpoint pretrained/sfl_s --levels designed_s --record designed.mcap
 
 An attempt is one episode from the start of a level; the first to finish counts. Intervals are Wilson's at 95 %.
 """
@@ -22,11 +23,14 @@ from kinetix_dist.cli.errors import UserError, user_errors
 if TYPE_CHECKING:
     from kinetix_dist.checkpoint import Checkpoint
     from kinetix_dist.config import TrainConfig
-    from kinetix_dist.env.environment import EnvConfig
+    from kinetix_dist.env.environment import Environment
     from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
+    from kinetix_dist.evaluation.policies import Policy
+    from kinetix_dist.level.level import Level
 
 BASELINES = ("random", "noop")
 MAX_ROWS = 100  # levels in the printed table; the JSON file always has all of them
+MAX_RECORDED = 100  # levels of a recording
 
 
 @dataclasses.dataclass
@@ -57,6 +61,8 @@ class Args:
     """Episodes played at once, a matter of memory: the rates do not depend on it."""
     json: Path | None = None
     """Also write the results, level by level, to this file."""
+    record: Path | None = None
+    """Also write one rollout of each of the first 100 levels to this new MCAP file, for `kinetix-dist replay`."""
 
 
 def run(args: Args) -> int:
@@ -69,12 +75,13 @@ def run(args: Args) -> int:
     enable_compile_cache("" if config is None else config.run.compile_cache)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(args.levels, args.size)
-    env_config = _env_config(args, config)
-    rates = _evaluate(args, checkpoint, config, env_config, levels, list(names))
+    env = _environment(args, config, levels)
+    players = _players(args, checkpoint, config, env, levels)
+    rates = _evaluate(args, env, players, levels, list(names))
     first = next(iter(rates))
     print(
         f"{args.levels}: {len(names)} levels, {args.attempts} attempts each, "
-        f"policy {_policy_name(args, checkpoint)}, physics {describe(env_config.physics)}"
+        f"policy {_policy_name(args, checkpoint)}, physics {describe(env.config.physics)}"
     )
     print(table(first, rates))
     if args.json is not None:
@@ -85,12 +92,15 @@ def run(args: Args) -> int:
             "attempts_per_level": args.attempts,
             "seed": args.seed,
             "greedy": args.greedy,
-            "physics": describe(env_config.physics),
+            "physics": describe(env.config.physics),
             "solve_rate": {name: rate.to_dict() for name, rate in rates.items()},
         }
         with user_errors(OSError, prefix="the results cannot be written: "):
             args.json.write_text(json.dumps(content, indent=2) + "\n")
         print(f"results  {args.json}")
+    if args.record is not None:
+        num_recorded = _record(args, checkpoint, env, players[first], levels, list(names))
+        print(f"recorded  {num_recorded} rollouts of {first}: kinetix-dist replay {args.record} --list")
     return 0
 
 
@@ -150,10 +160,11 @@ def _check(args: Args) -> None:
 
         with user_errors(ValueError):
             preset(args.preset)
-    if args.json is not None:
-        folder = args.json.parent
-        if args.json.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-            raise UserError(f"cannot write {args.json}; give --json a file in a directory that exists and is writable")
+    for name, file in (("json", args.json), ("record", args.record)):
+        if file is not None and (file.is_dir() or not os.access(file.parent, os.W_OK)):
+            raise UserError(f"cannot write {file}; give --{name} a file in a directory that exists and is writable")
+    if args.record is not None and args.record.exists():
+        raise UserError(f"{args.record} exists and recordings are never overwritten; give --record a new file")
 
 
 def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]:
@@ -164,6 +175,8 @@ def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]
     from kinetix_dist.config import from_dict_for_playing
 
     if args.checkpoint is not None:
+        if (args.checkpoint / "checkpoints").is_dir():
+            raise UserError(f"{args.checkpoint} is a run directory; give it as --run {args.checkpoint}")
         with user_errors(CheckpointError, ValueError, OSError):
             checkpoint = load_checkpoint(args.checkpoint)
     else:
@@ -182,45 +195,50 @@ def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]
         return checkpoint, from_dict_for_playing(checkpoint.description["config"])
 
 
-def _env_config(args: Args, config: TrainConfig | None) -> EnvConfig:
+def _environment(args: Args, config: TrainConfig | None, levels: Level) -> Environment:
     """The environment that the policy was trained in, or the default one; with the physics asked for."""
     from jax2d.settings import preset
-    from kinetix_dist.env.environment import EnvConfig
-
-    env_config = config.env if config is not None else EnvConfig()
-    return env_config if args.preset is None else dataclasses.replace(env_config, physics=preset(args.preset))
-
-
-def _evaluate(
-    args: Args,
-    checkpoint: Checkpoint | None,
-    config: TrainConfig | None,
-    env_config: EnvConfig,
-    levels: Any,
-    names: list[str],
-) -> dict[str, SolveRates]:
-    """Solve rates by policy, the one asked for first."""
-    import jax
-
-    from kinetix_dist.env.environment import Environment
-    from kinetix_dist.evaluation.evaluate import evaluate
-    from kinetix_dist.evaluation.load_policy import load_policy
-    from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, RandomPolicy
+    from kinetix_dist.env.environment import EnvConfig, Environment
     from kinetix_dist.level.fit import capacity_of
     from kinetix_dist.level.level import SIZES
 
+    env_config = config.env if config is not None else EnvConfig()
+    if args.preset is not None:
+        env_config = dataclasses.replace(env_config, physics=preset(args.preset))
     capacity = capacity_of(levels)
     size = next(name for name, known in SIZES.items() if known == capacity)
-    env = Environment(dataclasses.replace(env_config, size=size, effect_groups=0))
-    players: dict[str, tuple[Any, Any]] = {}
+    return Environment(dataclasses.replace(env_config, size=size, effect_groups=0))
+
+
+def _players(
+    args: Args, checkpoint: Checkpoint | None, config: TrainConfig | None, env: Environment, levels: Level
+) -> dict[str, tuple[Policy, Any]]:
+    """(policy, params) by name, the one asked for first."""
+    from kinetix_dist.evaluation.load_policy import load_policy
+    from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, RandomPolicy
+
+    players: dict[str, tuple[Policy, Any]] = {}
     if checkpoint is not None and config is not None:
-        with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path} does not fit levels of size {size}: "):
+        with user_errors(
+            ValueError, prefix=f"checkpoint {checkpoint.path} does not fit levels of size {env.config.size}: "
+        ):
             module, params = load_policy(checkpoint, config.policy, env, levels)
         players["trained"] = (NetworkPolicy(module, greedy=args.greedy), params)
     baselines = {"random": RandomPolicy(env.action_space), "noop": NoopPolicy(env.action_space)}
     for name in BASELINES if args.policy == "trained" and args.baselines else (args.policy,):
         if name in baselines:
             players[name] = (baselines[name], None)
+    return players
+
+
+def _evaluate(
+    args: Args, env: Environment, players: dict[str, tuple[Policy, Any]], levels: Level, names: list[str]
+) -> dict[str, SolveRates]:
+    """Solve rates by policy, in the order of `players`."""
+    import jax
+
+    from kinetix_dist.evaluation.evaluate import evaluate
+
     key = jax.random.key(args.seed)
     results = {}
     for name, (policy, params) in players.items():
@@ -230,6 +248,46 @@ def _evaluate(
             env, policy, params, levels, attempts=attempts, key=key, names=names, max_worlds=args.max_worlds
         )
     return results
+
+
+def _record(
+    args: Args,
+    checkpoint: Checkpoint | None,
+    env: Environment,
+    player: tuple[Policy, Any],
+    levels: Level,
+    names: list[str],
+) -> int:
+    """Writes one rollout of each level, MAX_RECORDED at most; returns how many."""
+    import jax
+
+    from kinetix_dist.evaluation.recordings import RANDOM_POLICY_VERSION, record_rollouts
+    from kinetix_dist.telemetry.sinks.mcap import McapSink
+
+    assert args.record is not None
+    rollouts = record_rollouts(
+        env,
+        *player,
+        jax.tree.map(lambda x: x[:MAX_RECORDED], levels),
+        jax.random.key(args.seed),
+        names=names[:MAX_RECORDED],
+        policy_version=RANDOM_POLICY_VERSION if checkpoint is None else checkpoint.description["num_updates"],
+        seed=args.seed,
+    )
+    problems: list[str] = []
+
+    def on_event(name: str, fields: dict[str, Any]) -> None:
+        problems.append(f"{name}: " + ", ".join(f"{key} {value}" for key, value in fields.items()))
+
+    with (
+        user_errors(OSError, prefix="the recording cannot be written: "),
+        McapSink(args.record, max_queued=len(rollouts), on_event=on_event) as sink,
+    ):
+        for rollout in rollouts:
+            sink.write(rollout)
+    if problems:
+        raise UserError(f"the recording is not whole: {problems[0]}")
+    return len(rollouts)
 
 
 def _policy_name(args: Args, checkpoint: Checkpoint | None) -> str:

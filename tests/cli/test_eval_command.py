@@ -15,6 +15,7 @@ from kinetix_dist.config import RunConfig, TrainConfig, to_dict
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
+from kinetix_dist.evaluation.recordings import read_rollouts
 from kinetix_dist.learner.state import adam, init_learner_state
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.env.worlds import batch, small_level
@@ -91,6 +92,26 @@ def test_a_long_table_says_what_it_leaves_out() -> None:
     assert "... 3 more levels; --json FILE has all" in lines
 
 
+def test_a_run_directory_given_as_a_checkpoint_is_pointed_out(
+    run_directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "give it as --run" in refusal(capsys, "--levels", LEVELS, "--checkpoint", str(run_directory))
+
+
+def test_what_was_played_can_be_recorded(
+    run_directory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "played.mcap"
+    arguments = ["--run", str(run_directory), "--levels", LEVELS, "--attempts", "1", "--no-baselines"]
+    assert main(["eval", *arguments, "--json", str(tmp_path / "rates.json"), "--record", str(target)]) == 0
+    assert f"kinetix-dist replay {target} --list" in capsys.readouterr().out
+    rollouts = read_rollouts(target).rollouts
+    levels = json.loads((tmp_path / "rates.json").read_text())["solve_rate"]["trained"]["levels"]
+    assert [rollout.level_name for rollout in rollouts] == [level["name"] for level in levels]
+    assert [rollout.solved for rollout in rollouts] == [bool(level["solved"]) for level in levels]
+    assert {rollout.policy_version for rollout in rollouts} == {7}
+
+
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """What an evaluation that must not start says: one line, exit status 2."""
     assert main(["eval", *arguments]) == 2
@@ -111,6 +132,8 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["--levels", LEVELS, "--policy", "random", "--size", "xl"], "unknown size 'xl'"),
         (["--levels", LEVELS, "--policy", "random", "--attempts", "0"], "--attempts is 0"),
         (["--levels", LEVELS, "--policy", "random", "--json", "no/such/file.json"], "cannot write no/such/file.json"),
+        (["--levels", LEVELS, "--policy", "random", "--record", "no/such/file.mcap"], "cannot write no/such/file.mcap"),
+        (["--levels", LEVELS, "--policy", "random", "--record", "README.md"], "README.md exists and recordings are"),
         (["--levels", LEVELS, "--policy", "clever"], "clever"),
     ],
 )

@@ -31,7 +31,7 @@ def test_list_names_the_sets_and_the_levels_of_one(capsys: pytest.CaptureFixture
 def test_show_describes_shapes_joints_and_motors(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["levels", "show", "m/ramp_car"]) == 0
     shown = capsys.readouterr().out
-    assert "chassis" in shown and "role green" in shown and "motor speed 1.5" in shown
+    assert "chassis" in shown and "role green" in shown and "motor speed -1.5" in shown
 
 
 def test_render_writes_a_picture(tmp_path: Path) -> None:

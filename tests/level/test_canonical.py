@@ -237,7 +237,7 @@ def test_another_order_of_slots_is_another_order_of_rows_and_nothing_else(size: 
 @pytest.mark.parametrize("size", SIZES)
 def test_another_order_of_slots_moves_alike(size: str) -> None:
     """Contacts and joints are solved in the order of their slots, so that rounding and what is left of errors differ:
-    a twentieth of a second, in which nothing falls more than 2 cm, moves nearly all shapes alike within 0.1 mm and no
+    a twentieth of a second, in which nothing falls more than 2 cm, moves nearly all shapes alike within 0.5 mm and no
     shape by more than 5 mm."""
     rng = np.random.default_rng(2)
     engine = Engine(SIZES[size])
@@ -257,7 +257,7 @@ def test_another_order_of_slots_moves_alike(size: str) -> None:
             for (level, _, source), one, two in zip(pairs, *worst)
         ]
     )
-    assert np.quantile(apart, 0.95) < 1e-4 and apart.max() < 5e-3
+    assert np.quantile(apart, 0.95) < 5e-4 and apart.max() < 5e-3
 
 
 # Files and sizes

@@ -63,13 +63,14 @@ def train(
         if config.recording.num_rollouts:
             reporter.phase("recording")
             controller.record(config.recording.num_rollouts)
-            if config.recording.make_pictures:
-                recorder.make_pictures()
         controller.clock.lap()
         facts = trainer.facts()
         facts["processes"] += curator.facts() if curator is not None else []
         report = _report(config, controller, evaluations, facts, wall_seconds=time.monotonic() - began)
         run.write_json(run.report_path, report)
+        # Last, since drawing needs libraries that nothing else of a run does.
+        if config.recording.num_rollouts and config.recording.make_pictures:
+            recorder.make_pictures()
         reporter.phase("done")
         return report
     except (ProcessFailedError, WorkerLostError) as error:
