@@ -39,8 +39,8 @@ from jax2d import Controls, Engine, preset
 from jax2d.measure import energy, max_work, overlaps
 from jax2d.scene import Array, Scene, State, index_worlds
 from jax2d.settings import PRESETS, Settings
+from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.actions import controls_of
-from kinetix_dist.env.spaces import ACTION_SPACES
 from kinetix_dist.level.generator import GeneratorConfig, generate_level
 from kinetix_dist.level.level import SIZES, Level
 

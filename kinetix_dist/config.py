@@ -16,10 +16,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from jax2d.settings import preset
-from kinetix_dist.curator.curriculum import CurriculumConfig, from_buffer
-from kinetix_dist.env.environment import EnvConfig
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.curricula import curriculum_class
+from kinetix_dist.env.action_spaces import ACTION_SPACES
+from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.update import PpoConfig
-from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.models.policy import NETWORKS, PolicyConfig
+from kinetix_dist.registry import import_plugins
 
 PLACEMENTS = ("local", "colocated", "split")
 DEVICES = ("auto", "cpu", "gpu")
@@ -105,6 +109,7 @@ class RunConfig:
     keep_checkpoints: int = 3
     max_restarts: int = 3  # of a lost process, before the run gives up
     heartbeat_seconds: float = 60.0  # a process that was silent for so long, outside of compilation, is taken for hung
+    plugins: tuple[str, ...] = ()  # modules that register parts of your own; every process of the run imports them
     compile_cache: str = ""  # directory of compiled programs; "": the user's cache directory; "off": none
 
     def __post_init__(self) -> None:
@@ -147,17 +152,29 @@ class TrainConfig:
     run: RunConfig
 
     def __post_init__(self) -> None:
-        if self.env.action_space != "multi_discrete":
+        if ACTION_SPACES[self.env.action_space].distribution is None:
+            trainable = [name for name in ACTION_SPACES if ACTION_SPACES[name].distribution is not None]
             raise ConfigError(
-                f"env.action_space is {self.env.action_space!r}: environments have it, but policies are trained for "
-                "'multi_discrete' only; use that"
+                f"env.action_space is {self.env.action_space!r}: environments have it, but no policy can be trained "
+                f"for it; use {' or '.join(map(repr, trainable))}"
             )
-        from_buffer(self.curriculum, self.rollout.worlds_per_group)
+        gives, takes = OBSERVATIONS[self.env.observation].gives, NETWORKS[self.policy.network].takes
+        if gives != takes:
+            raise ConfigError(
+                f"env.observation {self.env.observation!r} gives {gives}, but policy.network {self.policy.network!r} "
+                f"takes {takes}; change one of them"
+            )
+        curriculum_class(self.curriculum, self.rollout.worlds_per_group)
         if self.run.placement == "split" and self.rollout.num_groups % self.run.num_rollout_actors:
             raise ConfigError(
                 f"{self.run.num_rollout_actors} rollout actors cannot share {self.rollout.num_groups} world groups "
                 "evenly; change run.num_rollout_actors or rollout.num_groups"
             )
+
+    @property
+    def has_curator(self) -> bool:
+        """Whether a curator works beside training."""
+        return curriculum_class(self.curriculum, self.rollout.worlds_per_group).refreshes
 
     @property
     def hash(self) -> str:
@@ -198,6 +215,7 @@ def from_dict(data: Mapping[str, Any]) -> TrainConfig:
             "numbers (env.physics), and these may have changed since, so that training cannot go on from it; "
             "start a new run (`kinetix-dist eval` still plays the old policy)"
         )
+    import_plugins(data.get("run", {}).get("plugins", ()))
     return _build(TrainConfig, data, "")
 
 

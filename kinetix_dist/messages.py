@@ -7,14 +7,11 @@ then worlds: [T, W, ...]; worlds are what is sharded over devices.
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import Any
 
 import jax
 
 from jax2d.scene import Array
-
-if TYPE_CHECKING:
-    from kinetix_dist.env.observations.entities import DynamicObs
 
 
 @jax.tree_util.register_dataclass
@@ -22,8 +19,8 @@ if TYPE_CHECKING:
 class Trajectory:
     """T environment steps of W worlds. Only what changes from step to step: static observations stay with levels."""
 
-    dynamic_obs: DynamicObs  # [T, W, ...], what the policy saw before it acted
-    actions: Array  # [T, W, heads] int8
+    dynamic_obs: Any  # [T, W, ...], what the policy saw before it acted, see `Observation.dynamic`
+    actions: Array  # [T, W, ...], in the type in which the action space stores them
     log_probs: Array  # [T, W] float32, of the actions under the policy that took them
     values: Array  # [T, W] float32
     rewards: Array  # [T, W] float32

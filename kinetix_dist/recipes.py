@@ -13,7 +13,7 @@ from kinetix_dist.config import (
     RunConfig,
     TrainConfig,
 )
-from kinetix_dist.curator.curriculum import CurriculumConfig
+from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.update import PpoConfig
 from kinetix_dist.models.policy import PolicyConfig

@@ -9,7 +9,7 @@ on t only. World numbers are those of the whole batch, so that one device or eig
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,39 +18,56 @@ from flax import linen as nn
 from jax2d.scene import Array
 from kinetix_dist.actors.outcomes import add_step, no_outcomes
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.messages import LevelOutcome, Trajectory
-from kinetix_dist.models import heads
+
+
+class Worlds(NamedTuple):
+    """Where a batch of worlds stands."""
+
+    prepared: PreparedLevels
+    env_state: EnvState
+    obs: Any  # [W, ...], as `env.reset` or the last unroll gave it
+
+
+class Played(NamedTuple):
+    """What `unroll` gives."""
+
+    trajectory: Trajectory
+    env_state: EnvState
+    obs: Any
+    last_value: Array  # [W]
+    outcome: LevelOutcome  # of the episodes that ended
 
 
 def unroll(
     policy: nn.Module,
     params: Any,
     env: Environment,
-    prepared: Any,
-    env_state: Any,
-    obs: Any,
+    worlds: Worlds,
     key: Array,
     num_steps: int,
     *,
     first_world: Array | int = 0,
-) -> tuple[Trajectory, Any, Any, Array, LevelOutcome]:
-    """`num_steps` steps: (trajectory, env_state, obs, last_value [W], outcomes of the episodes that ended).
+) -> Played:
+    """`num_steps` steps of W worlds.
 
-    obs: DynamicObs [W, ...] as `env.reset` or the last unroll gave it. key: a typed key, used up by this call (fold in
-    a counter for the next). first_world: number of the first of these worlds in the whole batch.
+    key: a typed key, used up by this call (fold in a counter for the next). first_world: number of the first of these
+    worlds in the whole batch.
     """
-    num_worlds = _num_worlds(obs)
+    prepared = worlds.prepared
+    distribution = env.action_distribution
+    num_worlds = _num_worlds(worlds.obs)
     world_keys = _world_keys(key, first_world, num_worlds)
 
     def step(carry: tuple[Any, Any, LevelOutcome], number: Array) -> tuple[tuple[Any, Any, LevelOutcome], Trajectory]:
         env_state, obs, outcome = carry
-        logits, value = policy.apply(params, observe(prepared.static_obs, obs))
-        actions, log_prob = heads.sample(logits, _uniforms(world_keys, number, len(logits)))
+        outputs, value = policy.apply(params, env.observe(prepared, obs))
+        actions, log_prob = distribution.sample(outputs, _uniforms(world_keys, number, distribution.num_uniforms))
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
         taken = Trajectory(
             dynamic_obs=obs,
-            actions=actions.astype(jnp.int8),
+            actions=actions.astype(distribution.stored_dtype),
             log_probs=log_prob,
             values=value,
             rewards=reward,
@@ -58,31 +75,30 @@ def unroll(
         )
         return (env_state, next_obs, add_step(outcome, done, info)), taken
 
-    carry = (env_state, obs, no_outcomes(num_worlds))
+    carry = (worlds.env_state, worlds.obs, no_outcomes(num_worlds))
     (env_state, obs, outcome), trajectory = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
-    _, last_value = policy.apply(params, observe(prepared.static_obs, obs))
-    return trajectory, env_state, obs, last_value, outcome
+    _, last_value = policy.apply(params, env.observe(prepared, obs))
+    return Played(trajectory, env_state, obs, last_value, outcome)
 
 
 def score(
     policy: nn.Module,
     params: Any,
     env: Environment,
-    prepared: Any,
+    prepared: PreparedLevels,
     key: Array,
     num_steps: int,
-    *,
-    first_world: Array | int = 0,
 ) -> LevelOutcome:
     """Outcomes of the episodes that end within `num_steps` steps from the start of each level. Keeps no trajectory."""
+    distribution = env.action_distribution
     env_state, obs = env.reset(prepared)
     num_worlds = _num_worlds(obs)
-    world_keys = _world_keys(key, first_world, num_worlds)
+    world_keys = _world_keys(key, 0, num_worlds)
 
     def step(carry: tuple[Any, Any, LevelOutcome], number: Array) -> tuple[tuple[Any, Any, LevelOutcome], None]:
         env_state, obs, outcome = carry
-        logits, _ = policy.apply(params, observe(prepared.static_obs, obs))
-        actions, _ = heads.sample(logits, _uniforms(world_keys, number, len(logits)))
+        outputs, _ = policy.apply(params, env.observe(prepared, obs))
+        actions, _ = distribution.sample(outputs, _uniforms(world_keys, number, distribution.num_uniforms))
         env_state, obs, _, done, info = env.step(prepared, env_state, actions)
         return (env_state, obs, add_step(outcome, done, info)), None
 
@@ -100,6 +116,6 @@ def _world_keys(key: Array, first_world: Array | int, num_worlds: int) -> Array:
     return jax.vmap(jax.random.fold_in, (None, 0))(key, worlds)
 
 
-def _uniforms(world_keys: Array, step: Array, num_heads: int) -> Array:
-    """[W, heads] uniform numbers in [0, 1)."""
-    return jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, step), (num_heads,)))(world_keys)
+def _uniforms(world_keys: Array, step: Array, count: int) -> Array:
+    """[W, count] uniform numbers in [0, 1)."""
+    return jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, step), (count,)))(world_keys)

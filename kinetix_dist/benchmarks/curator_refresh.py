@@ -37,7 +37,7 @@ class Options(TrainingOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.config().curriculum.has_buffer:
+        if not self.config().has_curator:
             raise ValueError(f"recipe {self.recipe!r} has no curator; choose one whose curriculum is sfl")
         if self.refreshes < 1:
             raise ValueError(f"--refreshes is {self.refreshes}; give 1 or more")

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist.benchmarks.results import BenchmarkOptions, Record, Results
-from kinetix_dist.benchmarks.synthetic_batch import HEAD_SIZES, synthetic_static_obs, synthetic_trajectory
+from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
 from kinetix_dist.benchmarks.timing import median_seconds
-from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.errors import user_errors
 from kinetix_dist.learner.sharding import data_mesh, replicate, shard_worlds
 from kinetix_dist.learner.state import init_learner_state
@@ -100,11 +100,14 @@ def _timed(options: Options, config: PpoConfig) -> Record:
             encoder_size=options.encoder_size,
             hidden_size=options.encoder_size,
         ),
-        HEAD_SIZES,
+        ACTIONS.head_sizes,
     )
     static = synthetic_static_obs(options.worlds, capacity)
     trajectory = synthetic_trajectory(options.steps, options.worlds, capacity)
-    first = observe(jax.tree.map(lambda x: x[:1], static), jax.tree.map(lambda x: x[0, :1], trajectory.dynamic_obs))
+    observation = OBSERVATIONS["flat" if options.network == "flat" else "entity"]
+    first = observation.join(
+        jax.tree.map(lambda x: x[:1], static), jax.tree.map(lambda x: x[0, :1], trajectory.dynamic_obs)
+    )
     params = init_params(policy, first, jax.random.key(0))
     state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(1)), mesh)
     inputs = (
@@ -124,10 +127,10 @@ def _timed(options: Options, config: PpoConfig) -> Record:
 
     @jax.jit
     def forward(params: Any, static: Any, dynamic: Any) -> Any:
-        return policy.apply(params, observe(static, dynamic))
+        return policy.apply(params, observation.join(static, dynamic))
 
     started = time.perf_counter()
-    update = make_update(policy, observe, config, mesh).lower(state, *inputs).compile()
+    update = make_update(policy, observation, ACTIONS, config, mesh).lower(state, *inputs).compile()
     compile_seconds = time.perf_counter() - started
     update_seconds = median_seconds(lambda: update(state, *inputs), options.repeats)
     forward_seconds = median_seconds(lambda: forward(params, *forward_inputs), options.repeats)

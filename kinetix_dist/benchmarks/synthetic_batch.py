@@ -8,10 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from jax2d.scene import Capacity
+from kinetix_dist.env.action_spaces import MultiDiscrete
 from kinetix_dist.env.observations.entities import DynamicObs, StaticObs
 from kinetix_dist.messages import Trajectory
 
-HEAD_SIZES = (3, 3, 3, 3, 2, 2)  # four motors: back, off, forth; two thrusters: off, on
+ACTIONS = MultiDiscrete().distribution
 
 
 def synthetic_static_obs(num_worlds: int, capacity: Capacity, seed: int = 0) -> StaticObs:
@@ -54,7 +55,9 @@ def synthetic_trajectory(num_steps: int, num_worlds: int, capacity: Capacity, se
                 0, 2**capacity.shapes, (*leading, capacity.shapes, capacity.touch_words), dtype=np.uint32
             ),
         ),
-        actions=np.stack([rng.integers(0, size, leading) for size in HEAD_SIZES], axis=-1).astype(np.int8),
+        actions=np.stack([rng.integers(0, size, leading) for size in ACTIONS.head_sizes], axis=-1).astype(
+            ACTIONS.stored_dtype
+        ),
         log_probs=rng.normal(-5.7, 0.1, leading).astype(np.float32),
         values=rng.normal(size=leading).astype(np.float32),
         rewards=rng.normal(size=leading).astype(np.float32),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
     from kinetix_dist.env.environment import Environment
     from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
-    from kinetix_dist.evaluation.policies import Policy
+    from kinetix_dist.evaluation.policies import Player
     from kinetix_dist.level.level import Level
 
 BASELINES = ("random", "noop")
@@ -212,27 +212,27 @@ def _environment(args: Args, config: TrainConfig | None, levels: Level) -> Envir
 
 def _players(
     args: Args, checkpoint: Checkpoint | None, config: TrainConfig | None, env: Environment, levels: Level
-) -> dict[str, tuple[Policy, Any]]:
-    """(policy, params) by name, the one asked for first."""
+) -> dict[str, Player]:
+    """Players by name, the one asked for first."""
     from kinetix_dist.evaluation.load_policy import load_policy
-    from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, RandomPolicy
+    from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, Player, RandomPolicy
 
-    players: dict[str, tuple[Policy, Any]] = {}
+    players: dict[str, Player] = {}
     if checkpoint is not None and config is not None:
         with user_errors(
             ValueError, prefix=f"checkpoint {checkpoint.path} does not fit levels of size {env.config.size}: "
         ):
             module, params = load_policy(checkpoint, config.policy, env, levels)
-        players["trained"] = (NetworkPolicy(module, greedy=args.greedy), params)
+        players["trained"] = Player(NetworkPolicy(module, env.action_distribution, greedy=args.greedy), params)
     baselines = {"random": RandomPolicy(env.action_space), "noop": NoopPolicy(env.action_space)}
     for name in BASELINES if args.policy == "trained" and args.baselines else (args.policy,):
         if name in baselines:
-            players[name] = (baselines[name], None)
+            players[name] = Player(baselines[name])
     return players
 
 
 def _evaluate(
-    args: Args, env: Environment, players: dict[str, tuple[Policy, Any]], levels: Level, names: list[str]
+    args: Args, env: Environment, players: dict[str, Player], levels: Level, names: list[str]
 ) -> dict[str, SolveRates]:
     """Solve rates by policy, in the order of `players`."""
     import jax
@@ -241,11 +241,11 @@ def _evaluate(
 
     key = jax.random.key(args.seed)
     results = {}
-    for name, (policy, params) in players.items():
+    for name, player in players.items():
         # Without actions every attempt is the same.
         attempts = 1 if name == "noop" else args.attempts
         results[name] = evaluate(
-            env, policy, params, levels, attempts=attempts, key=key, names=names, max_worlds=args.max_worlds
+            env, player, levels, attempts=attempts, key=key, names=names, max_worlds=args.max_worlds
         )
     return results
 
@@ -254,7 +254,7 @@ def _record(
     args: Args,
     checkpoint: Checkpoint | None,
     env: Environment,
-    player: tuple[Policy, Any],
+    player: Player,
     levels: Level,
     names: list[str],
 ) -> int:
@@ -267,7 +267,7 @@ def _record(
     assert args.record is not None
     rollouts = record_rollouts(
         env,
-        *player,
+        player,
         jax.tree.map(lambda x: x[:MAX_RECORDED], levels),
         jax.random.key(args.seed),
         names=names[:MAX_RECORDED],

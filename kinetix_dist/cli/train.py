@@ -44,6 +44,7 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--resume", action="store_true")
     own.add_argument("--env.preset", dest="preset")
     own.add_argument("--curriculum.generator", dest="generator")
+    own.add_argument("--run.plugins", dest="plugins", nargs="+")
     try:
         known, overrides = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
@@ -51,6 +52,7 @@ def parse(argv: Sequence[str]) -> Args:
     from jax2d.settings import PRESETS, preset
     from kinetix_dist.level.generator_config import GENERATORS, generator
     from kinetix_dist.recipes import RECIPES, recipe
+    from kinetix_dist.registry import import_plugins
 
     if {"-h", "--help"} & set(overrides):
         print(
@@ -68,6 +70,10 @@ def parse(argv: Sequence[str]) -> Args:
     if known.resume:
         run, stored = _run_to_resume(run, base.run.name)
         base = stored if known.recipe is None else base
+    if known.plugins is not None:  # before fields are checked, which may name parts that these register
+        with user_errors(ValueError):
+            import_plugins(known.plugins)
+        base = dataclasses.replace(base, run=dataclasses.replace(base.run, plugins=tuple(known.plugins)))
     if known.preset is not None:
         with user_errors(ValueError):
             base = dataclasses.replace(base, env=dataclasses.replace(base.env, physics=preset(known.preset)))

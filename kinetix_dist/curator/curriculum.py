@@ -1,151 +1,112 @@
-"""Which levels are played next: `propose` gives those of an update, from a buffer that is refreshed now and then.
+"""What a curriculum is: it proposes the levels of an update, sees what became of them, and owns its state.
 
-| name | levels of an update |
-|---|---|
-| `sfl` | a share from a buffer of learnable levels, the rest fresh from the generator |
-| `domain_randomization` | all fresh from the generator |
-| `fixed` | a given set, spread evenly |
+    levels of update u   proposal = propose(state, keys of the world groups, numbers of the groups)     on every device
+    after update u       state = observe(state, proposal, outcome)                          if it `observes`
+    now and then         refreshed = refresh(params, policy version, key)                   if it `refreshes`
+                         state = adopt(state, refreshed)
 
-`propose` runs inside jit on each device for the world groups that live there. Its keys are those of the groups, so
-the levels of an update are the same on any number of devices.
+`refresh` runs in a process of its own, the curator, beside training: it is asked for every `refresh_every` updates and
+its result adopted at an update that is fixed beforehand. The state is one pytree of arrays, the same on all devices;
+checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
+
+How others are written: PLR keeps a buffer of levels with scores as its state, proposes some of it and some fresh
+levels, and puts scores of what was played into `observe`. ACCEL is PLR that proposes mutated levels of the buffer.
+A bandit over level sets observes success and proposes accordingly. Each is one file and its registration.
 """
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
-from kinetix_dist.curator.domain_randomization import fresh_levels
-from kinetix_dist.curator.level_buffer import LevelBuffer, draw
-from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.level.level import Level
+from kinetix_dist.messages import LevelOutcome
 
-CURRICULA = ("sfl", "domain_randomization", "fixed")
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """Levels to play, one a world, and what the curriculum wants to know of each when it observes."""
+
+    levels: Level  # [W, ...]
+    tags: Any = None  # any pytree, [W, ...]: where in the state a level comes from, say
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CurriculumConfig:
-    """Defaults are those of the paper's SFL."""
+class CurriculumTools:
+    """What curricula are built from: the run's levels and ways to play them."""
 
-    name: str = "sfl"  # "sfl", "domain_randomization" or "fixed"
-    levels: str = ""  # for "fixed": the level set to train on, a name or a path
-    num_candidates: int = 12288  # N, fresh levels scored in a refresh
-    scoring_steps: int = 512  # L, environment steps played on each candidate
-    scoring_batch: int = 4096  # candidates scored at once, bounds memory
-    refresh_every: int = 128  # T, updates between refreshes
-    adopt_after: int = 4  # updates from the request of a refresh to its adoption, while scoring is free
-    buffer_size: int = 1024  # K, levels kept
-    buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
-    generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
+    config: CurriculumConfig
+    capacity: Capacity
+    worlds_per_group: int
+    solves_itself: Callable[[Level], Array]  # [W, ...] -> [W] bool, solved without any action
+    play: Callable[[Any, Level, Array, int], LevelOutcome]  # (params, levels, key, steps): episodes of the policy
+    load_levels: Callable[[str], Level]  # of a level set or a path, in the run's size
 
-    def __post_init__(self) -> None:
-        if self.name not in CURRICULA:
-            raise ValueError(f"CurriculumConfig.name is {self.name!r}; curricula are {', '.join(CURRICULA)}")
-        if (self.name == "fixed") != bool(self.levels):
-            raise ValueError(
-                f"CurriculumConfig.levels is {self.levels!r} with name {self.name!r}; "
-                "a level set is needed for 'fixed' and for no other"
-            )
-        for name in ("num_candidates", "scoring_steps", "scoring_batch", "refresh_every", "adopt_after", "buffer_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"CurriculumConfig.{name} is {getattr(self, name)}; it must be 1 or more")
-        if self.num_candidates % self.scoring_batch:
-            raise ValueError(
-                f"CurriculumConfig.num_candidates {self.num_candidates} is not a multiple of scoring_batch "
-                f"{self.scoring_batch}; change one of them"
-            )
-        if self.buffer_size > self.num_candidates:
-            raise ValueError(
-                f"CurriculumConfig.buffer_size {self.buffer_size} is larger than num_candidates {self.num_candidates}"
-            )
-        if self.adopt_after > self.refresh_every:
-            raise ValueError(
-                f"CurriculumConfig.adopt_after {self.adopt_after} is larger than refresh_every {self.refresh_every}: "
-                "a second refresh would be asked for before the first is adopted"
-            )
-        if not 0.0 < self.buffer_share <= 1.0:
-            raise ValueError(
-                f"CurriculumConfig.buffer_share is {self.buffer_share}; it must be above 0 and at most 1 "
-                "(for no buffer use name 'domain_randomization')"
-            )
-
-    @property
-    def has_buffer(self) -> bool:
-        return self.name == "sfl"
-
-    def is_refresh_due(self, num_updates: int) -> bool:
-        """Whether a refresh is asked for at the start of this update, with the policy version of that number."""
-        return self.has_buffer and num_updates % self.refresh_every == 0
-
-    def adopted_at(self, requested_at: int) -> int:
-        """The update that first uses the buffer asked for at `requested_at`. The first buffer is used at once."""
-        return requested_at if requested_at == 0 else requested_at + self.adopt_after
-
-
-# (group keys [g], numbers of the groups [g], buffer or None) -> levels of these groups, [g * worlds_per_group]
-Propose = Callable[[Array, Array, LevelBuffer | None], Level]
-
-
-def make_propose(
-    config: CurriculumConfig,
-    *,
-    capacity: Capacity,
-    worlds_per_group: int,
-    noop_solved: Callable[[Level], Array],
-    fixed_levels: Level | None = None,
-) -> Propose:
-    """The proposing half of a curriculum, pure. A group's worlds are those of the buffer first, then the fresh ones."""
-    if config.name == "fixed":
-        if fixed_levels is None:
-            raise ValueError("curriculum 'fixed' needs its levels")
-        return _propose_fixed(fixed_levels, worlds_per_group)
-    num_buffered = from_buffer(config, worlds_per_group)
-    num_fresh = worlds_per_group - num_buffered
-
-    def propose(group_keys: Array, group_index: Array, buffer: LevelBuffer | None) -> Level:
-        del group_index
-        num_groups = group_keys.shape[0]
-        split = jax.vmap(jax.random.split)(group_keys)
-        parts = []
-        if num_buffered:
-            if buffer is None:
-                raise ValueError("a curriculum with a buffer was asked for levels before it was filled")
-            parts.append(jax.vmap(lambda key: draw(key, buffer, num_buffered))(split[:, 0]))
-        if num_fresh:
-            fresh = fresh_levels(
-                split[:, 1], num_fresh, capacity=capacity, generator=config.generator, noop_solved=noop_solved
-            )
-            parts.append(jax.tree.map(lambda x: x.reshape(num_groups, num_fresh, *x.shape[1:]), fresh))
-        return jax.tree.map(
-            lambda *xs: jnp.concatenate(xs, axis=1).reshape(num_groups * worlds_per_group, *xs[0].shape[2:]), *parts
+    def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
+        """[groups * levels_per_group] random levels, group by group, without those that solve themselves."""
+        return fresh_levels(
+            group_keys,
+            levels_per_group,
+            capacity=self.capacity,
+            generator=self.config.generator,
+            solves_itself=self.solves_itself,
         )
 
-    return propose
 
+class Curriculum(abc.ABC):
+    """See the module docstring. Built in each process that proposes, observes or refreshes."""
 
-def from_buffer(config: CurriculumConfig, worlds_per_group: int) -> int:
-    """Worlds of a group that play levels of the buffer; raises where the share is not a whole number of worlds."""
-    if not config.has_buffer:
-        return 0
-    exact = config.buffer_share * worlds_per_group
-    if abs(exact - round(exact)) > 1e-6:
-        raise ValueError(
-            f"buffer_share {config.buffer_share} of {worlds_per_group} worlds a group is {exact:g}, no whole number; "
-            "change buffer_share or the number of environments"
-        )
-    return round(exact)
+    observes: bool = False  # sees outcomes after each update
+    refreshes: bool = False  # has a curator
+    takes_levels: bool = False  # needs `curriculum.levels`
 
+    def __init__(self, tools: CurriculumTools) -> None:
+        self.tools = tools
 
-def _propose_fixed(levels: Level, worlds_per_group: int) -> Propose:
-    num_levels = levels.position.shape[0]
+    @classmethod
+    def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
+        """Raises ValueError for a configuration that it cannot run with."""
+        del config, worlds_per_group
 
-    def propose(group_keys: Array, group_index: Array, buffer: LevelBuffer | None) -> Level:
-        del group_keys, buffer
-        world = (group_index[:, None] * worlds_per_group + jnp.arange(worlds_per_group)).reshape(-1)
-        return jax.tree.map(lambda x: jnp.asarray(x)[world % num_levels], levels)
+    def init(self) -> Any:
+        """The first state, also the shapes and types of later ones; None: it has none.
 
-    return propose
+        A curriculum that refreshes is never asked for levels of this state: its first refresh comes before.
+        """
+        return None
+
+    @abc.abstractmethod
+    def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
+        """`worlds_per_group` levels for each group, in the order of the groups. Works inside jit and shard_map.
+
+        group_keys [g]: a typed key for each group of this update; groups [g]: their numbers. The levels of a group
+        must depend on the state, on its key and on its number only, so that they do not depend on how groups are
+        spread over devices.
+        """
+
+    def observe(self, state: Any, proposal: Proposal, outcome: LevelOutcome) -> Any:
+        """The next state. proposal, outcome: of all worlds of an update, [W, ...], in the order of the groups."""
+        raise NotImplementedError
+
+    def refresh(self, params: Any, policy_version: int, key: Array) -> Any:
+        """What the curator works out with the policy's parameters: a pytree for `adopt`. Not inside jit."""
+        raise NotImplementedError
+
+    def adopt(self, state: Any, refreshed: Any) -> Any:
+        """The next state; by default what was worked out replaces it. state: None at the first time."""
+        del state
+        return refreshed
+
+    def metrics(self, state: Any, num_updates: int) -> dict[str, Any]:
+        """Numbers to report after `num_updates` updates, by name: "curriculum/NAME", described in `telemetry.names`
+        or by `register_metric`."""
+        del state, num_updates
+        return {}

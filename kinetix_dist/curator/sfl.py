@@ -1,53 +1,94 @@
 """Sampling For Learnability: score random levels with the current policy, keep those it solves sometimes.
 
 Every `refresh_every` updates: N fresh candidates, `scoring_steps` environment steps of the policy on each, score
-p(1-p), keep the best K. The result depends on the key and the parameters alone; `scoring_batch` only bounds memory
-(each batch has keys of its own).
+p(1-p), keep the best K. A share of the worlds plays levels of this buffer, the rest fresh ones. What is kept depends on
+the key and the parameters alone; `scoring_batch` only bounds memory (each batch has keys of its own).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.curator.level_buffer import LevelBuffer, keep_best
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
+from kinetix_dist.curator.level_buffer import LevelBuffer, buffer_metrics, draw, keep_best
+from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
 
-# (key, number of levels) -> levels; and (params, levels, key) -> episodes (solved [W], finished [W])
-DrawLevels = Callable[[Array, int], Level]
-PlayLevels = Callable[[Any, Level, Array], tuple[Array, Array]]
 
+class Sfl(Curriculum):
+    """Its state is the `LevelBuffer`. Each of the two programs of a refresh is compiled once."""
 
-class SflScorer:
-    """Scores candidates batch by batch; each of its two programs is compiled once."""
+    refreshes = True
 
-    def __init__(
-        self, *, num_candidates: int, batch: int, buffer_size: int, draw_levels: DrawLevels, play: PlayLevels
-    ) -> None:
-        if num_candidates % batch:
-            raise ValueError(
-                f"num_candidates {num_candidates} is not a multiple of scoring_batch {batch}; change one of them"
-            )
-        self.num_batches = num_candidates // batch
-        self._buffer_size = buffer_size
-
-        def score_batch(params: Any, key: Array) -> tuple[Level, Array, Array]:
-            level_key, play_key = jax.random.split(key)
-            levels = draw_levels(level_key, batch)
-            return levels, *play(params, levels, play_key)
-
-        self._score_batch = jax.jit(score_batch)
+    def __init__(self, tools: CurriculumTools) -> None:
+        super().__init__(tools)
+        self._score_batch = jax.jit(self._score)
         self._keep_best = jax.jit(self._keep)
+
+    @classmethod
+    def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
+        num_from_buffer(config, worlds_per_group)
+
+    def init(self) -> LevelBuffer:
+        config = self.tools.config
+        level = generate_level(jax.random.key(0), self.tools.capacity, config.generator)
+        levels = jax.tree.map(lambda x: jnp.broadcast_to(x, (config.buffer_size, *jnp.shape(x))), level)
+        count = jnp.zeros(config.buffer_size, jnp.int32)
+        return keep_best(levels, count, count, size=config.buffer_size, policy_version=0)
+
+    def propose(self, state: LevelBuffer | None, group_keys: Array, groups: Array) -> Proposal:
+        """A group's worlds are those of the buffer first, then the fresh ones."""
+        del groups
+        if state is None:
+            raise ValueError("a curriculum with a buffer was asked for levels before it was filled")
+        size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
+        num_buffered = num_from_buffer(self.tools.config, size)
+        num_fresh = size - num_buffered
+        split = jax.vmap(jax.random.split)(group_keys)
+        parts = []
+        if num_buffered:
+            parts.append(jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0]))
+        if num_fresh:
+            fresh = self.tools.draw_fresh(split[:, 1], num_fresh)
+            parts.append(jax.tree.map(lambda x: x.reshape(num_groups, num_fresh, *x.shape[1:]), fresh))
+        levels = jax.tree.map(
+            lambda *xs: jnp.concatenate(xs, axis=1).reshape(num_groups * size, *xs[0].shape[2:]), *parts
+        )
+        return Proposal(levels=levels)
 
     def refresh(self, params: Any, policy_version: int, key: Array) -> LevelBuffer:
         """A new buffer of candidates scored by `params`; the whole previous one is replaced."""
-        parts = [self._score_batch(params, jax.random.fold_in(key, index)) for index in range(self.num_batches)]
+        config = self.tools.config
+        num_batches = config.num_candidates // config.scoring_batch
+        parts = [self._score_batch(params, jax.random.fold_in(key, index)) for index in range(num_batches)]
         return self._keep_best(parts, jnp.int32(policy_version))
+
+    def metrics(self, state: LevelBuffer | None, num_updates: int) -> dict[str, Any]:
+        return {} if state is None else buffer_metrics(state, num_updates)
+
+    def _score(self, params: Any, key: Array) -> tuple[Level, Array, Array]:
+        level_key, play_key = jax.random.split(key)
+        levels = self.tools.draw_fresh(level_key[None], self.tools.config.scoring_batch)
+        outcome = self.tools.play(params, levels, play_key, self.tools.config.scoring_steps)
+        return levels, outcome.num_solved, outcome.num_finished
 
     def _keep(self, parts: list[tuple[Level, Array, Array]], policy_version: Array) -> LevelBuffer:
         levels, num_solved, num_finished = jax.tree.map(lambda *xs: jnp.concatenate(xs), *parts)
-        return keep_best(levels, num_solved, num_finished, size=self._buffer_size, policy_version=policy_version)
+        size = self.tools.config.buffer_size
+        return keep_best(levels, num_solved, num_finished, size=size, policy_version=policy_version)
+
+
+def num_from_buffer(config: CurriculumConfig, worlds_per_group: int) -> int:
+    """Worlds of a group that play levels of the buffer; raises where the share is not a whole number of worlds."""
+    exact = config.buffer_share * worlds_per_group
+    if abs(exact - round(exact)) > 1e-6:
+        raise ValueError(
+            f"buffer_share {config.buffer_share} of {worlds_per_group} worlds a group is {exact:g}, no whole number; "
+            "change buffer_share or the number of environments"
+        )
+    return round(exact)

@@ -1,16 +1,13 @@
-"""What happens on a level when nobody acts: levels that solve themselves teach nothing and are filtered out."""
+"""The rule of `level/noop.py` with an environment's engines, frame skip and time limit."""
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
+from typing import Any
 
-from jax2d.scene import Array
-from kinetix_dist.env.actions import noop_actions
+from jax2d.scene import Array, Controls, Touching
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.level import Level
-
-NOOP_STEPS = 64  # environment steps; the published generator looks as far ahead
+from kinetix_dist.level.noop import NOOP_STEPS, is_solved_without_actions
 
 
 def noop_solved(env: Environment, levels: Level, num_steps: int = NOOP_STEPS) -> Array:
@@ -18,16 +15,8 @@ def noop_solved(env: Environment, levels: Level, num_steps: int = NOOP_STEPS) ->
 
     levels: a batch, [W, ...] on every field. Pure; jit it with `env` and `num_steps` fixed.
     """
-    prepared = env.prepare(levels)
-    env_state, _ = env.reset(prepared)
-    num_worlds = env_state.num_steps.shape[0]
-    actions = noop_actions(env.action_space, num_worlds)
 
-    def advance(carry: tuple, _: None) -> tuple[tuple, None]:
-        env_state, is_solved, is_over = carry
-        env_state, _, _, done, info = env.step(prepared, env_state, actions)
-        return (env_state, is_solved | (info.solved & ~is_over), is_over | done), None
+    def step(scene: Any, state: Any, controls: Controls) -> tuple[Any, Touching]:
+        return env.stepper.step(scene, state, controls, env.config.frame_skip)
 
-    nothing = jnp.zeros_like(env_state.num_steps, dtype=bool)
-    (_, is_solved, _), _ = jax.lax.scan(advance, (env_state, nothing, nothing), None, length=num_steps)
-    return is_solved
+    return is_solved_without_actions(levels, env.pack, step, min(num_steps, env.config.max_steps))

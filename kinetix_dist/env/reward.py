@@ -15,10 +15,9 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from jax2d.scene import Array
-from kinetix_dist.env.roles import Role
+from jax2d.scene import Array, pack_bits
+from kinetix_dist.level.roles import Role
 
 
 @jax.tree_util.register_dataclass
@@ -51,15 +50,6 @@ def role_masks(shape_role: Array, shape_active: Array) -> RoleMasks:
     """shape_role [W, n] int32 and shape_active [W, n] bool to masks; inactive shapes play no role."""
     is_green, is_blue, is_red = (shape_active & (shape_role == role) for role in (Role.GREEN, Role.BLUE, Role.RED))
     return RoleMasks(is_green=is_green, is_blue=is_blue, blue_bits=pack_bits(is_blue), red_bits=pack_bits(is_red))
-
-
-def pack_bits(mask: Array) -> Array:
-    """[..., n] bool to [..., words] uint32: bit `i % 32` of word `i // 32` is mask i."""
-    num = mask.shape[-1]
-    num_words = (num + 31) // 32
-    padding = [(0, 0)] * (mask.ndim - 1) + [(0, num_words * 32 - num)]
-    words = jnp.pad(mask.astype(jnp.uint32), padding).reshape(*mask.shape[:-1], num_words, 32)
-    return (words << np.arange(32, dtype=np.uint32)).sum(axis=-1, dtype=jnp.uint32)
 
 
 def goal_distance(position: Array, masks: RoleMasks) -> Array:

@@ -20,10 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array, index_worlds
-from kinetix_dist.env.environment import Environment, EnvState, PreparedLevels, StepInfo
-from kinetix_dist.env.observations.entities import DynamicObs, observe
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.evaluation.intervals import wilson_interval
-from kinetix_dist.evaluation.policies import Policy
+from kinetix_dist.evaluation.policies import Player, Policy
 from kinetix_dist.level.level import Level
 
 MAX_WORLDS = 4096  # worlds at once: enough to fill a GPU, and under 1 GB of memory at size L
@@ -94,8 +94,7 @@ class SolveRates:
 
 def evaluate(
     env: Environment,
-    policy: Policy,
-    params: Any,
+    player: Player,
     levels: Level,
     *,
     attempts: int,
@@ -105,7 +104,7 @@ def evaluate(
 ) -> SolveRates:
     """Tries every level of a batch ([L, ...]) `attempts` times.
 
-    policy: see `policies.py`; params: what it takes (None for the baselines). names: of the levels, for the table.
+    player: see `policies.py`. names: of the levels, for the table.
     The key is consumed. Compiles once for each (env, policy, number of worlds at once).
     """
     num_levels = int(np.shape(levels.angle)[0])
@@ -124,7 +123,7 @@ def evaluate(
     for start in range(0, total, chunk_size):
         # The last chunk repeats its last attempt to keep its size; those are cut off below.
         index = jnp.minimum(jnp.arange(start, start + chunk_size), total - 1)
-        chunks.append(jax.device_get(_attempt_chunk(env, policy, params, levels, key, index, index // attempts)))
+        chunks.append(jax.device_get(_attempt_chunk(env, *player, levels, key, index, index // attempts)))
     episodes = jax.tree.map(lambda *parts: np.concatenate(parts)[:total].reshape(num_levels, attempts), *chunks)
     return SolveRates(
         total=_solve_rate("all", episodes),
@@ -147,13 +146,13 @@ def first_episodes(env: Environment, policy: Policy, params: Any, prepared: Prep
         episode_length=zeros.astype(jnp.int32),
     )
 
-    def some_play_on(carry: tuple[Array, EnvState, DynamicObs, Episodes]) -> Array:
+    def some_play_on(carry: tuple[Array, EnvState, Any, Episodes]) -> Array:
         return ~carry[3].finished.all()
 
-    def play(carry: tuple[Array, EnvState, DynamicObs, Episodes]) -> tuple[Array, EnvState, DynamicObs, Episodes]:
+    def play(carry: tuple[Array, EnvState, Any, Episodes]) -> tuple[Array, EnvState, Any, Episodes]:
         step, env_state, obs, episodes = carry
         step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
-        actions = policy(params, observe(prepared.static_obs, obs), step_keys)
+        actions = policy(params, env.observe(prepared, obs), step_keys)
         env_state, obs, _, done, info = env.step(prepared, env_state, actions)
         return step + 1, env_state, obs, _record_first(episodes, done, info)
 

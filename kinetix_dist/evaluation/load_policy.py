@@ -12,7 +12,6 @@ import jax
 
 from kinetix_dist.checkpoint import Checkpoint, select_arrays, unflatten_arrays
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.policy import PolicyConfig, make_policy
 
@@ -24,12 +23,12 @@ def load_policy(checkpoint: Checkpoint, config: PolicyConfig, env: Environment, 
 
     Raises `ArrayMismatchError`, a ValueError that names the array, when the parameters are those of another network.
     """
-    module = make_policy(config, env.action_head_sizes)
+    module = make_policy(config, env.action_distribution.head_sizes)
     one_level = jax.tree.map(lambda x: x[:1], levels)
 
     def init(key: Any) -> Any:
         prepared = env.prepare(one_level)
-        return module.init(key, observe(prepared.static_obs, prepared.initial_obs))
+        return module.init(key, env.observe(prepared, prepared.initial_obs))
 
     template = jax.eval_shape(init, jax.random.key(0))
     return module, unflatten_arrays(template, select_arrays(checkpoint.arrays, PARAMS_PREFIX))

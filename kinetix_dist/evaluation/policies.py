@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 
 from jax2d.scene import Array
-from kinetix_dist.env.actions import noop_actions
-from kinetix_dist.env.observations.entities import EntityObs
-from kinetix_dist.env.spaces import ActionSpace
-from kinetix_dist.models import heads
+from kinetix_dist.env.action_spaces import ActionDistribution, ActionSpace
 
-Policy = Callable[[Any, EntityObs, Array], Array]
+Policy = Callable[[Any, Any, Array], Array]
+
+
+class Player(NamedTuple):
+    """A policy and what it plays with."""
+
+    policy: Policy
+    params: Any = None  # the baselines take none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +31,7 @@ class RandomPolicy:
 
     space: ActionSpace
 
-    def __call__(self, params: Any, obs: EntityObs, keys: Array) -> Array:
+    def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
         return jax.vmap(lambda key: self.space.sample(key, 1)[0])(keys)
 
 
@@ -37,20 +41,21 @@ class NoopPolicy:
 
     space: ActionSpace
 
-    def __call__(self, params: Any, obs: EntityObs, keys: Array) -> Array:
-        return noop_actions(self.space, keys.shape[0])
+    def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
+        return self.space.noop_actions(keys.shape[0])
 
 
 @dataclasses.dataclass(frozen=True)
 class NetworkPolicy:
-    """Multi-discrete actions of a network: `module.apply(params, obs) -> (logits of each head [W, k], value [W])`."""
+    """Actions of a network: `module.apply(params, obs) -> (outputs of the actor, value [W])`."""
 
     module: Any  # flax module, hashable
-    greedy: bool = False  # most likely action of each head instead of a sample
+    distribution: ActionDistribution
+    greedy: bool = False  # the most likely actions instead of a sample
 
-    def __call__(self, params: Any, obs: EntityObs, keys: Array) -> Array:
-        logits, _ = self.module.apply(params, obs)
+    def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
+        outputs, _ = self.module.apply(params, obs)
         if self.greedy:
-            return heads.mode(logits)
-        uniforms = jax.vmap(lambda key: jax.random.uniform(key, (len(logits),)))(keys)
-        return heads.sample(logits, uniforms)[0]
+            return self.distribution.mode(outputs)
+        uniforms = jax.vmap(lambda key: jax.random.uniform(key, (self.distribution.num_uniforms,)))(keys)
+        return self.distribution.sample(outputs, uniforms)[0]

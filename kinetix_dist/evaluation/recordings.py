@@ -1,6 +1,6 @@
 """Rollouts to record: play levels under jit, keep every state of the first episode, give them as numpy.
 
-    for rollout in record_rollouts(env, policy, params, levels, key, policy_version=v):
+    for rollout in record_rollouts(env, player, levels, key, policy_version=v):
         sink.write(rollout)                                 # telemetry/sinks/mcap.py
     recording = read_rollouts("a.mcap")                     # levels decoded, nothing else needed
 
@@ -21,9 +21,9 @@ import numpy as np
 
 from jax2d.scene import Array, index_worlds
 from kinetix_dist.env.actions import controls_of
-from kinetix_dist.env.environment import Environment, PreparedLevels
-from kinetix_dist.env.observations.entities import observe
-from kinetix_dist.evaluation.policies import Policy
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.records import PreparedLevels
+from kinetix_dist.evaluation.policies import Player, Policy
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import LevelInfo, level_from_json, level_to_json
 from kinetix_dist.telemetry.mcap_reader import read_recording
@@ -34,8 +34,7 @@ RANDOM_POLICY_VERSION = -1  # what a rollout of no network is stamped with
 
 def record_rollouts(
     env: Environment,
-    policy: Policy,
-    params: Any,
+    player: Player,
     levels: Level,
     key: Array,
     *,
@@ -54,7 +53,7 @@ def record_rollouts(
     if len(names) != num_levels:
         raise ValueError(f"{len(names)} names were given for {num_levels} levels")
     prepared = env.prepare(levels)
-    history = jax.device_get(_play(env, policy, params, prepared, key))
+    history = jax.device_get(_play(env, *player, prepared, key))
     step_seconds = env.engine.settings.dt * env.config.frame_skip
     rollouts = []
     for i, name in enumerate(names):
@@ -103,7 +102,7 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
     def play(carry: tuple, step: Array) -> tuple[tuple, dict[str, Array]]:
         env_state, obs = carry
         step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
-        actions = policy(params, observe(prepared.static_obs, obs), step_keys)
+        actions = policy(params, env.observe(prepared, obs), step_keys)
         controls, _ = controls_of(
             env.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
         )

@@ -1,6 +1,6 @@
 """One learner update: advantages, then epochs of shuffled minibatches of clipped PPO, on all devices at once.
 
-    update = make_update(policy, observe, PpoConfig(), data_mesh())
+    update = make_update(policy, env.observation, env.action_distribution, PpoConfig(), data_mesh())
     learner_state, metrics = update(learner_state, static_obs, trajectory, last_value)
 
     trajectory, sharded by world --> advantages --> for each epoch: shuffle, statistics of advantages (psum)
@@ -27,12 +27,13 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
 from jax2d.scene import Array
+from kinetix_dist.env.action_spaces import ActionDistribution
+from kinetix_dist.env.observations import Observation
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import LOSS_METRICS, Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import DATA_AXIS
 from kinetix_dist.learner.state import LearnerState, adam, add_env_steps
 from kinetix_dist.messages import Trajectory
-from kinetix_dist.models import heads
 
 METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps")
 
@@ -92,19 +93,34 @@ class PpoConfig:
         return adam(self.learning_rate, epsilon=self.adam_eps)
 
 
-def make_update(policy: nn.Module, observe: Callable[[Any, Any], Any], config: PpoConfig, mesh: Mesh) -> Update:
+@dataclasses.dataclass(frozen=True)
+class _Program:
+    """What an update is compiled for."""
+
+    policy: nn.Module
+    observation: Observation
+    distribution: ActionDistribution
+    config: PpoConfig
+    num_devices: int
+
+
+def make_update(
+    policy: nn.Module, observation: Observation, distribution: ActionDistribution, config: PpoConfig, mesh: Mesh
+) -> Update:
     """A compiled update(learner_state, static_obs, trajectory, last_value) -> (learner_state, metrics).
 
-    observe(static_obs [B, ...], dynamic_obs [B, ...]): the observation that `policy` takes, see env/observations.
+    observation, distribution: those of the environment; `policy` takes the one and gives the outputs of the other.
     learner_state: replicated over `mesh`. static_obs [W, ...], trajectory [T, W, ...] and last_value [W]: sharded by
     world (`sharding.shard_worlds`). metrics: METRICS, replicated float32 scalars, means over applied gradient steps
     (NaN when all were skipped) except explained_variance (of the values in the trajectory) and skipped_steps.
     """
 
+    program = _Program(policy, observation, distribution, config, mesh.devices.size)
+
     def local_update(
         state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
     ) -> tuple[LearnerState, dict[str, Array]]:
-        return _update(policy, observe, config, mesh.devices.size, state, static_obs, trajectory, last_value)
+        return _update(program, state, static_obs, trajectory, last_value)
 
     replicated, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
     on_devices = jax.shard_map(
@@ -126,16 +142,10 @@ def make_update(policy: nn.Module, observe: Callable[[Any, Any], Any], config: P
 
 
 def _update(
-    policy: nn.Module,
-    observe: Callable[[Any, Any], Any],
-    config: PpoConfig,
-    num_devices: int,
-    state: LearnerState,
-    static_obs: Any,
-    trajectory: Trajectory,
-    last_value: Array,
+    program: _Program, state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
 ) -> tuple[LearnerState, dict[str, Array]]:
     """The update as one device sees it; arrays hold its own worlds."""
+    config, num_devices = program.config, program.num_devices
     num_steps, num_worlds = trajectory.rewards.shape
     advantages = gae(
         trajectory.rewards,
@@ -168,8 +178,8 @@ def _update(
             advantages=(minibatch_advantages - offset) * scale,
             targets=minibatch_targets,
         )
-        obs = observe(jax.tree.map(lambda x: x[index % num_worlds], static_obs), steps.dynamic_obs)
-        grads, terms = _gradient(policy, config, unravel(flat_params), obs, samples, minibatch_size)
+        obs = program.observation.join(jax.tree.map(lambda x: x[index % num_worlds], static_obs), steps.dynamic_obs)
+        grads, terms = _gradient(program, unravel(flat_params), obs, samples, minibatch_size)
         # The only communication of a gradient step: gradient and metrics of all devices in one vector.
         summed = jax.lax.psum(jnp.concatenate([ravel_pytree(grads)[0], terms]), DATA_AXIS)
         grad, terms = jnp.split(summed, [flat_params.size])
@@ -218,14 +228,13 @@ def _advantage_statistics(advantages: Array, minibatch_size: int, config: PpoCon
     return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
 
 
-def _gradient(
-    policy: nn.Module, config: PpoConfig, params: Any, obs: Any, samples: Samples, minibatch_size: int
-) -> tuple[Any, Array]:
+def _gradient(program: _Program, params: Any, obs: Any, samples: Samples, minibatch_size: int) -> tuple[Any, Array]:
     """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS."""
+    config = program.config
 
     def loss(params: Any) -> tuple[Array, Array]:
-        logits, values = policy.apply(params, obs)
-        log_probs, entropies = heads.log_prob_and_entropy(logits, samples.actions)
+        outputs, values = program.policy.apply(params, obs)
+        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions)
         value_clip = config.clip if config.value_clip else None
         terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=value_clip)
         means = terms / minibatch_size

@@ -16,6 +16,7 @@ import numpy as np
 from jax2d.scene import Array
 from jax2d.shapes import circle_mass_properties, polygon_mass_properties
 from kinetix_dist.level.canonical import canonical
+from kinetix_dist.level.connections import connections
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.walls import COLLIDES_WITH_ALL
 
@@ -37,14 +38,7 @@ def touch_permissions(
     not within one body: shapes joined directly *or through others* never collide, as in the public levels (the two
     wheels of a car, the links of an arm).
     """
-    num_shapes, num_joints = shape_active.shape[0], joint_active.shape[0]
-    index = jnp.arange(num_shapes)
-    ends_a = (joint_a[:, None] == index) & joint_active[:, None]
-    ends_b = (joint_b[:, None] == index) & joint_active[:, None]
-    joined = (ends_a[:, :, None] & ends_b[:, None, :]).any(axis=0)
-    connected = joined | joined.T | jnp.eye(num_shapes, dtype=bool)
-    for _ in range(max(num_joints - 1, 0).bit_length()):  # each squaring doubles the length of paths followed
-        connected = (connected[:, :, None] & connected[None, :, :]).any(axis=1)
+    _, connected = connections(joint_a, joint_b, joint_active, shape_active.shape[0])
     either_all = (collision_mode[:, None] == COLLIDES_WITH_ALL) | (collision_mode[None, :] == COLLIDES_WITH_ALL)
     both_solid = collision_mode[:, None] * collision_mode[None, :] > 0
     both_active = shape_active[:, None] & shape_active[None, :]

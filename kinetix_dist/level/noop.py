@@ -1,25 +1,27 @@
 """What becomes of a level when nobody acts: a level that solves itself teaches nothing.
 
-On the engine alone, since levels do not know the environment; the rules are its rules (green touches blue: solved;
-green touches red, also in the same step: failed).
+One rule for all who ask, the environment's: green touches blue, and not red in the same step or before. Levels know
+no environment, so they are played on an engine; `env/noop.py` asks the same with the environment's engines.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jax2d.engine import Engine
-from jax2d.scene import Array, Controls, touch_matrix
+from jax2d.scene import Array, Controls, Touching, touch_matrix
 from jax2d.settings import Settings, preset
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.roles import Role
 
-NOOP_STEPS = 64  # environment steps looked ahead, about two seconds
+NOOP_STEPS = 64  # environment steps looked ahead, about two seconds; the published generator looks as far
 FRAME_SKIP = 2  # physics steps in one
 
 
@@ -28,20 +30,27 @@ def noop_solved(levels: Level, *, settings: Settings = preset("standard"), num_s
     return _noop_solved(jax.tree.map(jnp.asarray, levels), settings, num_steps)
 
 
-@functools.partial(jax.jit, static_argnames=("settings", "num_steps"))
-def _noop_solved(levels: Level, settings: Settings, num_steps: int) -> Array:
+def is_solved_without_actions(
+    levels: Level,
+    pack: Callable[[Level], tuple[Any, Any]],
+    step: Callable[[Any, Any, Controls], tuple[Any, Touching]],
+    num_steps: int,
+) -> Array:
+    """[W] bool, within `num_steps` environment steps. Pure.
+
+    pack(levels) -> (packed scene, packed state); step(packed scene, packed state, controls) -> (packed state, touches),
+    one environment step.
+    """
     scene = levels.scene
-    engine = Engine(capacity_of(levels), settings=settings)
-    packed_scene = engine.pack_scene(scene)
-    state = engine.initial_state(scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity)
+    packed_scene, packed_state = pack(levels)
     controls = Controls(
         motor=levels.motor_auto.astype(jnp.float32), thruster=jnp.zeros_like(scene.thrusters.angle, jnp.float32)
     )
     is_green, is_blue, is_red = (scene.shapes.active & (levels.shape_role == role) for role in list(Role)[1:])
 
-    def step(carry: tuple, _: None) -> tuple[tuple, None]:
+    def advance(carry: tuple, _: None) -> tuple[tuple, None]:
         state, is_solved, is_over = carry
-        state, touching = engine.step_packed(packed_scene, state, controls, num_steps=FRAME_SKIP)
+        state, touching = step(packed_scene, state, controls)
         touches = touch_matrix(touching.during, scene.shapes.active.shape[1]) & is_green[:, :, None]
         touched_blue = (touches & is_blue[:, None, :]).any(axis=(1, 2))
         touched_red = (touches & is_red[:, None, :]).any(axis=(1, 2))
@@ -49,5 +58,21 @@ def _noop_solved(levels: Level, settings: Settings, num_steps: int) -> Array:
         return (state, is_solved, is_over | touched_blue | touched_red), None
 
     nobody = jnp.zeros(np.shape(levels.shape_role)[0], bool)
-    (_, is_solved, _), _ = jax.lax.scan(step, (engine.pack_state(state), nobody, nobody), None, length=num_steps)
+    (_, is_solved, _), _ = jax.lax.scan(advance, (packed_state, nobody, nobody), None, length=num_steps)
     return is_solved
+
+
+@functools.partial(jax.jit, static_argnames=("settings", "num_steps"))
+def _noop_solved(levels: Level, settings: Settings, num_steps: int) -> Array:
+    engine = Engine(capacity_of(levels), settings=settings)
+
+    def pack(levels: Level) -> tuple[Any, Any]:
+        state = engine.initial_state(
+            levels.scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity
+        )
+        return engine.pack_scene(levels.scene), engine.pack_state(state)
+
+    def step(scene: Any, state: Any, controls: Controls) -> tuple[Any, Touching]:
+        return engine.step_packed(scene, state, controls, num_steps=FRAME_SKIP)
+
+    return is_solved_without_actions(levels, pack, step, num_steps)

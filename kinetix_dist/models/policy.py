@@ -1,6 +1,6 @@
 """Which network a policy is, and how large: `PolicyConfig`, `make_policy`, `init_params`.
 
-policy = make_policy(PolicyConfig(dtype="bfloat16"))
+policy = make_policy(PolicyConfig(dtype="bfloat16"), env.action_space.distribution.head_sizes)
 params = init_params(policy, obs, key)
 logits, value = policy.apply(params, obs)          # a tuple of [B, choices] a head, and [B]; both float32
 """
@@ -8,20 +8,19 @@ logits, value = policy.apply(params, obs)          # a tuple of [B, choices] a h
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
+from kinetix_dist.env.observations import ENTITIES, VECTOR
 from kinetix_dist.models.entity_transformer import NUM_MASKS, EntityTransformer
 from kinetix_dist.models.flat_mlp import FlatMlp
+from kinetix_dist.registry import Registry
 
-if TYPE_CHECKING:
-    from kinetix_dist.env.observations.entities import EntityObs
-
-NETWORKS = ("transformer", "flat")
 DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 
@@ -29,7 +28,7 @@ DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 class PolicyConfig:
     """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
 
-    network: str = "transformer"  # or "flat"
+    network: str = "transformer"  # of entities, or "flat", of a vector; env.observation has to give it
     encoder_size: int = 128  # width of tokens
     attention_features: int = 16  # of all heads together
     num_heads: int = 8  # a quarter of them for each attention mask
@@ -57,26 +56,48 @@ class PolicyConfig:
             )
 
 
-def make_policy(config: PolicyConfig, head_sizes: tuple[int, ...] = (3, 3, 3, 3, 2, 2)) -> nn.Module:
-    """A flax module. head_sizes: choices of each action head, `Environment.action_head_sizes`."""
-    common: dict[str, Any] = {
+@dataclasses.dataclass(frozen=True)
+class Network:
+    """A kind of network and how it is built."""
+
+    takes: str  # the kind of policy input, see `Observation.gives`
+    build: Callable[[PolicyConfig, tuple[int, ...]], nn.Module]  # (config, sizes of the heads) -> a flax module
+
+
+def make_policy(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
+    """A flax module. head_sizes: of the outputs that act, `ActionSpace.distribution.head_sizes`."""
+    return NETWORKS[config.network].build(config, tuple(head_sizes))
+
+
+def _common(config: PolicyConfig, head_sizes: tuple[int, ...]) -> dict[str, Any]:
+    return {
         "hidden_size": config.hidden_size,
         "hidden_layers": config.hidden_layers,
-        "head_sizes": tuple(head_sizes),
+        "head_sizes": head_sizes,
         "dtype": DTYPES[config.dtype],
     }
-    if config.network == "flat":
-        return FlatMlp(flat_size=config.flat_size, **common)
+
+
+def _transformer(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
     return EntityTransformer(
         encoder_size=config.encoder_size,
         attention_features=config.attention_features,
         num_heads=config.num_heads,
         num_layers=config.num_layers,
-        **common,
+        **_common(config, head_sizes),
     )
 
 
-def init_params(policy: nn.Module, obs: EntityObs, key: Array) -> Any:
+def _flat(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
+    return FlatMlp(flat_size=config.flat_size, **_common(config, head_sizes))
+
+
+NETWORKS: Registry[Network] = Registry("network")
+NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer))
+NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
+
+
+def init_params(policy: nn.Module, obs: Any, key: Array) -> Any:
     """Parameters, float32, drawn for one world of `obs` (the batch size does not matter)."""
     one_world = jax.tree.map(lambda x: x[:1], obs)
     return jax.jit(policy.init)(key, one_world)

@@ -101,6 +101,13 @@ _ALL = (
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 
 
+def register_metric(metric: Metric) -> None:
+    """Describes a metric of a plugin, of a curriculum say. Raises ValueError where the name is taken."""
+    if metric.name in METRICS and METRICS[metric.name] != metric:
+        raise ValueError(f"there is a metric {metric.name!r} already; report yours under another name")
+    METRICS[metric.name] = metric
+
+
 def describe(name: str) -> Metric:
     """The description of a metric; raises UnknownMetricError for a name nobody described."""
     if name in METRICS:
@@ -108,7 +115,9 @@ def describe(name: str) -> Metric:
     pattern = re.sub(r"^evaluation/.+/", "evaluation/<set>/", name)  # a set may be a path
     if pattern in METRICS:
         return METRICS[pattern]
-    raise UnknownMetricError(f"metric {name!r} is not described; add it to kinetix_dist/telemetry/names.py")
+    raise UnknownMetricError(
+        f"metric {name!r} is not described; add it to kinetix_dist/telemetry/names.py, or call register_metric"
+    )
 
 
 def check_metrics(metrics: Mapping[str, float]) -> dict[str, float]:

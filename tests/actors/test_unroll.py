@@ -12,12 +12,11 @@ from jax.sharding import PartitionSpec
 
 from jax2d.scene import stack_worlds
 from kinetix_dist.actors.outcomes import PHYSICS_FIELDS, add_outcomes, add_step, no_outcomes, success_rate
-from kinetix_dist.actors.unroll import score, unroll
+from kinetix_dist.actors.unroll import Worlds, score, unroll
+from kinetix_dist.env.action_spaces import categorical as heads
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh
 from kinetix_dist.level.schema import load_level
-from kinetix_dist.models import heads
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.helpers import REPOSITORY
 
@@ -43,28 +42,30 @@ def problem():
     files = sorted((REPOSITORY / "levels" / "s").glob("*.json"))[:2]
     levels = stack_worlds([load_level(path)[0] for path in files] * 2)
     env = Environment(EnvConfig(size="s", max_steps=EPISODE))
-    policy = make_policy(POLICY, env.action_head_sizes)
+    policy = make_policy(POLICY, env.action_distribution.head_sizes)
     prepared = env.prepare(levels)
-    params = init_params(policy, observe(prepared.static_obs, env.reset(prepared)[1]), jax.random.key(0))
+    params = init_params(policy, env.observe(prepared, prepared.initial_obs), jax.random.key(0))
 
     @jax.jit
     def play(levels, key, first_world):
         prepared = env.prepare(levels)
-        return unroll(policy, params, env, prepared, *env.reset(prepared), key, STEPS, first_world=first_world)
+        return unroll(policy, params, env, Worlds(prepared, *env.reset(prepared)), key, STEPS, first_world=first_world)
 
     return Problem(env, policy, params, levels, play)
 
 
 def test_stored_probabilities_and_values_are_those_of_the_stored_observations(problem):
     trajectory, _, obs, last_value, _ = problem.play(problem.levels, jax.random.key(1), 0)
-    static = problem.env.prepare(problem.levels).static_obs
+    prepared = problem.env.prepare(problem.levels)
     for step in (0, STEPS - 1):
-        seen = observe(static, jax.tree.map(lambda x, step=step: x[step], trajectory.dynamic_obs))
+        seen = problem.env.observe(prepared, jax.tree.map(lambda x, step=step: x[step], trajectory.dynamic_obs))
         logits, value = problem.policy.apply(problem.params, seen)
         np.testing.assert_allclose(trajectory.values[step], value, atol=1e-5)  # float32, another fusion
         log_probs = heads.log_prob(logits, trajectory.actions[step])
         np.testing.assert_allclose(trajectory.log_probs[step], log_probs, atol=1e-5)
-    np.testing.assert_allclose(last_value, problem.policy.apply(problem.params, observe(static, obs))[1], atol=1e-5)
+    np.testing.assert_allclose(
+        last_value, problem.policy.apply(problem.params, problem.env.observe(prepared, obs))[1], atol=1e-5
+    )
     assert trajectory.actions.dtype == jnp.int8
     assert trajectory.actions.shape == (STEPS, problem.num_worlds, 6)
 
@@ -108,8 +109,8 @@ def test_inside_shard_map_the_trajectory_is_the_same(problem):
     def local(levels, key):
         prepared = problem.env.prepare(levels)
         first = jax.lax.axis_index(DATA_AXIS) * levels.position.shape[0]
-        start = problem.env.reset(prepared)
-        return unroll(problem.policy, problem.params, problem.env, prepared, *start, key, STEPS, first_world=first)[0]
+        start = Worlds(prepared, *problem.env.reset(prepared))
+        return unroll(problem.policy, problem.params, problem.env, start, key, STEPS, first_world=first).trajectory
 
     on_mesh = jax.shard_map(
         local,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from kinetix_dist.cli.eval_command import MAX_ROWS, table
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import RunConfig, TrainConfig, to_dict
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
 from kinetix_dist.evaluation.recordings import read_rollouts
 from kinetix_dist.learner.state import adam, init_learner_state
@@ -29,11 +29,13 @@ def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT, *, 
     """A run directory with one checkpoint of a policy that has not learned anything; returns the checkpoint.
 
     old_preset: the checkpoint is as of a version that kept the name of a preset instead of its numbers."""
+    if policy.network == "flat":
+        env_config = dataclasses.replace(env_config, observation="flat")
     config = TrainConfig(env=env_config, policy=policy, run=RunConfig(total_env_steps=1))
     env = Environment(env_config)
     prepared = env.prepare(batch(small_level()))
-    module = make_policy(policy, env.action_head_sizes)
-    params = init_params(module, observe(prepared.static_obs, prepared.initial_obs), jax.random.key(0))
+    module = make_policy(policy, env.action_distribution.head_sizes)
+    params = init_params(module, env.observe(prepared, prepared.initial_obs), jax.random.key(0))
     state = init_learner_state(params, adam(1e-3, epsilon=1e-5), jax.random.key(1))
     arrays = flatten_arrays({"learner": state})
     description = {"config": to_dict(config)}

@@ -5,7 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kinetix_dist.curator.curriculum import CurriculumConfig, from_buffer, make_propose
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.curricula import curriculum_class
+from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.level_buffer import keep_best
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import SIZES
@@ -19,12 +21,21 @@ def _nothing_solves_itself(levels):
 
 
 def _propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fixed_levels=None):
-    propose = make_propose(
-        config, capacity=CAPACITY, worlds_per_group=PER_GROUP, noop_solved=noop_solved, fixed_levels=fixed_levels
+    def play(*arguments):
+        raise AssertionError(f"nothing is played to propose levels: {arguments}")
+
+    tools = CurriculumTools(
+        config=config,
+        capacity=CAPACITY,
+        worlds_per_group=PER_GROUP,
+        solves_itself=noop_solved,
+        play=play,
+        load_levels=lambda name: fixed_levels,
     )
+    curriculum = curriculum_class(config, PER_GROUP)(tools)
     groups = jnp.asarray(groups)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(3), groups)
-    return jax.jit(propose)(keys, groups, buffer)
+    return jax.jit(curriculum.propose)(buffer, keys, groups).levels
 
 
 @pytest.fixture(scope="module")
@@ -76,13 +87,13 @@ def test_fixed_levels_are_spread_evenly_over_worlds():
 
 def test_a_share_that_is_no_whole_number_of_worlds_is_refused():
     with pytest.raises(ValueError, match=r"buffer_share 0\.3 of 4 worlds a group is 1\.2"):
-        from_buffer(CurriculumConfig(buffer_share=0.3), 4)
+        curriculum_class(CurriculumConfig(buffer_share=0.3), 4)
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"name": "plr2"}, "curricula are sfl"),
+        ({"name": "plr2"}, "choose one of sfl"),
         ({"name": "fixed"}, "level set is needed"),
         ({"num_candidates": 10, "scoring_batch": 4}, "not a multiple of scoring_batch"),
         ({"num_candidates": 8, "scoring_batch": 4, "buffer_size": 9}, "larger than num_candidates 8"),
@@ -92,7 +103,7 @@ def test_a_share_that_is_no_whole_number_of_worlds_is_refused():
 )
 def test_a_curriculum_that_cannot_run_is_refused_with_its_numbers(fields, message):
     with pytest.raises(ValueError, match=message):
-        CurriculumConfig(**fields)
+        curriculum_class(CurriculumConfig(**fields), PER_GROUP)
 
 
 def test_the_first_buffer_is_used_at_once_and_later_ones_at_a_fixed_distance():

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from jax2d.scene import Controls
-from kinetix_dist.env.actions import DISCRETE_NOOP, controls_of, noop_actions
-from kinetix_dist.env.spaces import ACTION_SPACES, CONTINUOUS, DISCRETE, MULTI_DISCRETE, ActionSpace
+from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionSpace
+from kinetix_dist.env.actions import controls_of
 
+MULTI_DISCRETE, CONTINUOUS, DISCRETE = (ACTION_SPACES[name] for name in ("multi_discrete", "continuous", "discrete"))
 MOTOR_COLOUR = jnp.array([[0, 3, 3]])
 MOTOR_AUTO = jnp.array([[False, False, False]])
 THRUSTER_COLOUR = jnp.array([[1, 0]])
@@ -59,22 +60,21 @@ def test_numbers_out_of_range_act_as_off_and_are_counted(space: ActionSpace, act
     assert int(num_invalid[0]) == (1 if space.is_flat else 3)
 
 
-@pytest.mark.parametrize("space", ACTION_SPACES.values(), ids=ACTION_SPACES)
+@pytest.mark.parametrize("space", [ACTION_SPACES[name] for name in ACTION_SPACES], ids=list(ACTION_SPACES))
 def test_samples_and_noops_belong_to_their_space(space: ActionSpace) -> None:
     samples = space.sample(jax.random.key(0), 64)
     space.check(samples, 64)
-    space.check(noop_actions(space, 5), 5)
-    result, _ = controls(space, noop_actions(space, 1)[0])
+    space.check(space.noop_actions(5), 5)
+    result, _ = controls(space, space.noop_actions(1)[0])
     assert not result.motor.any() and not result.thruster.any()
     if space.is_integer:
-        for column, size in zip(np.asarray(samples).reshape(64, -1).T, space.head_sizes):
-            assert set(column) == set(range(size))
+        for column, high in zip(np.asarray(samples).reshape(64, -1).T, space.high):
+            assert set(column) == set(range(int(high) + 1))
 
 
 def test_head_sizes_are_those_of_the_paper() -> None:
-    assert MULTI_DISCRETE.head_sizes == (3, 3, 3, 3, 2, 2)
-    assert DISCRETE.head_sizes == (11,) and DISCRETE_NOOP == 8
-    assert CONTINUOUS.head_sizes == ()
+    assert MULTI_DISCRETE.distribution.head_sizes == (3, 3, 3, 3, 2, 2)
+    assert DISCRETE.noop == 8 and DISCRETE.distribution is None and CONTINUOUS.distribution is None
 
 
 @pytest.mark.parametrize(

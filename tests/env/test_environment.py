@@ -11,16 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.sharding import PartitionSpec
 
-from kinetix_dist.env.environment import EnvConfig, Environment, select_worlds, world_partition_specs
+from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.noop import noop_solved
-from kinetix_dist.env.observations.entities import observe
-from kinetix_dist.env.roles import Role
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.noop import NOOP_STEPS
 from kinetix_dist.level.noop import noop_solved as noop_solved_of_levels
+from kinetix_dist.level.roles import Role
 from tests.env.worlds import BOX, DISC_1, DISC_2, HALF_BOX_M, RADIUS_M, THRUSTER, batch, small_level
 from tests.helpers import REPOSITORY
 
@@ -143,7 +142,7 @@ def test_touching_is_observed_while_a_body_rests_on_the_floor(env: Environment) 
     env_state, obs = env.reset(prepared)
     for _ in range(3):
         env_state, obs, *_ = env.step(prepared, env_state, noops(1, 1)[0])
-    masks = np.asarray(observe(prepared.static_obs, obs).attention_masks[0, 3])
+    masks = np.asarray(env.observe(prepared, obs).attention_masks[0, 3])
     assert masks[0, BOX] and masks[BOX, 0] and not masks[DISC_1, 0]
     np.testing.assert_array_equal(masks, masks.T)
 
@@ -210,31 +209,20 @@ def test_noop_filter_finds_levels_that_solve_themselves() -> None:
 
 def test_noop_filter_of_the_levels_judges_as_the_environment_does() -> None:
     levels = generate_levels(jax.random.key(5), 48, SIZES["s"], GeneratorConfig())
-    by_environment = np.asarray(noop_solved(Environment(EnvConfig(size="s")), levels))
-    np.testing.assert_array_equal(by_environment, noop_solved_of_levels(levels))
-    assert 0 < by_environment.sum() < 48
+    env = Environment(EnvConfig(size="s"))
+    prepared = env.prepare(levels)
+    actions = env.action_space.noop_actions(48)
 
+    def advance(carry: tuple, _: None) -> tuple[tuple, None]:
+        env_state, solved, over = carry
+        env_state, _, _, done, info = env.step(prepared, env_state, actions)
+        return (env_state, solved | (info.solved & ~over), over | done), None
 
-def test_partition_specs_put_the_mesh_axis_where_the_worlds_are(env: Environment) -> None:
-    prepared = env.prepare(batch(MEETS, RESTS, PUSHED))  # three worlds: no other axis has that length in size S
-    env_state, _ = env.reset(prepared)
-    for tree in (prepared, env_state):
-        specs = world_partition_specs(tree)
-        for leaf, spec in zip(jax.tree.leaves(tree), jax.tree.leaves(specs), strict=True):
-            assert isinstance(spec, PartitionSpec)
-            assert leaf.shape[list(spec).index("data")] == 3
-    for leaf in jax.tree.leaves(prepared.packed_scene) + jax.tree.leaves(env_state.packed_state):
-        assert leaf.shape[-1] == 3
-
-
-def test_selected_worlds_go_on_as_before(env: Environment) -> None:
-    prepared = env.prepare(batch(MEETS, RESTS, PUSHED))
-    env_state, _ = env.reset(prepared)
-    index = jnp.array([2, 0])
-    few, few_state = select_worlds(prepared, index), select_worlds(env_state, index)
-    _, obs, *_ = env.step(prepared, env_state, noops(1, 3)[0])
-    _, few_obs, *_ = env.step(few, few_state, noops(1, 2)[0])
-    np.testing.assert_array_equal(few_obs.bodies, obs.bodies[index])
+    nobody = jnp.zeros(48, bool)
+    (_, played, _), _ = jax.lax.scan(advance, (env.reset(prepared)[0], nobody, nobody), None, length=NOOP_STEPS)
+    np.testing.assert_array_equal(played, noop_solved(env, levels))
+    np.testing.assert_array_equal(played, noop_solved_of_levels(levels))
+    assert 0 < played.sum() < 48
 
 
 SHARDED = """
@@ -242,27 +230,26 @@ import os
 os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
 import jax, numpy as np, jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
-from kinetix_dist.env.environment import EnvConfig, Environment, world_partition_specs
+from kinetix_dist.env.environment import EnvConfig, Environment
 from tests.env.test_environment import MEETS, MEETS_RED, PUSHED, RESTS, MAX_STEPS
 from tests.env.worlds import batch
 
 env = Environment(EnvConfig(size="s", max_steps=MAX_STEPS))
-prepared = env.prepare(batch(MEETS, MEETS_RED, PUSHED, RESTS))
-env_state, _ = env.reset(prepared)
+levels = batch(MEETS, MEETS_RED, PUSHED, RESTS)
 actions = env.action_space.sample(jax.random.key(0), 4 * 14).reshape(14, 4, 6)
 
-def unroll(prepared, env_state, actions):
+def unroll(levels, actions):
+    prepared = env.prepare(levels)
     def advance(env_state, action):
         env_state, obs, reward, done, info = env.step(prepared, env_state, action)
         return env_state, (obs, reward, done, info)
-    return jax.lax.scan(advance, env_state, actions)
+    return jax.lax.scan(advance, env.reset(prepared)[0], actions)[1]
 
-state_specs = world_partition_specs(env_state)
 mesh = Mesh(np.array(jax.devices()), ("data",))
 sharded = jax.jit(jax.shard_map(
-    unroll, mesh=mesh, in_specs=(world_partition_specs(prepared), state_specs, PartitionSpec(None, "data")),
-    out_specs=(state_specs, PartitionSpec(None, "data"))))
-two, one = (jax.tree.leaves(f(prepared, env_state, actions)) for f in (sharded, jax.jit(unroll)))
+    unroll, mesh=mesh, in_specs=(PartitionSpec("data"), PartitionSpec(None, "data")),
+    out_specs=PartitionSpec(None, "data")))
+two, one = (jax.tree.leaves(f(levels, actions)) for f in (sharded, jax.jit(unroll)))
 for a, b in zip(two, one, strict=True):
     np.testing.assert_array_equal(a, b)
 assert len(jax.devices()) == 2

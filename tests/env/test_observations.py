@@ -14,22 +14,27 @@ from jax2d.scene import Capacity, JointKind, Scene
 from kinetix_dist.env.observations.entities import (
     DynamicObs,
     EntityObs,
-    connections,
     dynamic_obs,
     observe,
     static_obs,
 )
 from kinetix_dist.env.observations.flat import flat_size, flatten
-from kinetix_dist.env.roles import Role
+from kinetix_dist.env.observations.observation import Moving
 from kinetix_dist.level.canonical import swap_ends
+from kinetix_dist.level.connections import connections
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.roles import Role
 from tests.env.worlds import BOX, DISC_1, DISC_2, MOTOR_JOINT, RADIUS_M, THRUSTER, batch, small_level
 
 
 def observe_start(levels: Level, touching: np.ndarray | None = None) -> EntityObs:
     bits = jnp.zeros((*levels.angle.shape, 1), jnp.uint32) if touching is None else jnp.asarray(touching)
-    moving = dynamic_obs(levels.position, levels.angle, levels.velocity, levels.angular_velocity, bits)
-    return observe(static_obs(levels), moving)
+    return observe(static_obs(levels), dynamic_obs(moving_of(levels, bits)))
+
+
+def moving_of(levels: Level, touching: jax.Array) -> Moving:
+    fields = {name: getattr(levels, name) for name in ("position", "angle", "velocity", "angular_velocity")}
+    return Moving(**fields, touching=touching)
 
 
 def test_polygon_row_has_the_27_features_in_the_published_order() -> None:
@@ -197,6 +202,10 @@ def test_attention_masks_are_all_then_any_joints_then_one_joint_then_touching() 
     np.testing.assert_array_equal(masks[3], touch)
 
 
+def connected(scene: Scene) -> tuple[jax.Array, jax.Array]:
+    return connections(scene.joints.a, scene.joints.b, scene.joints.active, scene.shapes.active.shape[-1])
+
+
 def chain_scene(joints: list[tuple[int, int]], active: list[bool], num_shapes: int) -> Scene:
     """Only the fields that connectivity looks at."""
     ends = np.array(joints, np.int32)
@@ -210,7 +219,7 @@ def chain_scene(joints: list[tuple[int, int]], active: list[bool], num_shapes: i
 def test_a_chain_through_all_shapes_connects_all_of_them() -> None:
     # 16 shapes in a chain of 15 joints: the longest that size L could hold if it had the joints.
     scene = chain_scene([(i, i + 1) for i in range(15)], [True] * 15, 16)
-    one, any_number = jax.jit(connections)(scene)
+    one, any_number = jax.jit(connected)(scene)
     distance = np.abs(np.arange(16)[:, None] - np.arange(16))
     np.testing.assert_array_equal(one[0], distance <= 1)
     assert any_number.all()
@@ -218,7 +227,7 @@ def test_a_chain_through_all_shapes_connects_all_of_them() -> None:
 
 def test_an_inactive_joint_cuts_a_chain() -> None:
     scene = chain_scene([(0, 1), (1, 2), (2, 3)], [True, False, True], 4)
-    _, any_number = connections(scene)
+    _, any_number = connected(scene)
     group = np.array([0, 0, 1, 1])
     np.testing.assert_array_equal(any_number[0], group[:, None] == group)
 
@@ -228,7 +237,7 @@ def test_connections_agree_with_a_search_on_random_graphs() -> None:
     for _ in range(10):
         joints = [tuple(rng.choice(9, 2, replace=False)) for _ in range(6)]
         active = list(rng.random(6) < 0.8)
-        _, any_number = connections(chain_scene(joints, active, 9))
+        _, any_number = connected(chain_scene(joints, active, 9))
         group = np.arange(9)  # joined groups take the smaller of their names until nothing changes
         for _ in range(9):
             for (a, b), is_active in zip(joints, active):
@@ -239,9 +248,7 @@ def test_connections_agree_with_a_search_on_random_graphs() -> None:
 
 def test_observe_adds_a_time_axis_to_what_is_static() -> None:
     levels = batch(small_level(joint=MOTOR_JOINT), small_level(thruster=THRUSTER, box=(2.0, 2.0)))
-    moving = dynamic_obs(
-        levels.position, levels.angle, levels.velocity, levels.angular_velocity, jnp.zeros((2, 7, 1), jnp.uint32)
-    )
+    moving = dynamic_obs(moving_of(levels, jnp.zeros((2, 7, 1), jnp.uint32)))
     rollout = DynamicObs(bodies=jnp.stack([moving.bodies] * 3), touching=jnp.stack([moving.touching] * 3))
     once, over_time = observe(static_obs(levels), moving), observe(static_obs(levels), rollout)
     for single, repeated in zip(jax.tree.leaves(once), jax.tree.leaves(over_time)):

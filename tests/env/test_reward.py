@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d.scene import touch_matrix
-from kinetix_dist.env.reward import Outcome, goal_distance, judge, pack_bits, reward_of, role_masks
-from kinetix_dist.env.roles import Role
+from jax2d.scene import pack_bits, touch_matrix
+from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
+from kinetix_dist.level.roles import Role
 
 ROLES = jnp.array([[Role.NONE, Role.GREEN, Role.BLUE, Role.RED]])
 ACTIVE = jnp.ones((1, 4), bool)

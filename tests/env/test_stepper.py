@@ -14,7 +14,8 @@ import pytest
 from jax2d.effects import Effects, effects_of, names_of_bits
 from jax2d.engine import Engine, MissingEffectError
 from jax2d.scene import stack_worlds
-from kinetix_dist.env.environment import EnvConfig, Environment, EnvState, select_worlds, world_partition_specs
+from kinetix_dist.env.environment import EnvConfig, Environment
+from kinetix_dist.env.records import EnvState
 from kinetix_dist.env.stepper import GroupedScene
 from kinetix_dist.level.level import SIZES, Level
 from tests.env.worlds import BOX, MOTOR_JOINT, THRUSTER, batch, small_level
@@ -101,16 +102,6 @@ def test_groups_and_variants_come_together() -> None:
         Environment(EnvConfig(size="s", effect_groups=2), variants=VARIANTS[::-1])
     with pytest.raises(ValueError, match="effect_groups is -1"):
         EnvConfig(effect_groups=-1)
-
-
-def test_grouped_worlds_are_neither_picked_nor_spread_over_devices() -> None:
-    env = environment(2)
-    prepared = env.prepare(batch(DRIVEN, PUSHED))
-    for tree in (prepared, env.reset(prepared)[0]):
-        with pytest.raises(ValueError, match="prepare the levels inside shard_map"):
-            world_partition_specs(tree)
-        with pytest.raises(ValueError, match="cannot be picked from"):
-            select_worlds(tree, jnp.array([0]))
 
 
 def test_an_environment_for_fewer_effects_names_what_a_level_lacks() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 
 from jax2d.fields import from_dict
 from jax2d.scene import Scene, stack_worlds
-from kinetix_dist.env.roles import Role
 from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
+from kinetix_dist.level.roles import Role
 
 BOX, DISC_1, DISC_2 = 4, 5, 6  # shape indices in a level of size S
 HALF_BOX_M = 0.25

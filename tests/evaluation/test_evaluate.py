@@ -14,7 +14,7 @@ from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations.entities import EntityObs
 from kinetix_dist.evaluation.evaluate import SolveRates, evaluate
 from kinetix_dist.evaluation.intervals import wilson_interval
-from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, RandomPolicy
+from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, Player, RandomPolicy
 from tests.env.test_environment import MAX_STEPS, MEETS, MEETS_RED, PUSHED, RESTS
 from tests.env.worlds import BOX, DISC_1, THRUSTER, batch, small_level
 
@@ -47,7 +47,7 @@ class AlwaysThrust:
 def noop_rates(env: Environment, **keywords: Any) -> SolveRates:
     levels = batch(MEETS, MEETS_RED, RESTS)
     policy = NoopPolicy(env.action_space)
-    return evaluate(env, policy, None, levels, attempts=2, key=jax.random.key(0), names=NAMES, **keywords)
+    return evaluate(env, Player(policy), levels, attempts=2, key=jax.random.key(0), names=NAMES, **keywords)
 
 
 def test_known_levels_have_known_rates(env: Environment) -> None:
@@ -71,7 +71,7 @@ def test_rates_do_not_depend_on_the_chunk_size(env: Environment) -> None:
     levels = batch(NEAR, RESTS, PUSHED)
     policy = RandomPolicy(env.action_space)
     results = [
-        evaluate(env, policy, None, levels, attempts=4, key=jax.random.key(3), max_worlds=size) for size in (12, 5)
+        evaluate(env, Player(policy), levels, attempts=4, key=jax.random.key(3), max_worlds=size) for size in (12, 5)
     ]
     assert results[0] == results[1]
 
@@ -81,7 +81,7 @@ def test_attempts_differ_and_keys_repeat(env: Environment) -> None:
 
     def mean_length(seed: int) -> float:
         # How long the way to blue takes depends on when the thruster happened to fire; the return hardly does.
-        rates = evaluate(env, policy, None, batch(NEAR), attempts=20, key=jax.random.key(seed))
+        rates = evaluate(env, Player(policy), batch(NEAR), attempts=20, key=jax.random.key(seed))
         return rates.total.mean_length
 
     assert mean_length(0) == mean_length(0) != mean_length(1)
@@ -89,9 +89,9 @@ def test_attempts_differ_and_keys_repeat(env: Environment) -> None:
 
 @pytest.mark.parametrize("greedy", [False, True])
 def test_a_network_acts_by_its_logits(env: Environment, greedy: bool) -> None:
-    policy = NetworkPolicy(AlwaysThrust(), greedy=greedy)
-    trained = evaluate(env, policy, None, batch(NEAR), attempts=3, key=jax.random.key(0))
-    idle = evaluate(env, NoopPolicy(env.action_space), None, batch(NEAR), attempts=1, key=jax.random.key(0))
+    policy = NetworkPolicy(AlwaysThrust(), env.action_distribution, greedy=greedy)
+    trained = evaluate(env, Player(policy), batch(NEAR), attempts=3, key=jax.random.key(0))
+    idle = evaluate(env, Player(NoopPolicy(env.action_space)), batch(NEAR), attempts=1, key=jax.random.key(0))
     assert (trained.rate, idle.rate) == (1.0, 0.0)
 
 
@@ -113,13 +113,13 @@ def test_json_holds_the_interval_and_every_level(env: Environment) -> None:
 def test_bad_requests_are_refused(env: Environment, keywords: dict[str, Any], message: str) -> None:
     given = {"attempts": 1, "key": jax.random.key(0), **keywords}
     with pytest.raises(ValueError, match=message):
-        evaluate(env, NoopPolicy(env.action_space), None, batch(RESTS, RESTS), **given)
+        evaluate(env, Player(NoopPolicy(env.action_space)), batch(RESTS, RESTS), **given)
 
 
 def test_no_levels_are_refused(env: Environment) -> None:
     none = jax.tree.map(lambda x: x[:0], batch(RESTS))
     with pytest.raises(ValueError, match="no levels"):
-        evaluate(env, NoopPolicy(env.action_space), None, none, attempts=1, key=jax.random.key(0))
+        evaluate(env, Player(NoopPolicy(env.action_space)), none, attempts=1, key=jax.random.key(0))
 
 
 def test_thruster_level_is_as_described() -> None:

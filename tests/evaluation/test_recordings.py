@@ -11,7 +11,7 @@ import pytest
 from jax2d.scene import index_worlds
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.evaluate import evaluate
-from kinetix_dist.evaluation.policies import RandomPolicy
+from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import decode_level, encode_level, read_rollouts, record_rollouts
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import GeneratorConfig
@@ -40,7 +40,7 @@ def levels() -> Level:
 
 @pytest.fixture(scope="module")
 def rollouts(env: Environment, levels: Level) -> list[Rollout]:
-    return record_rollouts(env, RandomPolicy(env.action_space), None, levels, jax.random.key(1), seed=1)
+    return record_rollouts(env, Player(RandomPolicy(env.action_space)), levels, jax.random.key(1), seed=1)
 
 
 def test_a_rollout_starts_where_its_level_does(rollouts: list[Rollout]) -> None:
@@ -64,7 +64,7 @@ def test_fixed_shapes_stay_and_states_are_finite(rollouts: list[Rollout]) -> Non
 def test_recorded_outcomes_are_those_that_evaluation_counts(
     env: Environment, levels: Level, rollouts: list[Rollout]
 ) -> None:
-    rates = evaluate(env, RandomPolicy(env.action_space), None, levels, attempts=1, key=jax.random.key(1))
+    rates = evaluate(env, Player(RandomPolicy(env.action_space)), levels, attempts=1, key=jax.random.key(1))
     for rollout, level in zip(rollouts, rates.levels, strict=True):
         assert rollout.num_steps == level.mean_length
         assert (rollout.solved, rollout.failed) == (level.solved == 1, level.failed == 1)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
+from kinetix_dist.benchmarks.synthetic_batch import ACTIONS
 from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.learner.state import add_env_steps, env_step_count
 from kinetix_dist.learner.update import METRICS, PpoConfig, _shuffled
-from kinetix_dist.models import heads
 from kinetix_dist.models.policy import make_policy
 from tests.learner.update_program import POLICY, PPO, STEPS, WORLDS, make_problem, place, poisoned
 
@@ -59,8 +59,8 @@ def test_one_full_batch_step_is_adam_on_the_gradient_of_the_formula():
     obs = jax.tree.map(lambda x: x.reshape(STEPS * WORLDS, *x.shape[2:]), obs)
 
     def loss(params):
-        logits, values = make_policy(POLICY).apply(params, obs)
-        log_probs, entropies = heads.log_prob_and_entropy(logits, samples.actions)
+        logits, values = make_policy(POLICY, ACTIONS.head_sizes).apply(params, obs)
+        log_probs, entropies = ACTIONS.log_prob_and_entropy(logits, samples.actions)
         terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=config.clip)
         return total_loss(terms / (STEPS * WORLDS), value_coefficient=0.5, entropy_coefficient=0.01)
 

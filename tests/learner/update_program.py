@@ -14,8 +14,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jax2d.scene import Capacity
-from kinetix_dist.benchmarks.synthetic_batch import synthetic_static_obs, synthetic_trajectory
-from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
+from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, shard_worlds
 from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import PpoConfig, Update, make_update
@@ -32,11 +32,12 @@ def make_problem(mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple[Upda
     static = synthetic_static_obs(WORLDS, CAPACITY)
     trajectory = synthetic_trajectory(STEPS, WORLDS, CAPACITY)
     last_value = np.linspace(-1.0, 1.0, WORLDS, dtype=np.float32)
-    policy = make_policy(POLICY)
-    obs = observe(static, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
+    policy = make_policy(POLICY, ACTIONS.head_sizes)
+    observation = OBSERVATIONS["entity"]
+    obs = observation.join(static, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
     params = init_params(policy, obs, jax.random.key(0))
     state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(7)), mesh)
-    return make_update(policy, observe, config, mesh), state, (static, trajectory, last_value)
+    return make_update(policy, observation, ACTIONS, config, mesh), state, (static, trajectory, last_value)
 
 
 def place(arguments: tuple, mesh: jax.sharding.Mesh) -> tuple:

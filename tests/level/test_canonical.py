@@ -16,6 +16,7 @@ from jax2d.engine import Engine
 from jax2d.fields import take_slots
 from jax2d.scene import Capacity, Controls, JointKind, Joints, capacity_of, stack_worlds
 from kinetix_dist.env.observations.entities import EntityObs, dynamic_obs, observe, static_obs
+from kinetix_dist.env.observations.observation import Moving
 from kinetix_dist.level.canonical import canonical, canonical_corners, swap_ends
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.fit import fit_level
@@ -34,8 +35,8 @@ def observe_start(levels: Level) -> EntityObs:
     """Of a batch."""
     n = levels.angle.shape[1]
     untouched = jnp.zeros((levels.angle.shape[0], n, (n + 31) // 32), jnp.uint32)
-    moving = dynamic_obs(levels.position, levels.angle, levels.velocity, levels.angular_velocity, untouched)
-    return observe(static_obs(levels), moving)
+    fields = {name: getattr(levels, name) for name in ("position", "angle", "velocity", "angular_velocity")}
+    return observe(static_obs(levels), dynamic_obs(Moving(**fields, touching=untouched)))
 
 
 # Corners and ends

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from jax2d.scene import Capacity
+from kinetix_dist.env.observations.flat import flatten
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy, num_parameters
 from tests.models.synthetic import random_obs
 
+HEAD_SIZES = (3, 3, 3, 3, 2, 2)
 CAPACITY = Capacity(polygons=3, circles=2, joints=2, thrusters=2)
 SMALL = PolicyConfig(
     encoder_size=16, attention_features=8, num_heads=4, num_layers=2, hidden_size=16, hidden_layers=2, flat_size=16
@@ -22,7 +24,7 @@ SMALL = PolicyConfig(
 @pytest.fixture(scope="module")
 def small():
     obs = random_obs(6, CAPACITY)
-    policy = make_policy(SMALL)
+    policy = make_policy(SMALL, HEAD_SIZES)
     return policy, _perturbed(init_params(policy, obs, jax.random.key(0))), obs
 
 
@@ -41,7 +43,7 @@ def _as_vector(output) -> np.ndarray:
 def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders():
     """Also term by term: the paper's table of sizes leaves open where layers are counted."""
     obs = random_obs(1, CAPACITY)
-    shapes = jax.eval_shape(make_policy(PolicyConfig()).init, jax.random.key(0), obs)
+    shapes = jax.eval_shape(make_policy(PolicyConfig(), HEAD_SIZES).init, jax.random.key(0), obs)
     encoders = sum((features + 1) * 128 for features in (27, 19, 22, 8)) + 3 * 128
     gate = 6 * 128 * 128 + 128
     attention = 3 * (128 + 1) * 16 + (16 + 1) * 128
@@ -54,9 +56,10 @@ def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders()
 @pytest.mark.parametrize("network", ["transformer", "flat"])
 def test_outputs_are_float32_heads_and_values_in_both_types(network):
     obs = random_obs(6, CAPACITY)
+    obs = flatten(obs) if network == "flat" else obs
     outputs = []
     for dtype in ("float32", "bfloat16"):
-        policy = make_policy(dataclasses.replace(SMALL, network=network, dtype=dtype))
+        policy = make_policy(dataclasses.replace(SMALL, network=network, dtype=dtype), HEAD_SIZES)
         params = init_params(policy, obs, jax.random.key(0))
         assert all(x.dtype == jnp.float32 for x in jax.tree.leaves(params))
         logits, value = policy.apply(params, obs)
@@ -68,7 +71,7 @@ def test_outputs_are_float32_heads_and_values_in_both_types(network):
 
 def test_first_policy_is_nearly_uniform():
     obs = random_obs(6, CAPACITY)
-    policy = make_policy(SMALL)
+    policy = make_policy(SMALL, HEAD_SIZES)
     logits, _ = policy.apply(init_params(policy, obs, jax.random.key(0)), obs)
     assert max(float(jnp.max(jnp.abs(head))) for head in logits) < 0.1
 

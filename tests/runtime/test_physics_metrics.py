@@ -12,6 +12,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
+from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
@@ -65,8 +66,9 @@ def _sums(effects):
     levels = dataclasses.replace(config.curriculum, name="fixed", levels="designed_s")
     config = dataclasses.replace(config, curriculum=levels)
     env = Environment(config.env, engine=Engine(config.env.capacity, effects=effects))
-    policy = make_policy(config.policy, env.action_head_sizes)
-    core = RolloutCore(config, env, policy, data_mesh(), first_group=0, num_groups=config.rollout.num_groups)
+    policy = make_policy(config.policy, env.action_distribution.head_sizes)
+    curriculum = make_curriculum(config, env, policy)
+    core = RolloutCore(config, env, policy, curriculum, data_mesh(), groups=range(config.rollout.num_groups))
     worker = Worker(config, data_mesh())
     worker.start(None)
     return jax.device_get(core.play(worker.weights(), None, 0)[-1])["physics"]

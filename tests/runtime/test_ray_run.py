@@ -1,11 +1,15 @@
 """Real Ray processes on CPU: the same numbers as in one process, whoever dies in between."""
 
+import dataclasses
 import os
 import signal
 
 import numpy as np
 import pytest
 
+from kinetix_dist.config import from_dict, to_dict
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.registry import PluginError, import_plugins
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -23,20 +27,21 @@ def ray_backend():
     backend.stop()
 
 
-def _run(config, path, backend, reporter=None, at_update=None):
+def _run(config, path, backend, reporter=None, at_update=None, resume=False):
     """Colocated or split as the config says; returns (controller, trainer, curator)."""
     placement = plan(config, num_gpus=0)
     if config.run.placement == "split":
         trainer = SplitTrainer(config, backend, placement)
     else:
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
-    curator = CuratorClient(config, backend, placement.of("curator")[0])
+    curators = placement.of("curator")
+    curator = CuratorClient(config, backend, curators[0]) if curators else None
     reporter = reporter or QuietReporter(lambda number: at_update(number, trainer, curator) if at_update else None)
     try:
-        return run_updates(config, path, trainer, curator, reporter=reporter), reporter
+        return run_updates(config, path, trainer, curator, reporter=reporter, resume=resume), reporter
     finally:
-        curator.stop()
-        trainer.stop()
+        for role in filter(None, (curator, trainer)):
+            role.stop()
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +85,7 @@ def test_two_workers_over_gloo_agree_with_one(ray_backend, local_arrays, tmp_pat
             # float32 sums in another order, 32 gradient steps of size 1e-3 each: Adam turns a rounding difference
             # of a near-zero gradient into up to a step, so single parameters may differ by a few steps' rounding.
             np.testing.assert_allclose(arrays[name], expected, atol=2e-4, err_msg=name)
-        elif name.startswith("buffer/levels"):
+        elif name.startswith("curriculum/levels"):
             np.testing.assert_array_equal(arrays[name].shape, expected.shape)
     assert arrays["learner/num_updates"] == 8
 
@@ -99,3 +104,50 @@ def test_a_killed_rollout_actor_is_replaced_and_its_steps_are_counted_as_dropped
     part = config.rollout.steps_per_update // 2
     assert dropped in (part, 2 * part)  # one or two of its batches were in flight
     assert_same_bits(final_arrays(tmp_path / "ray"), final_arrays(tmp_path / "local"))
+
+
+# Parts of a user: an observation and a curriculum that the system has never heard of
+
+PLUGINS = ("tests.runtime.fake_observation", "tests.runtime.fake_curriculum")
+
+
+def _config_of_a_user(*, num_updates, **run):
+    import_plugins(PLUGINS)
+    config = tiny_config(num_updates=num_updates, plugins=PLUGINS, **run)
+    return dataclasses.replace(
+        config,
+        env=dataclasses.replace(config.env, observation="from_green", max_steps=5),
+        policy=dataclasses.replace(config.policy, network="flat"),
+        curriculum=CurriculumConfig(name="most_failed", levels="designed_s"),
+    )
+
+
+def test_parts_of_a_user_are_trained_in_one_process_and_on_ray_alike(ray_backend, tmp_path):
+    config = _config_of_a_user(num_updates=6, placement="colocated")
+    assert from_dict(to_dict(config)) == config
+    _, reporter = _run(config, tmp_path / "local", LocalBackend())
+    arrays = final_arrays(tmp_path / "local")
+    # It saw the outcome of every level: the episodes it counted are those that were reported.
+    assert arrays["curriculum/finished"].sum() == sum(row["train/episodes"] for row in reporter.rows) > 0
+    assert reporter.rows[-1]["curriculum/levels_tried"] == 1.0
+    assert arrays["learner/num_gradient_steps"] == 6 * config.ppo.epochs * config.ppo.minibatches
+    _run(config, tmp_path / "ray", ray_backend)
+    assert_same_bits(final_arrays(tmp_path / "ray"), arrays)
+
+
+def test_a_curriculum_of_a_user_goes_on_where_its_run_was_cut(tmp_path):
+    """In the split placement: the batch in flight was proposed by the state before the last one that was seen."""
+    run = {"placement": "split", "num_rollout_actors": 2}
+    config = _config_of_a_user(num_updates=6, **run)
+    _, reporter = _run(config, tmp_path / "whole", LocalBackend())
+    arrays = final_arrays(tmp_path / "whole")
+    assert arrays["curriculum/finished"].sum() == sum(row["train/episodes"] for row in reporter.rows) > 0
+    assert (arrays["proposing/finished"] < arrays["curriculum/finished"]).any()
+    _run(_config_of_a_user(num_updates=3, **run), tmp_path / "cut", LocalBackend())
+    _run(config, tmp_path / "cut", LocalBackend(), resume=True)
+    assert_same_bits(final_arrays(tmp_path / "cut"), arrays)
+
+
+def test_a_plugin_that_is_not_there_is_named_in_one_line():
+    with pytest.raises(PluginError, match=r"module 'no_such_parts' cannot be imported .*PYTHONPATH"):
+        from_dict({**to_dict(tiny_config(num_updates=1)), "run": {"plugins": ["no_such_parts"], "total_env_steps": 1}})

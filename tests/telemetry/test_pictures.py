@@ -10,7 +10,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from jax2d.draw import DEFAULT_VIEW, FIXED_SHADE, ROLE_PALETTE, THRUSTER_PALETTE
-from kinetix_dist.env.roles import Role
+from kinetix_dist.level.roles import Role
 from kinetix_dist.telemetry.pictures import moment_picture, rollout_picture, write_rollout_gif, write_rollout_picture
 from tests.telemetry.worlds import GREY_TRIANGLE, falling_rollout
 

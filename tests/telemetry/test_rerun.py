@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from jax2d.draw import ROLE_PALETTE
-from kinetix_dist.env.roles import Role
+from kinetix_dist.level.roles import Role
 from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
 from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout
 

@@ -7,8 +7,8 @@ import json
 import numpy as np
 
 from jax2d.scene import Capacity, JointKind, Joints, Scene, Shapes, Thrusters
-from kinetix_dist.env.roles import Role
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.roles import Role
 from kinetix_dist.telemetry.recording import Rollout
 
 GRAVITY = 9.81

@@ -1,0 +1,14 @@
+"""Observations by name, `EnvConfig.observation`. One file each, with the same three methods (`observation.py`)."""
+
+from __future__ import annotations
+
+from kinetix_dist.env.observations.entities import EntityObservation
+from kinetix_dist.env.observations.flat import FlatObservation
+from kinetix_dist.env.observations.observation import ENTITIES, VECTOR, Moving, Observation
+from kinetix_dist.registry import Registry
+
+__all__ = ["ENTITIES", "OBSERVATIONS", "VECTOR", "EntityObservation", "FlatObservation", "Moving", "Observation"]
+
+OBSERVATIONS: Registry[Observation] = Registry("observation")
+OBSERVATIONS.register("entity", EntityObservation())
+OBSERVATIONS.register("flat", FlatObservation())

@@ -45,11 +45,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity, JointKind, Joints, Scene, touch_matrix
-from kinetix_dist.env.reward import pack_bits
-from kinetix_dist.env.roles import Role
+from jax2d.scene import Array, Capacity, JointKind, Joints, Scene, pack_bits, touch_matrix
+from kinetix_dist.env.observations.observation import ENTITIES, Moving, Observation
 from kinetix_dist.level.canonical import swap_ends
+from kinetix_dist.level.connections import connections
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
+from kinetix_dist.level.roles import Role
 
 NUM_BODY_FEATURES = 7
 NUM_CIRCLE_FEATURES = 19
@@ -112,6 +113,21 @@ class EntityObs:
     attention_masks: Array  # [W, 4, n, n] bool
 
 
+class EntityObservation(Observation):
+    """The functions below as the object that others are given."""
+
+    gives = ENTITIES
+
+    def static(self, levels: Level) -> StaticObs:
+        return static_obs(levels)
+
+    def dynamic(self, moving: Moving) -> DynamicObs:
+        return dynamic_obs(moving)
+
+    def join(self, static: StaticObs, dynamic: DynamicObs) -> EntityObs:
+        return observe(static, dynamic)
+
+
 def observe(static: StaticObs, dynamic: DynamicObs) -> EntityObs:
     """The whole observation. `dynamic` may have leading axes more than `static`, such as time: [T, W, ...]."""
     leading = dynamic.bodies.shape[:-2]
@@ -143,12 +159,12 @@ def observe(static: StaticObs, dynamic: DynamicObs) -> EntityObs:
     )
 
 
-def dynamic_obs(position: Array, angle: Array, velocity: Array, angular_velocity: Array, touching: Array) -> DynamicObs:
-    """From what `Engine.bodies` gives ([W, n, 2], [W, n], [W, n, 2], [W, n]) and touch bits [W, n, words]."""
-    spin = jnp.tanh(angular_velocity / ANGULAR_VELOCITY_SCALE)
-    rotation = jnp.stack([spin, jnp.sin(angle), jnp.cos(angle)], axis=-1)
-    bodies = jnp.concatenate([position, velocity, rotation], axis=-1)
-    return DynamicObs(bodies=bodies.astype(jnp.float32), touching=touching)
+def dynamic_obs(moving: Moving) -> DynamicObs:
+    """[W, ...] on every field."""
+    spin = jnp.tanh(moving.angular_velocity / ANGULAR_VELOCITY_SCALE)
+    rotation = jnp.stack([spin, jnp.sin(moving.angle), jnp.cos(moving.angle)], axis=-1)
+    bodies = jnp.concatenate([moving.position, moving.velocity, rotation], axis=-1)
+    return DynamicObs(bodies=bodies.astype(jnp.float32), touching=moving.touching)
 
 
 def static_obs(levels: Level) -> StaticObs:
@@ -173,7 +189,11 @@ def static_obs(levels: Level) -> StaticObs:
     radius = scene.shapes.radius[..., None]
     circles = jnp.concatenate([circle_shape, radius, jnp.ones_like(radius), circle_gravity], axis=-1)
     joint_mask = jnp.concatenate([scene.joints.active, scene.joints.active], axis=1)
-    connected_one, connected_any = connections(scene)
+    both_active = scene.shapes.active[:, :, None] & scene.shapes.active[:, None, :]
+    connected_one, connected_any = (
+        connected & both_active
+        for connected in connections(scene.joints.a, scene.joints.b, scene.joints.active, both_active.shape[-1])
+    )
     return StaticObs(
         polygons=_masked(polygons, scene.shapes.active[:, :num_polygons]),
         circles=_masked(circles, scene.shapes.active[:, num_polygons:]),
@@ -188,29 +208,6 @@ def static_obs(levels: Level) -> StaticObs:
         connected_any=pack_bits(connected_any),
         connected_one=pack_bits(connected_one),
     )
-
-
-def connections(scene: Scene) -> tuple[Array, Array]:
-    """Who is jointed to whom: by one joint, and by any number of them (the transitive closure); [W, n, n] bool.
-
-    Both are symmetric and True on the diagonal of active shapes. Squaring the relation doubles the length of the
-    chains it covers, so that log2(n) squarings cover all.
-    """
-    active = scene.shapes.active
-    num_shapes = active.shape[-1]
-    ends_a = jax.nn.one_hot(scene.joints.a, num_shapes) * scene.joints.active[..., None]
-    ends_b = jax.nn.one_hot(scene.joints.b, num_shapes) * scene.joints.active[..., None]
-    directed = jnp.einsum("wja,wjb->wab", ends_a, ends_b) > 0
-    both_active = active[:, :, None] & active[:, None, :]
-    one = (directed | directed.swapaxes(1, 2) | np.eye(num_shapes, dtype=bool)) & both_active
-
-    def square(relation: Array, _: None) -> tuple[Array, None]:
-        steps = relation.astype(jnp.float32)
-        return jnp.einsum("wab,wbc->wac", steps, steps) > 0, None
-
-    num_squarings = max(1, int(np.ceil(np.log2(num_shapes))))
-    any_number, _ = jax.lax.scan(square, one, None, length=num_squarings)
-    return one, any_number
 
 
 def _polygon_features(scene: Scene) -> Array:

@@ -15,13 +15,35 @@ from kinetix_dist.env.observations.entities import (
     NUM_CIRCLE_FEATURES,
     NUM_JOINT_FEATURES,
     NUM_THRUSTER_FEATURES,
+    DynamicObs,
     EntityObs,
+    StaticObs,
+    dynamic_obs,
     num_polygon_features,
+    observe,
+    static_obs,
 )
+from kinetix_dist.env.observations.observation import VECTOR, Moving, Observation
+from kinetix_dist.level.level import Level
+
+
+class FlatObservation(Observation):
+    """Stored as the entity observation, of which it has the numbers."""
+
+    gives = VECTOR
+
+    def static(self, levels: Level) -> StaticObs:
+        return static_obs(levels)
+
+    def dynamic(self, moving: Moving) -> DynamicObs:
+        return dynamic_obs(moving)
+
+    def join(self, static: StaticObs, dynamic: DynamicObs) -> Array:
+        return flatten(observe(static, dynamic))
 
 
 def flatten(obs: EntityObs) -> Array:
-    """[W, flat_size(capacity)] float32."""
+    """[..., flat_size(capacity)] float32."""
     num_shapes = obs.shape_mask.shape[-1]
     num_joints = obs.joints.shape[-2] // 2
     is_joint = obs.joint_mask[..., :num_joints, None]

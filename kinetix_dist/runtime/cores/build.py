@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.rollout_worker import RolloutWorker
@@ -18,23 +19,29 @@ from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
 
 def build_worker(index: int, num_processes: int, config: TrainConfig) -> Worker:
     del index, num_processes
-    enable_compile_cache(config.run.compile_cache)
+    _prepare_process(config)
     return Worker(config, data_mesh())
 
 
 def build_learner(index: int, num_processes: int, config: TrainConfig) -> LearnerWorker:
     del index, num_processes
-    enable_compile_cache(config.run.compile_cache)
+    _prepare_process(config)
     return LearnerWorker(config, data_mesh())
 
 
 def build_rollout(index: int, num_processes: int, config: TrainConfig) -> RolloutWorker:
     del num_processes
-    enable_compile_cache(config.run.compile_cache)
+    _prepare_process(config)
     return RolloutWorker(config, data_mesh(), index=index, num_parts=config.run.num_rollout_actors)
 
 
 def build_curator(index: int, num_processes: int, config: TrainConfig) -> CuratorCore:
     del index, num_processes
-    enable_compile_cache(config.run.compile_cache)
+    _prepare_process(config)
     return CuratorCore(config)
+
+
+def _prepare_process(config: TrainConfig) -> None:
+    """What comes before anything is built."""
+    import_plugins(config.run.plugins)
+    enable_compile_cache(config.run.compile_cache)

@@ -12,7 +12,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.intervals import wilson_interval
-from kinetix_dist.evaluation.policies import NetworkPolicy, RandomPolicy
+from kinetix_dist.evaluation.policies import NetworkPolicy, Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
@@ -28,7 +28,7 @@ class Evaluator:
         self._size = config.env.size
         self._seed = config.run.seed
         self._env = env
-        self._network = NetworkPolicy(module)
+        self._network = NetworkPolicy(module, env.action_distribution)
         self._sets: dict[str, tuple[Level, list[str]]] | None = None
 
     def evaluate(self, params: Any | None) -> dict[str, dict[str, float]]:
@@ -39,8 +39,9 @@ class Evaluator:
         sets = self._load()
         repeated = [_repeat(levels, self._attempts(names)) for levels, names in sets.values()]
         batch = jax.tree.map(lambda *xs: np.concatenate(xs), *repeated)
-        policy = self._network if params is not None else RandomPolicy(self._env.action_space)
-        rates = evaluate(self._env, policy, jax.device_put(params), batch, attempts=1, key=self._key())
+        random = Player(RandomPolicy(self._env.action_space))
+        player = random if params is None else Player(self._network, jax.device_put(params))
+        rates = evaluate(self._env, player, batch, attempts=1, key=self._key())
         result, start = {}, 0
         for name, (_, level_names) in sets.items():
             attempts = len(level_names) * self._attempts(level_names)
@@ -59,8 +60,7 @@ class Evaluator:
         names = [name for _, level_names in sets for name in level_names]
         played = record_rollouts(
             self._env,
-            self._network,
-            jax.device_put(params),
+            Player(self._network, jax.device_put(params)),
             batch,
             self._key(),
             names=names,

@@ -14,7 +14,6 @@ from jax2d.scene import Array
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.learner.sharding import local_values, replicate
 from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import make_update
@@ -32,7 +31,7 @@ class LearnerCore:
         )
         self._config = config
         self._mesh = mesh
-        self._update = make_update(policy, observe, config.ppo, mesh)
+        self._update = make_update(policy, env.observation, env.action_distribution, config.ppo, mesh)
         self._init = jax.jit(lambda: _initial_state(config, env, policy))
         self.state: LearnerState | None = None
 
@@ -65,5 +64,4 @@ def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> Learne
 
 def _some_observation(config: TrainConfig, env: Environment) -> Any:
     prepared = env.prepare(one_level(config))
-    _, obs = env.reset(prepared)
-    return observe(prepared.static_obs, obs)
+    return env.observe(prepared, prepared.initial_obs)

@@ -9,28 +9,22 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.effect_variants import choose_variants
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.generator import generate_levels
-from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 
 # Levels from which engines are chosen: a set of effects that 1 % of the levels need is not overlooked.
 NUM_SAMPLED = 512
 
 
-def fixed_levels(config: TrainConfig) -> Level | None:
-    """The levels of curriculum `fixed`."""
-    if not config.curriculum.levels:
-        return None
-    return load_level_set(config.curriculum.levels, config.env.size)[0]
-
-
 def make_environment(config: TrainConfig) -> Environment:
     """The environment of a run. Where worlds are grouped by effects, its engines suit the levels of the run.
 
-    Every process chooses the same engines: from the fixed levels, or from a sample drawn with a key of its own.
+    Every process chooses the same engines: from the levels that the curriculum is given, or from a sample drawn with a
+    key of its own.
     """
     if not config.env.effect_groups:
         return Environment(config.env)
-    levels = fixed_levels(config)
-    if levels is None:
+    if config.curriculum.levels:
+        levels = load_level_set(config.curriculum.levels, config.env.size)[0]
+    else:
         levels = generate_levels(jax.random.key(0), NUM_SAMPLED, config.env.capacity, config.curriculum.generator)
     return Environment(config.env, variants=choose_variants(called_for(levels.scene), config.env.capacity))

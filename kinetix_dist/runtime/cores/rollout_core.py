@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 
 from jax2d.scene import Array
-from kinetix_dist.actors.unroll import unroll
+from kinetix_dist.actors.unroll import Worlds, unroll
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.curriculum import make_propose
-from kinetix_dist.curator.level_buffer import LevelBuffer
+from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.learner.sharding import DATA_AXIS
 from kinetix_dist.messages import LevelOutcome
-from kinetix_dist.runtime.cores.levels import fixed_levels
 from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, stream
+
+Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
+
+
+class Batch(NamedTuple):
+    """What the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded."""
+
+    static_obs: Any
+    trajectory: Any
+    last_value: Any
 
 
 class RolloutCore:
-    """Plays the worlds of groups [first_group, first_group + num_groups) of every update."""
+    """Plays the worlds of `groups` of every update."""
 
     def __init__(
-        self, config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, *, first_group: int, num_groups: int
+        self,
+        config: TrainConfig,
+        env: Environment,
+        policy: Any,
+        curriculum: Curriculum,
+        mesh: Mesh,
+        *,
+        groups: range,
     ) -> None:
+        num_groups = len(groups)
         num_devices = mesh.devices.size
         if num_groups % num_devices:
             raise ValueError(
@@ -35,33 +50,28 @@ class RolloutCore:
         self._config = config
         self._env = env
         self._policy = policy
-        self._first_group = first_group
+        self._curriculum = curriculum
+        self._first_group = groups.start
         self._groups_per_device = num_groups // num_devices
-        self._propose = make_propose(
-            config.curriculum,
-            capacity=env.capacity,
-            worlds_per_group=config.rollout.worlds_per_group,
-            noop_solved=lambda levels: noop_solved(env, levels),
-            fixed_levels=fixed_levels(config),
-        )
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._play = jax.jit(
             jax.shard_map(
                 self._play_shard,
                 mesh=mesh,
                 in_specs=(whole, whole, whole),
-                out_specs=(worlds, PartitionSpec(None, DATA_AXIS), worlds, whole),
+                out_specs=(Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds), worlds, whole),
                 check_vma=False,
             )
         )
 
-    def play(self, params: Any, buffer: LevelBuffer | None, num_updates: int) -> tuple[Any, Any, Array, dict[str, Any]]:
-        """(static_obs [W, ...], trajectory [T, W, ...], last_value [W], sums over all worlds) of one update."""
-        return self._play(params, buffer, jnp.uint32(num_updates))
+    def play(self, params: Any, state: Any, num_updates: int) -> tuple[Batch, Seen | None, dict[str, Any]]:
+        """(what is learned from, what the curriculum sees if it observes, sums over all worlds) of one update.
 
-    def _play_shard(
-        self, params: Any, buffer: LevelBuffer | None, num_updates: Array
-    ) -> tuple[Any, Any, Array, dict[str, Any]]:
+        state: of the curriculum.
+        """
+        return self._play(params, state, jnp.uint32(num_updates))
+
+    def _play_shard(self, params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
         config, env = self._config, self._env
         worlds_per_group = config.rollout.worlds_per_group
         device = jax.lax.axis_index(DATA_AXIS)
@@ -69,21 +79,21 @@ class RolloutCore:
         level_key = jax.random.fold_in(stream(config.run.seed, LEVELS), num_updates)
         play_key = jax.random.fold_in(stream(config.run.seed, PLAY), num_updates)
 
-        levels = self._propose(jax.vmap(lambda group: jax.random.fold_in(level_key, group))(groups), groups, buffer)
-        prepared = env.prepare(levels)
-        env_state, obs = env.reset(prepared)
-        trajectory, _, _, last_value, outcome = unroll(
+        group_keys = jax.vmap(lambda group: jax.random.fold_in(level_key, group))(groups)
+        proposal = self._curriculum.propose(state, group_keys, groups)
+        prepared = env.prepare(proposal.levels)
+        played = unroll(
             self._policy,
             params,
             env,
-            prepared,
-            env_state,
-            obs,
+            Worlds(prepared, *env.reset(prepared)),
             play_key,
             config.rollout.num_steps,
             first_world=groups[0] * worlds_per_group,
         )
-        return prepared.static_obs, trajectory, last_value, _sums(outcome, trajectory.rewards)
+        seen = (proposal, played.outcome) if self._curriculum.observes else None
+        batch = Batch(prepared.static_obs, played.trajectory, played.last_value)
+        return batch, seen, _sums(played.outcome, played.trajectory.rewards)
 
 
 def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Any]:

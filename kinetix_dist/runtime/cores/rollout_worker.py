@@ -9,9 +9,9 @@ import jax
 from jax.sharding import Mesh
 
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.level_buffer import LevelBuffer
 from kinetix_dist.learner.sharding import replicate
 from kinetix_dist.models.policy import make_policy
+from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 
@@ -23,21 +23,21 @@ class RolloutWorker:
         self._mesh = mesh
         self._num_env_steps = config.rollout.steps_per_update // num_parts
         env = make_environment(config)
-        policy = make_policy(config.policy, env.action_head_sizes)
+        policy = make_policy(config.policy, env.action_distribution.head_sizes)
+        curriculum = make_curriculum(config, env, policy)
         num_groups = config.rollout.num_groups // num_parts
-        self._rollout = RolloutCore(config, env, policy, mesh, first_group=index * num_groups, num_groups=num_groups)
+        groups = range(index * num_groups, (index + 1) * num_groups)
+        self._rollout = RolloutCore(config, env, policy, curriculum, mesh, groups=groups)
 
-    def play(
-        self, update: int, policy_version: int, params: Any, buffer: LevelBuffer | None
-    ) -> tuple[dict[str, Any], tuple[Any, ...]]:
-        """(stamp, batch as numpy) of this part of batch `update`."""
+    def play(self, update: int, policy_version: int, params: Any, state: Any) -> tuple[dict[str, Any], tuple[Any, ...]]:
+        """(stamp, what `RolloutCore.play` gives as numpy) of this part of batch `update`. state: of the curriculum."""
         began = time.monotonic()
-        params, buffer = replicate(params, self._mesh), replicate(buffer, self._mesh)
-        batch = jax.device_get(self._rollout.play(params, buffer, update))
+        params, state = replicate(params, self._mesh), replicate(state, self._mesh)
+        played = jax.device_get(self._rollout.play(params, state, update))
         stamp = {
             "update": update,
             "policy_version": policy_version,
             "num_env_steps": self._num_env_steps,
             "seconds": time.monotonic() - began,
         }
-        return stamp, batch
+        return stamp, played

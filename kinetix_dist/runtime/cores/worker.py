@@ -12,15 +12,15 @@ from jax.sharding import Mesh
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.level_buffer import LevelBuffer, buffer_metrics
-from kinetix_dist.learner.sharding import local_values, replicate, shard_worlds
+from kinetix_dist.learner.sharding import local_values, shard_worlds
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.compile_cache import compile_seconds
+from kinetix_dist.runtime.cores.curriculum_state import CurriculumState, make_curriculum
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
-from kinetix_dist.runtime.cores.stored import BUFFER, LEARNER, stored_buffer
+from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
 
 
@@ -31,43 +31,50 @@ class LearnerWorker:
         self._config = config
         self._mesh = mesh
         self._env = make_environment(config)
-        self._policy = make_policy(config.policy, self._env.action_head_sizes)
+        self._policy = make_policy(config.policy, self._env.action_distribution.head_sizes)
         self._learner = LearnerCore(config, self._env, self._policy, mesh)
         self._evaluator = Evaluator(config, self._env, self._policy)
-        self._buffer: LevelBuffer | None = None  # numpy
+        self._curriculum = make_curriculum(config, self._env, self._policy)
+        self._state = CurriculumState(self._curriculum, mesh)
 
-    def start(self, arrays: Mapping[str, np.ndarray] | None) -> LevelBuffer | None:
-        """From a checkpoint's arrays or afresh; returns the buffer in use, which rollout actors draw from."""
+    def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
+        """From a checkpoint's arrays or afresh."""
         self._learner.start(arrays)
-        self._buffer = None
-        if (buffer := stored_buffer(self._config, arrays)) is not None:
-            self.adopt(buffer)
-        return self._buffer
+        self._state.start(arrays)
 
     def weights(self) -> Any:
         return local_values(self._learner.params)
 
-    def adopt(self, buffer: LevelBuffer) -> None:
-        self._buffer = jax.device_get(buffer)
+    def curriculum_state(self) -> Any:
+        """As numpy: what rollout actors propose levels from."""
+        return self._state.values
+
+    def state_from(self, arrays: Mapping[str, np.ndarray]) -> Any:
+        """A state of the curriculum from arrays of a checkpoint; not the one in use."""
+        return self._state.restored(arrays)
+
+    def adopt(self, refreshed: Any) -> None:
+        """What a curator worked out."""
+        self._state.adopt(refreshed)
 
     def learn(self, num_updates: int, *parts: tuple[Any, ...]) -> tuple[dict[str, float], dict[str, float]]:
         """Learns from the parts of a batch, in the order of their worlds: (metrics, seconds)."""
         began = time.monotonic()
-        static_obs, trajectory, last_value, sums = zip(*parts, strict=True)
+        batches, seen, sums = zip(*parts, strict=True)
+        static_obs, trajectory, last_value = zip(*batches, strict=True)
         metrics = self._learner.learn(
             shard_worlds(jax.tree.map(lambda *xs: np.concatenate(xs), *static_obs), self._mesh),
             shard_worlds(jax.tree.map(lambda *xs: np.concatenate(xs, axis=1), *trajectory), self._mesh, axis=1),
             shard_worlds(np.concatenate(last_value), self._mesh),
         )
+        if self._curriculum.observes:
+            self._state.observe(*jax.tree.map(lambda *xs: np.concatenate(xs), *seen))
         metrics = self._metrics(num_updates, jax.tree.map(lambda *xs: sum(xs), *sums), local_values(metrics))
         return metrics, {"learn": time.monotonic() - began}
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
-        state: dict[str, Any] = {LEARNER: local_values(self._learner.state)}
-        if self._buffer is not None:
-            state[BUFFER] = self._buffer
-        return flatten_arrays(state)
+        return flatten_arrays({LEARNER: local_values(self._learner.state), CURRICULUM: self._state.values})
 
     def evaluate(self, use_policy: bool) -> dict[str, dict[str, float]]:
         return self._evaluator.evaluate(self.weights() if use_policy else None)
@@ -85,9 +92,7 @@ class LearnerWorker:
         self, num_updates: int, sums: Mapping[str, Any], learner_metrics: Mapping[str, Any]
     ) -> dict[str, float]:
         metrics = training_metrics(sums, learner_metrics, frame_skip=self._config.env.frame_skip)
-        if self._buffer is not None:
-            metrics |= {name: float(np.asarray(x)) for name, x in buffer_metrics(self._buffer, num_updates).items()}
-        return metrics
+        return metrics | self._state.metrics(num_updates)
 
 
 class Worker(LearnerWorker):
@@ -95,22 +100,18 @@ class Worker(LearnerWorker):
 
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
         super().__init__(config, mesh)
-        self._rollout = RolloutCore(
-            config, self._env, self._policy, mesh, first_group=0, num_groups=config.rollout.num_groups
-        )
-        self._placed_buffer: LevelBuffer | None = None  # on the devices
-
-    def adopt(self, buffer: LevelBuffer) -> None:
-        super().adopt(buffer)
-        self._placed_buffer = replicate(self._buffer, self._mesh)
+        groups = range(config.rollout.num_groups)
+        self._rollout = RolloutCore(config, self._env, self._policy, self._curriculum, mesh, groups=groups)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         """(metrics, seconds of "rollout" and "learn")."""
         began = time.monotonic()
-        *batch, sums = self._rollout.play(self._learner.params, self._placed_buffer, num_updates)
+        batch, seen, sums = self._rollout.play(self._learner.params, self._state.placed, num_updates)
         sums = local_values(sums)  # waits for the rollout
         played = time.monotonic()
         learner_metrics = local_values(self._learner.learn(*batch))
+        if seen is not None:
+            self._state.observe(*seen)
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)
         return metrics, {"rollout": played - began, "learn": learned - played}

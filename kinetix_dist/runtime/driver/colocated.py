@@ -40,8 +40,8 @@ class ColocatedTrainer:
     def weights(self) -> Ticket:
         return self._handles[0].call("weights")
 
-    def adopt(self, buffer: Any) -> None:
-        self._all("adopt", buffer)
+    def adopt(self, refreshed: Any) -> None:
+        self._all("adopt", refreshed)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         answers = self._all("run_update", num_updates)

@@ -169,7 +169,7 @@ class Controller:
                 f"the refresh of policy version {self._pending[0]} was lost; the old buffer stays in use"
             )
         else:
-            self.trainer.adopt(refresh.buffer)
+            self.trainer.adopt(refresh.refreshed)
             self._scoring_seconds = refresh.seconds
             self.run.event("buffer_adopted", policy_version=self._pending[0], update=drawn_next)
         self._pending = None

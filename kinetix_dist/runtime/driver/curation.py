@@ -1,7 +1,7 @@
-"""The controller's side of the curator: asks for refreshes, takes buffers, replaces a curator that was lost.
+"""The controller's side of the curator: asks for refreshes, takes them, replaces a curator that was lost.
 
 A lost curator costs time only: the refresh is asked for again with the same weights and key and gives the identical
-buffer.
+answer.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class CuratorClient:
         self._plan = plan
         self._handle: Handle | None = None
         self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh in flight
-        self._answer: tuple[Ticket, Ticket] | None = None  # seconds of scoring, the buffer
+        self._answer: tuple[Ticket, Ticket] | None = None  # its seconds, what it worked out
         self.num_restarts = 0
 
     def request(self, weights: Any, policy_version: int) -> None:
@@ -36,13 +36,13 @@ class CuratorClient:
         self._ask()
 
     def take(self) -> Refresh | None:
-        """Waits for the buffer; after `run.max_restarts` losses gives up on it."""
+        """Waits for the refresh; after `run.max_restarts` losses gives up on it."""
         while self._answer is not None:
             try:
-                stamp, buffer = self._answer
+                stamp, refreshed = self._answer
                 seconds = self._backend.gather([stamp])[0]["seconds"]
                 self._answer = self._asked = None
-                return Refresh(buffer=buffer, seconds=seconds)
+                return Refresh(refreshed=refreshed, seconds=seconds)
             except WorkerLostError:
                 self._replace()
         return None

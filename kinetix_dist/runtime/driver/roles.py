@@ -21,8 +21,8 @@ class Trainer(Protocol):
     def weights(self) -> Any:
         """The parameters now, or a reference to them: what a curator is given."""
 
-    def adopt(self, buffer: Any) -> None:
-        """Uses a curator's buffer for every batch drawn from now on."""
+    def adopt(self, refreshed: Any) -> None:
+        """Uses what a curator worked out for every batch drawn from now on."""
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         """One rollout and one policy update: (metrics, seconds by role). Raises WorkerLostError."""
@@ -44,19 +44,19 @@ class Trainer(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Refresh:
-    """A scored buffer."""
+    """What a curator worked out."""
 
-    buffer: Any  # the buffer, or what stands for it
-    seconds: float  # that its scoring took
+    refreshed: Any  # for the curriculum to adopt, or a reference to it
+    seconds: float  # that it took
 
 
 class Curator(Protocol):
-    """Whatever scores levels."""
+    """Whatever refreshes the curriculum."""
 
     num_restarts: int
 
     def request(self, weights: Any, policy_version: int) -> None:
-        """Starts scoring; does not wait where there is a process to do it."""
+        """Starts a refresh; does not wait where there is a process to do it."""
 
     def take(self) -> Refresh | None:
         """What was asked for last; waits for it. None when it was lost for good."""

@@ -5,7 +5,7 @@
 
 | role | consumes | produces | waits for | bound |
 |---|---|---|---|---|
-| rollout actor | weights of version u, buffer for u + 1 | its part of batch u + 1 | - | one batch ahead |
+| rollout actor | weights of version u, state of the curriculum | its part of batch u + 1 | - | one batch ahead |
 | learner | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
 
 Levels and random streams belong to world groups and update numbers, so a part that was lost with its actor is played
@@ -21,8 +21,9 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
-from kinetix_dist.runtime.cores.stored import ACTING
+from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
@@ -42,6 +43,7 @@ class SplitTrainer:
         self._backend = backend
         self._learner_plan = placement.of("learner")
         self._rollout_plans = placement.of("rollout")
+        self._observes = curriculum_class(config.curriculum, config.rollout.worlds_per_group).observes
         self._learner: Handle | None = None
         self._actors: list[Handle] = []
         self._dropped_before = 0
@@ -58,21 +60,27 @@ class SplitTrainer:
         self._learner = self._backend.spawn(self._learner_plan, build_learner, self._config)[0]
         self._actors = [self._spawn_actor(part) for part in range(len(self._rollout_plans))]
         stored = None if arrays is None else self._backend.put(dict(arrays))
-        self._buffer = self._ask_learner("start", stored)
+        self._ask_learner("start", stored)
+        self._state = self._learner.call("curriculum_state")
         self._weights.publish(num_updates, self._learner.call("weights"))
         if arrays is not None and num_updates > 0:
-            # The batch that was being played when the checkpoint was taken: same weights, same buffer.
+            # The batch that was being played when the checkpoint was taken: same weights, same state.
             acting = nested(select_arrays(arrays, ACTING))
             self._weights.publish(num_updates - 1, self._backend.put(acting))
+            state_now = self._state
+            if self._observes:
+                self._state = self._learner.call("state_from", self._backend.put(select_arrays(arrays, PROPOSING)))
             self._issue(num_updates, num_updates - 1)
+            self._state = state_now
 
     def weights(self) -> Ticket:
         assert self._learner is not None
         return self._learner.call("weights")
 
-    def adopt(self, buffer: Any) -> None:
-        self._buffer = buffer
-        self._ask_learner("adopt", buffer)
+    def adopt(self, refreshed: Any) -> None:
+        assert self._learner is not None
+        self._ask_learner("adopt", refreshed)
+        self._state = self._learner.call("curriculum_state")
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         assert self._learner is not None
@@ -84,6 +92,8 @@ class SplitTrainer:
         works = self._work.take(num_updates)
         metrics, seconds = self._ask_learner("learn", num_updates, *[work.content for work in works])
         self._weights.publish(num_updates + 1, self._learner.call("weights"))
+        if self._observes:
+            self._state = self._learner.call("curriculum_state")
         lags = [num_updates - work.policy_version for work in works]
         metrics |= {
             "runtime/policy_lag": float(np.mean(lags)),
@@ -97,6 +107,9 @@ class SplitTrainer:
         acting_version = max(self._weights_in_flight(), default=None)
         if acting_version is not None:
             arrays |= flatten_arrays({ACTING: resolve(self._weights.get(acting_version))})
+        if self._observes and self._orders:
+            _, state = self._orders[max(self._orders)]
+            arrays |= flatten_arrays({PROPOSING: resolve(state)})
         return arrays
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
@@ -119,9 +132,10 @@ class SplitTrainer:
             self._dropped_before += self._work.dropped_steps
         self._work = WorkBuffer(num_parts=len(self._rollout_plans), lag=self.policy_lag)
         self._weights = WeightStore(keep_last=2)
-        self._orders: dict[int, tuple[int, Any]] = {}  # update -> (policy version, buffer) its batch is played with
+        self._orders: dict[int, tuple[int, Any]] = {}  # update -> (policy version, state of the
+        # curriculum) its batch is played with
         self._in_flight: dict[tuple[int, int], tuple[Ticket, Ticket]] = {}  # (update, part) -> stamp, batch
-        self._buffer: Any = None
+        self._state: Any = None  # of the curriculum
 
     def _weights_in_flight(self) -> list[int]:
         return [version for version, _ in self._orders.values()]
@@ -135,14 +149,14 @@ class SplitTrainer:
 
     def _issue(self, update: int, policy_version: int) -> None:
         """Orders batch `update` from all rollout actors."""
-        self._orders[update] = (policy_version, self._buffer)
+        self._orders[update] = (policy_version, self._state)
         for part in range(len(self._actors)):
             self._issue_part(update, part)
 
     def _issue_part(self, update: int, part: int) -> None:
-        policy_version, buffer = self._orders[update]
+        policy_version, state = self._orders[update]
         weights = self._weights.get(policy_version)
-        self._in_flight[update, part] = self._actors[part].call_stamped("play", update, policy_version, weights, buffer)
+        self._in_flight[update, part] = self._actors[part].call_stamped("play", update, policy_version, weights, state)
 
     def _collect(self, update: int) -> list[dict[str, Any]]:
         """Waits for the parts of a batch; an actor that is lost is replaced and plays its parts again."""

@@ -117,7 +117,7 @@ def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Train
         local = LocalBackend()
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
         curator_plan = ProcessPlan(role="curator", index=0)
-        return local, trainer, CuratorClient(config, local, curator_plan) if config.curriculum.has_buffer else None
+        return local, trainer, CuratorClient(config, local, curator_plan) if config.has_curator else None
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
     backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)

@@ -69,7 +69,7 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
             )
         gpus = [[("learner", 0)], *([("rollout", index)] for index in range(num_rollout))]
         beside_curator, num_in_group = 1, 1
-    if config.curriculum.has_buffer:
+    if config.has_curator:
         gpus[beside_curator].append(("curator", 0))
     if not on_gpus:
         return Placement(processes=_in_order(_on_cpu(role, index) for gpu in gpus for role, index in gpu))

@@ -1,30 +1,40 @@
-"""Action spaces: what an action array of a batch of worlds looks like, how to draw and to check one.
+"""What an action array of a batch of worlds looks like, what it tells motors and thrusters, how a policy draws one.
 
-Three spaces, each with the same few methods, chosen by `EnvConfig.action_space`:
-
-    multi_discrete  [W, 6] int32    four motor colours {0 off, 1 forward, 2 backward}, two thruster colours {0, 1 on}
-    continuous      [W, 6] float32  four motor colours -1..1, two thruster colours 0..1
-    discrete        [W]    int32    one of 11: motor colour forward (0-3), backward (4-7), nothing (8), thruster (9, 10)
+A new action space is one file with an `ActionSpace` and its registration: docs/extending.md.
 """
 
 from __future__ import annotations
 
+import abc
 import dataclasses
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
 
-NUM_MOTOR_CHOICES = 3  # off, forward, backward
-NUM_THRUSTER_CHOICES = 2  # off, on
+
+class ActionDistribution(Protocol):
+    """How a policy acts in a space: from its outputs, a tuple of [..., k] float32, one of each of `head_sizes`."""
+
+    head_sizes: tuple[int, ...]  # k of each output of the policy
+    num_uniforms: int  # random numbers that a sample takes
+    stored_dtype: Any  # in which trajectories keep actions
+
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+        """(actions, their log-probability [...]) from uniform numbers [..., num_uniforms] in [0, 1)."""
+
+    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+        """(log-probability [...] of stored actions, entropy [...] in nats)."""
+
+    def mode(self, outputs: tuple[Array, ...]) -> Array:
+        """The most likely actions."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ActionSpace:
+class ActionSpace(abc.ABC):
     """A box of numbers `low <= action <= high` for each of `num_dimensions`; integers or floats.
 
     `is_flat` spaces have one number a world and no trailing axis: shape [W] instead of [W, num_dimensions].
@@ -35,6 +45,16 @@ class ActionSpace:
     high: tuple[float, ...]  # inclusive
     is_integer: bool
     is_flat: bool = False
+    noop: int = 0  # the number that drives nothing, in every dimension
+
+    @property
+    def distribution(self) -> ActionDistribution | None:
+        """How policies act; None: environments have this space, but no policy can be trained in it."""
+        return None
+
+    @abc.abstractmethod
+    def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
+        """What each colour is told: motors [W, 4] in -1..1, thrusters [W, 2] in 0..1; off where not `allowed`."""
 
     @property
     def num_dimensions(self) -> int:
@@ -43,13 +63,6 @@ class ActionSpace:
     @property
     def dtype(self) -> Any:
         return jnp.int32 if self.is_integer else jnp.float32
-
-    @property
-    def head_sizes(self) -> tuple[int, ...]:
-        """Number of choices of each categorical head of a policy; empty for a continuous space."""
-        if not self.is_integer:
-            return ()
-        return tuple(int(high) + 1 for high in self.high)
 
     def shape(self, num_worlds: int) -> tuple[int, ...]:
         return (num_worlds,) if self.is_flat else (num_worlds, self.num_dimensions)
@@ -63,6 +76,10 @@ class ActionSpace:
             low, high = jnp.asarray(self.low, jnp.float32), jnp.asarray(self.high, jnp.float32)
             actions = jax.random.uniform(key, shape, jnp.float32) * (high - low) + low
         return actions[:, 0] if self.is_flat else actions
+
+    def noop_actions(self, num_worlds: int) -> Array:
+        """Actions that drive nothing (but `motor_auto` joints)."""
+        return jnp.full(self.shape(num_worlds), self.noop, self.dtype)
 
     def in_range(self, actions: Array) -> Array:
         """bool, the shape of `actions`: which numbers the space allows. NaN is out of range."""
@@ -95,25 +112,3 @@ class ActionSpace:
                 f"action {np.asarray(actions)[index]} at {list(index)} is out of range; "
                 f"dimension {dimension} of {self.name} takes {self.low[dimension]:g} to {self.high[dimension]:g}"
             )
-
-
-MULTI_DISCRETE = ActionSpace(
-    name="multi_discrete",
-    low=(0,) * (NUM_MOTOR_COLOURS + NUM_THRUSTER_COLOURS),
-    high=(NUM_MOTOR_CHOICES - 1,) * NUM_MOTOR_COLOURS + (NUM_THRUSTER_CHOICES - 1,) * NUM_THRUSTER_COLOURS,
-    is_integer=True,
-)
-CONTINUOUS = ActionSpace(
-    name="continuous",
-    low=(-1.0,) * NUM_MOTOR_COLOURS + (0.0,) * NUM_THRUSTER_COLOURS,
-    high=(1.0,) * (NUM_MOTOR_COLOURS + NUM_THRUSTER_COLOURS),
-    is_integer=False,
-)
-DISCRETE = ActionSpace(
-    name="discrete",
-    low=(0,),
-    high=(2 * NUM_MOTOR_COLOURS + NUM_THRUSTER_COLOURS,),
-    is_integer=True,
-    is_flat=True,
-)
-ACTION_SPACES = {space.name: space for space in (MULTI_DISCRETE, CONTINUOUS, DISCRETE)}

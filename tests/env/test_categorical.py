@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from kinetix_dist.models import heads
+from kinetix_dist.env.action_spaces import categorical as heads
 
 LOG2 = float(np.log(2.0))
 

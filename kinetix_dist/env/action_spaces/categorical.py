@@ -1,4 +1,4 @@
-"""Multi-discrete action heads: sample, log-probability and entropy of independent categorical choices.
+"""Independent categorical choices: sample, log-probability and entropy.
 
 Heads differ in size (3, 3, 3, 3, 2, 2). They are padded to one width with choices of probability zero and handled
 together, choice by choice, so that everything here is one elementwise loop over worlds instead of a reduction a head.
@@ -7,12 +7,36 @@ All in float32.
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any, ClassVar
+
 import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
 
 _ABSENT_LOGIT = -1e30  # its probability is exactly 0 in float32
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Categorical:
+    """An `ActionDistribution`: one choice of each head, from its logits."""
+
+    head_sizes: tuple[int, ...]  # at most 127 choices
+    stored_dtype: ClassVar[Any] = jnp.int8
+
+    @property
+    def num_uniforms(self) -> int:
+        return len(self.head_sizes)
+
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+        return sample(outputs, uniforms)
+
+    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+        return log_prob_and_entropy(outputs, actions)
+
+    def mode(self, outputs: tuple[Array, ...]) -> Array:
+        return mode(outputs)
 
 
 def log_prob(logits: tuple[Array, ...], actions: Array) -> Array:

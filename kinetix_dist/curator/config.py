@@ -1,0 +1,55 @@
+"""Section `curriculum` of a run's configuration."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from kinetix_dist.level.generator_config import GeneratorConfig
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CurriculumConfig:
+    """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
+
+    name: str = "sfl"  # "sfl", "domain_randomization" or "fixed"
+    levels: str = ""  # for "fixed": the level set to train on, a name or a path
+    num_candidates: int = 12288  # N, fresh levels scored in a refresh
+    scoring_steps: int = 512  # L, environment steps played on each candidate
+    scoring_batch: int = 4096  # candidates scored at once, bounds memory
+    refresh_every: int = 128  # T, updates between refreshes
+    adopt_after: int = 4  # updates from the request of a refresh to its adoption, while scoring is free
+    buffer_size: int = 1024  # K, levels kept
+    buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
+    generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
+
+    def __post_init__(self) -> None:
+        for name in ("num_candidates", "scoring_steps", "scoring_batch", "refresh_every", "adopt_after", "buffer_size"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"CurriculumConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        if self.num_candidates % self.scoring_batch:
+            raise ValueError(
+                f"CurriculumConfig.num_candidates {self.num_candidates} is not a multiple of scoring_batch "
+                f"{self.scoring_batch}; change one of them"
+            )
+        if self.buffer_size > self.num_candidates:
+            raise ValueError(
+                f"CurriculumConfig.buffer_size {self.buffer_size} is larger than num_candidates {self.num_candidates}"
+            )
+        if self.adopt_after > self.refresh_every:
+            raise ValueError(
+                f"CurriculumConfig.adopt_after {self.adopt_after} is larger than refresh_every {self.refresh_every}: "
+                "a second refresh would be asked for before the first is adopted"
+            )
+        if not 0.0 < self.buffer_share <= 1.0:
+            raise ValueError(
+                f"CurriculumConfig.buffer_share is {self.buffer_share}; it must be above 0 and at most 1 "
+                "(for no buffer use name 'domain_randomization')"
+            )
+
+    def is_refresh_due(self, num_updates: int) -> bool:
+        """Whether a refresh is asked for at the start of this update, with the policy version of that number."""
+        return num_updates % self.refresh_every == 0
+
+    def adopted_at(self, requested_at: int) -> int:
+        """The update that first uses the refresh asked for at `requested_at`. The first one is used at once."""
+        return requested_at if requested_at == 0 else requested_at + self.adopt_after

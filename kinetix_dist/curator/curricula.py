@@ -1,0 +1,34 @@
+"""Curricula by name, `CurriculumConfig.name`. One file each, see `curriculum.py`.
+
+| name | levels of an update |
+|---|---|
+| `sfl` | a share from a buffer of learnable levels, the rest fresh from the generator |
+| `domain_randomization` | all fresh from the generator |
+| `fixed` | a given set, spread evenly |
+"""
+
+from __future__ import annotations
+
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.curriculum import Curriculum
+from kinetix_dist.curator.domain_randomization import DomainRandomization
+from kinetix_dist.curator.fixed import Fixed
+from kinetix_dist.curator.sfl import Sfl
+from kinetix_dist.registry import Registry
+
+CURRICULA: Registry[type[Curriculum]] = Registry("curriculum")
+CURRICULA.register("sfl", Sfl)
+CURRICULA.register("domain_randomization", DomainRandomization)
+CURRICULA.register("fixed", Fixed)
+
+
+def curriculum_class(config: CurriculumConfig, worlds_per_group: int) -> type[Curriculum]:
+    """The curriculum of a configuration. Raises ValueError for an unknown one, and for what it cannot run with."""
+    kind = CURRICULA[config.name]
+    if kind.takes_levels != bool(config.levels):
+        raise ValueError(
+            f"CurriculumConfig.levels is {config.levels!r} with name {config.name!r}; a level set is needed for "
+            f"{', '.join(repr(name) for name in CURRICULA if CURRICULA[name].takes_levels)} and for no other"
+        )
+    kind.check(config, worlds_per_group)
+    return kind

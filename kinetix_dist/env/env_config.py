@@ -1,0 +1,50 @@
+"""What an environment is: `EnvConfig`, section `env` of a run's configuration."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from jax2d.scene import Capacity
+from jax2d.settings import Settings, preset
+from kinetix_dist.env.action_spaces import ACTION_SPACES
+from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.level.level import SIZES
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EnvConfig:
+    """Defaults are those of the paper."""
+
+    size: str = "s"  # "s", "m" or "l", see `level.SIZES`
+    physics: Settings = preset("standard")  # how a physics step is solved, all numbers of it
+    frame_skip: int = 2  # physics steps of 1/60 s in one environment step
+    max_steps: int = 256  # environment steps after which an episode times out
+    dense_reward_scale: float = 0.1  # kappa, reward for each metre that green comes closer to blue
+    action_space: str = "multi_discrete"  # or "continuous" or "discrete", see `env.action_spaces`
+    observation: str = "entity"  # or "flat", see `env.observations`
+    effect_groups: int = 0  # groups of worlds with engines of their own, see `env.stepper`; 0: one full engine for all
+
+    def __post_init__(self) -> None:
+        if self.size not in SIZES:
+            raise ValueError(f"EnvConfig.size is {self.size!r}; sizes are {', '.join(SIZES)}")
+        for name, known in (("action_space", ACTION_SPACES), ("observation", OBSERVATIONS)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"EnvConfig.{name} is {getattr(self, name)!r}; choose one of {', '.join(known)}")
+        for name in ("frame_skip", "max_steps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"EnvConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        if self.physics.solver_batch_size > 1 or self.physics.published_details:
+            raise ValueError(
+                f"EnvConfig.physics has solver_batch_size {self.physics.solver_batch_size}, published_details "
+                f"{self.physics.published_details}; environments are stepped by the kernel: use 1 and ()"
+            )
+        if self.effect_groups < 0:
+            raise ValueError(f"EnvConfig.effect_groups is {self.effect_groups}; it must be 0 or more")
+        if not (np.isfinite(self.dense_reward_scale) and self.dense_reward_scale >= 0):
+            raise ValueError(f"EnvConfig.dense_reward_scale is {self.dense_reward_scale}; it must be 0 or more")
+
+    @property
+    def capacity(self) -> Capacity:
+        return SIZES[self.size]

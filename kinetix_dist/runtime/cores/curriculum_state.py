@@ -1,0 +1,92 @@
+"""The curriculum of a process: built from a run's config, and its state kept between updates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from jax2d.scene import Array
+from kinetix_dist.actors.unroll import score
+from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.curricula import curriculum_class
+from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.noop import noop_solved
+from kinetix_dist.learner.sharding import local_values, replicate, replicated
+from kinetix_dist.level.level import Level
+from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.messages import LevelOutcome
+from kinetix_dist.runtime.cores.stored import CURRICULUM
+
+
+def make_curriculum(config: TrainConfig, env: Environment, policy: Any) -> Curriculum:
+    """The curriculum of a run with what it is built from."""
+
+    def play(params: Any, levels: Level, key: Array, num_steps: int) -> LevelOutcome:
+        return score(policy, params, env, env.prepare(levels), key, num_steps)
+
+    tools = CurriculumTools(
+        config=config.curriculum,
+        capacity=env.capacity,
+        worlds_per_group=config.rollout.worlds_per_group,
+        solves_itself=lambda levels: noop_solved(env, levels),
+        play=play,
+        load_levels=lambda name: load_level_set(name, config.env.size)[0],
+    )
+    return curriculum_class(config.curriculum, config.rollout.worlds_per_group)(tools)
+
+
+class CurriculumState:
+    """The state of a curriculum, replicated over the devices of a mesh."""
+
+    def __init__(self, curriculum: Curriculum, mesh: Mesh) -> None:
+        self._curriculum = curriculum
+        self._mesh = mesh
+        self._observe = jax.jit(self._observe_replicated, out_shardings=replicated(mesh))
+        self.placed: Any = None  # on the devices
+        self._values: Any = None  # the same as numpy
+
+    def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
+        """From a checkpoint's arrays or afresh."""
+        stored = select_arrays(arrays or {}, CURRICULUM)
+        if stored:
+            self._place(self.restored(stored))
+        elif self._curriculum.refreshes:
+            self._place(None)  # the first refresh comes before the first levels
+        else:
+            self._place(jax.device_get(self._curriculum.init()))
+
+    def restored(self, arrays: Mapping[str, np.ndarray]) -> Any:
+        """A state from arrays of a checkpoint, as numpy."""
+        return unflatten_arrays(jax.eval_shape(self._curriculum.init), arrays)
+
+    def adopt(self, refreshed: Any) -> None:
+        self._place(jax.device_get(self._curriculum.adopt(self.values, refreshed)))
+
+    def observe(self, proposal: Proposal, outcome: LevelOutcome) -> None:
+        """proposal, outcome: of all worlds, sharded over the mesh or as numpy."""
+        self.placed, self._values = self._observe(self.placed, proposal, outcome), None
+
+    @property
+    def values(self) -> Any:
+        """The state as numpy."""
+        if self._values is None:
+            self._values = local_values(self.placed)
+        return self._values
+
+    def metrics(self, num_updates: int) -> dict[str, float]:
+        metrics = self._curriculum.metrics(self.values, num_updates)
+        return {name: float(np.asarray(value)) for name, value in metrics.items()}
+
+    def _place(self, values: Any) -> None:
+        self._values, self.placed = values, replicate(values, self._mesh)
+
+    def _observe_replicated(self, state: Any, proposal: Proposal, outcome: LevelOutcome) -> Any:
+        # Every device sees all worlds and works out the same: no result depends on how many devices there are.
+        seen = jax.lax.with_sharding_constraint((proposal, outcome), replicated(self._mesh))
+        return self._curriculum.observe(state, *seen)
