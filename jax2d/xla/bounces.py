@@ -43,13 +43,19 @@ class Round(NamedTuple):
     done: jax.Array  # [] bool
 
 
+class EnergyLimit(NamedTuple):
+    """What bounces must not exceed."""
+
+    max_energy: jax.Array  # [] J, see `energy`
+    gravity: jax.Array  # [2] m/s^2
+
+
 def bounce(
     bodies: Bodies,
     joints: Joints,
     contacts: Contacts,
     leaving_speed: jax.Array,
-    max_energy: jax.Array,
-    gravity: jax.Array,
+    energy_limit: EnergyLimit,
     params: SolverNumbers,
     rules: Rules,
 ) -> Bodies:
@@ -79,7 +85,7 @@ def bounce(
         no, none_bounces = jnp.array(False), ~jnp.any(leaving_speed > 0)
         start = Round(bodies, joints, contacts, leaving, converged=no, friction_applied=no, done=none_bounces)
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
-        return limit(bodies, end.bodies, max_energy, gravity, params.h)
+        return limit(bodies, end.bodies, energy_limit, params.h)
 
     # Worlds are stepped together, and mostly nothing bounces in any of them.
     velocities = jax.lax.cond(in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: bodies.velocities)
@@ -95,9 +101,10 @@ def energy(bodies: Bodies, velocities: Velocities, gravity: jax.Array, h: Scalar
     return jnp.sum(kinetic - mass * vec2.dot(bodies.delta, gravity))
 
 
-def limit(before: Bodies, after: Bodies, max_energy: jax.Array, gravity: jax.Array, h: Scalar) -> Velocities:
+def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -> Velocities:
     """Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more than
     there is. Then everything gets the same share of its change of velocity: joints and contacts stay solved."""
+    max_energy, gravity = energy_limit
     mass, inertia = vec2.inverse_or_zero(before.inverse_mass), vec2.inverse_or_zero(before.inverse_inertia)
     change = jax.tree.map(jnp.subtract, after.velocities, before.velocities)
     midway = before.velocities.velocity + 0.5 * h * gravity

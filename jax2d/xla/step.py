@@ -132,7 +132,8 @@ def soft_step(
 
         is_end = interrupted | every_substep | (substep == rules.substeps)
         leaving = jnp.where(is_end, bounces.leaving_speed(bodies, contacts, scene.gravity, params), 0)
-        bounced = bounces.bounce(bodies, joints, contacts, leaving, max_energy, scene.gravity, params, rules)
+        energy_limit = bounces.EnergyLimit(max_energy, scene.gravity)
+        bounced = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
         progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy)
         ended = _finish_contacts(progress._replace(bodies=bounced), leaving > 0)

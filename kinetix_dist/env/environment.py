@@ -12,7 +12,7 @@ physics is deterministic. One step is
 
 A finished episode restarts on the same level in the same step: `reward`, `done` and `info` are of the episode that
 ended, the observation is the first one of the next. All methods work inside jit, scan and shard_map (levels prepared
-inside it) on any device, and are pure.
+inside it, `check_vma=False`) on any device, and are pure.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +47,15 @@ class Proposal:
     target: Array  # int32, shape it is joined to
     is_possible: Array  # bool, False where there is no room or nothing to join
     cost: Array  # overlaps, plus the fine for hidden shapes
+
+
+class Partner(NamedTuple):
+    """The shape that a new one would be joined to."""
+
+    slot: Array  # int32
+    shape: Shapes  # without the leading axis
+    is_polygon: Array  # bool
+    exists: Array  # bool, False where nothing can be joined
 
 
 def pick(weights: Array, draw: Array) -> Array:
@@ -89,13 +99,61 @@ def point_inside(shape: Shapes, draw: Array) -> Array:
 def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, config: GeneratorConfig) -> Proposal:
     """One proposal from `draw` [NUM_DRAWS] uniform numbers."""
     shapes = draft.shapes
-    num_shapes, num_corners = shapes.vertices.shape[:2]
-    is_polygon_slot = jnp.arange(num_shapes) < num_polygons
     room_polygon, room_circle = ~shapes.active[:num_polygons].all(), ~shapes.active[num_polygons:].all()
-    is_joined = request.is_joined
+    partner = _choose_partner(shapes, draw[0], draw[2], num_polygons, config)
+    is_polygon = room_polygon & (~room_circle | (draw[1] < 0.5) | (request.is_joined & ~partner.is_polygon))
+    slots = jnp.stack(
+        [num_polygons + first_free(shapes.active[num_polygons:]), first_free(shapes.active[:num_polygons])]
+    )
+    slot = slots[is_polygon.astype(int)].astype(jnp.int32)
+    shape = _draw_free(shapes, request, partner, is_polygon, draw, config)
+    shape = dataclasses.replace(shape, body=jnp.where(request.is_joined, partner.shape.body, slot))
 
-    # Whom to join: walls never, fixed shapes rarely, polygons twice at most, circles once and only to a polygon.
-    may_hold = shapes.active & (jnp.arange(num_shapes) >= NUM_WALLS)
+    # A joined shape: its anchor lies where the anchor of its partner is. Circles are held at their centre.
+    anchor_new = jnp.where(is_polygon, point_inside(shape, draw[16:18]), 0.0)
+    anchor_partner = jnp.where(partner.is_polygon, point_inside(partner.shape, draw[18:20]), 0.0)
+    joined_at = world_corners(partner.shape.position, partner.shape.angle, anchor_partner[None])[0]
+    held = joined_at - world_corners(jnp.zeros(2), shape.angle, anchor_new[None])[0]
+    shape = dataclasses.replace(shape, position=jnp.where(request.is_joined, held, shape.position))
+    # End a is the lower slot, so that of a wheel it is the polygon: motors run the same way whichever came first.
+    is_first = slot < partner.slot
+    a, b, anchor_a, anchor_b, angle_a, angle_b = (
+        jnp.where(is_first, new, old)
+        for new, old in (
+            (slot, partner.slot),
+            (partner.slot, slot),
+            (anchor_new, anchor_partner),
+            (anchor_partner, anchor_new),
+            (shape.angle, partner.shape.angle),
+            (partner.shape.angle, shape.angle),
+        )
+    )
+    num_hinges = jnp.sum(draft.joints.active & draft.joints.is_kind(JointKind.REVOLUTE))
+    both_polygons = is_polygon & partner.is_polygon
+    joint = _sample_joint(request, draw[20:28], angle_b - angle_a, both_polygons, num_hinges, config)
+    joint = replace(joint, joints={"a": a, "b": b, "anchor_a": anchor_a, "anchor_b": anchor_b})
+
+    is_visible = _both_visible(shape, partner, anchor_new, anchor_partner, config)
+    fine = jnp.where(request.is_joined & ~is_visible, config.hidden_fine, 0.0)
+    count = _count_contact_points if "contact_points" in config.published_details else _count_overlaps
+    return Proposal(
+        shape=shape,
+        slot=slot,
+        joint=joint,
+        target=partner.slot,
+        is_possible=(room_polygon | room_circle) & (~request.is_joined | (partner.exists & ~draft.joints.active.all())),
+        cost=count(shapes, shape) + fine,
+    )
+
+
+def _choose_partner(
+    shapes: Shapes, kind_draw: Array, slot_draw: Array, num_polygons: int, config: GeneratorConfig
+) -> Partner:
+    """Whom to join: walls never, fixed shapes rarely, polygons twice at most, circles once and only to a polygon."""
+    slots = jnp.arange(shapes.active.shape[0])
+    is_polygon_slot = slots < num_polygons
+    room_polygon = ~shapes.active[:num_polygons].all()
+    may_hold = shapes.active & (slots >= NUM_WALLS)
     wish = jnp.where(is_polygon_slot, jnp.maximum(2 - shapes.num_joints, 0) / 2.0, shapes.num_joints == 0)
     wish = may_hold * wish * jnp.where(shapes.is_fixed, config.connect_to_fixed_factor, 1.0)
     wish_polygon, wish_circle = wish * is_polygon_slot, wish * ~is_polygon_slot * room_polygon
@@ -104,100 +162,68 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
         can_hold_none, is_polygon_here = ~any_polygon, shapes.active & is_polygon_slot
         any_polygon = (is_polygon_here & may_hold).any()
         wish_polygon = jnp.where(can_hold_none, is_polygon_here * 1.0, wish_polygon)
-    to_polygon = any_polygon & (~any_circle | (draw[0] < 0.5))
-    target_index = pick(jnp.where(to_polygon, wish_polygon, wish_circle), draw[2])
-    target = read_slot(shapes, target_index)
-    can_join = (any_polygon | any_circle) & ~draft.joints.active.all()
+    is_polygon = any_polygon & (~any_circle | (kind_draw < 0.5))
+    slot = pick(jnp.where(is_polygon, wish_polygon, wish_circle), slot_draw)
+    return Partner(slot=slot, shape=read_slot(shapes, slot), is_polygon=is_polygon, exists=any_polygon | any_circle)
 
-    # Which kind of shape, how large, which role.
-    is_polygon = room_polygon & (~room_circle | (draw[1] < 0.5) | (is_joined & ~to_polygon))
+
+def _draw_free(
+    shapes: Shapes, request: Request, partner: Partner, is_polygon: Array, draw: Array, config: GeneratorConfig
+) -> Shapes:
+    """A shape anywhere in the box, its body left open; a joined one is moved afterwards."""
+    # Which kind, how large, which role.
     half, is_long, radius = sample_size(draw[3:8], config)
     is_triangle = (draw[8] < config.triangle_chance) & is_polygon
-    corners, num_vertices = box_or_triangle(half, is_triangle, num_corners)
-    corners = jnp.where(is_polygon, corners, 0.0)
+    corners, num_vertices = box_or_triangle(half, is_triangle, shapes.vertices.shape[1])
     half_width = jnp.where(is_polygon, jnp.max(half) * math.sqrt(2.0), radius)
     if "wide_margins" in config.published_details:  # boxes have a radius there, circles half extents
         unused = config.min_half_extent * math.sqrt(2.0) * jnp.where(is_long, config.large_rectangle_scale, 1.0)
         half_width = jnp.maximum(half_width, jnp.where(is_polygon, config.min_radius, unused))
     area = jnp.where(is_polygon, 4.0 * half[0] * half[1] * jnp.where(is_triangle, 0.5, 1.0), math.pi * radius**2)
-    radius = jnp.where(is_polygon, 0.0, radius)
-    role = _sample_role(shapes, target.role, is_joined, draw[9])
-
-    # A free shape: anywhere in the box; green often on the left and blue on the right (swapped at the end or not).
+    role = _sample_role(shapes, partner.shape.role, request.is_joined, draw[9])
+    # Where: green often on the left and blue on the right (swapped at the end or not).
     low, high = half_width, WORLD_SIZE_M - half_width
     is_apart = draw[10] < config.opposite_side_chance
     left = jnp.where(is_apart & (role == Role.BLUE), low + WORLD_SIZE_M / 2, low)
     right = jnp.where(is_apart & (role == Role.GREEN), high - WORLD_SIZE_M / 2, high)
     free_x = left + draw[11] * (right - left)
     free_y = low + FLOOR_TOP_M + draw[12] * (high - low - FLOOR_TOP_M)
-    angle = 2.0 * math.pi * draw[13]
     is_fixed = draw[14] < jnp.minimum(config.fixed_chance + config.fixed_chance_per_mass * area, 1.0)
-    is_fixed = is_fixed & request.may_be_fixed & ~is_joined
+    is_fixed = is_fixed & request.may_be_fixed & ~request.is_joined
     is_low = is_fixed & (role != Role.NONE) & (draw[15] < config.fixed_low_bias)
     free_y = jnp.where(is_low & (free_y >= WORLD_SIZE_M / 2), free_y - WORLD_SIZE_M / 2, free_y)
-
-    slots = jnp.stack(
-        [num_polygons + first_free(shapes.active[num_polygons:]), first_free(shapes.active[:num_polygons])]
-    )
-    slot = slots[is_polygon.astype(int)].astype(jnp.int32)
-    shape = Shapes(
+    return Shapes(
         active=jnp.array(True),
         position=jnp.stack([free_x, free_y]),
-        angle=angle,
-        vertices=corners,
+        angle=2.0 * math.pi * draw[13],
+        vertices=jnp.where(is_polygon, corners, 0.0),
         num_vertices=jnp.where(is_polygon, num_vertices, 0),
-        radius=radius,
+        radius=jnp.where(is_polygon, 0.0, radius),
         role=role,
         is_fixed=is_fixed,
-        body=jnp.where(is_joined, target.body, slot),
-        num_joints=is_joined.astype(jnp.int32),
+        body=jnp.int32(0),
+        num_joints=request.is_joined.astype(jnp.int32),
         added_at=request.step,
     )
 
-    # A joined shape: its anchor lies where the anchor of the target is. Circles are held at their centre.
-    anchor_new = jnp.where(is_polygon, point_inside(shape, draw[16:18]), 0.0)
-    anchor_target = jnp.where(to_polygon, point_inside(target, draw[18:20]), 0.0)
-    joined_at = world_corners(target.position, target.angle, anchor_target[None])[0]
-    held = joined_at - world_corners(jnp.zeros(2), angle, anchor_new[None])[0]
-    shape = dataclasses.replace(shape, position=jnp.where(is_joined, held, shape.position))
-    # End a is the lower slot, so that of a wheel it is the polygon: motors run the same way whichever came first.
-    is_first = slot < target_index
-    a, b, anchor_a, anchor_b, angle_a, angle_b = (
-        jnp.where(is_first, new, old)
-        for new, old in (
-            (slot, target_index),
-            (target_index, slot),
-            (anchor_new, anchor_target),
-            (anchor_target, anchor_new),
-            (angle, target.angle),
-            (target.angle, angle),
-        )
-    )
-    num_hinges = jnp.sum(draft.joints.active & draft.joints.is_kind(JointKind.REVOLUTE))
-    joint = _sample_joint(request, draw[20:28], angle_b - angle_a, is_polygon & to_polygon, num_hinges, config)
-    joint = replace(joint, joints={"a": a, "b": b, "anchor_a": anchor_a, "anchor_b": anchor_b})
 
-    seen_at_new, seen_at_target = anchor_new, anchor_target
+def _both_visible(
+    shape: Shapes, partner: Partner, anchor_new: Array, anchor_partner: Array, config: GeneratorConfig
+) -> Array:
+    """bool: each of two joined shapes sticks out of the other."""
+    is_polygon = shape.num_vertices > 0
+    seen_at_new, seen_at_partner = anchor_new, anchor_partner
     if "exchanged_anchors" in config.published_details:
-        on_target = anchor_target + _from_published_origin(target_index)
-        seen_at_new = jnp.where(to_polygon, jnp.where(is_polygon, on_target, 0.0), anchor_new)
-        seen_at_target = jnp.where(to_polygon, anchor_new, anchor_target)
-    is_visible = (
+        on_partner = anchor_partner + _from_published_origin(partner.slot)
+        seen_at_new = jnp.where(partner.is_polygon, jnp.where(is_polygon, on_partner, 0.0), anchor_new)
+        seen_at_partner = jnp.where(partner.is_polygon, anchor_new, anchor_partner)
+    other = partner.shape
+    return (
         reach(seen_at_new, shape.vertices, shape.radius)
-        > inset(seen_at_target, target.vertices, target.radius) + config.min_visibility
+        > inset(seen_at_partner, other.vertices, other.radius) + config.min_visibility
     ) & (
-        reach(seen_at_target, target.vertices, target.radius)
+        reach(seen_at_partner, other.vertices, other.radius)
         > inset(seen_at_new, shape.vertices, shape.radius) + config.min_visibility
-    )
-    fine = jnp.where(is_joined & ~is_visible, config.hidden_fine, 0.0)
-    count = _count_contact_points if "contact_points" in config.published_details else _count_overlaps
-    return Proposal(
-        shape=shape,
-        slot=slot,
-        joint=joint,
-        target=target_index,
-        is_possible=(room_polygon | room_circle) & (~is_joined | can_join),
-        cost=count(shapes, shape) + fine,
     )
 
 

@@ -30,7 +30,8 @@ def fields(record_type: type) -> set[str]:
 
 def test_fields_of_a_recipe_are_set_by_name() -> None:
     config = with_fields(
-        recipe("tiny"), ("ppo.epochs=3", "policy.network=flat", "curriculum.generator.triangle_chance=0.5")
+        recipe("tiny"),
+        ("ppo.epochs=3", "policy.network=flat", "env.observation=flat", "curriculum.generator.triangle_chance=0.5"),
     )
     assert (config.ppo.epochs, config.policy.network, config.curriculum.generator.triangle_chance) == (3, "flat", 0.5)
     assert with_fields(recipe("tiny"), ()) == recipe("tiny")

@@ -22,6 +22,16 @@ TEXT_SUFFIXES = {"", ".py", ".toml", ".lock", ".txt", ".md", ".yaml", ".yml", ".
 DOCUMENTS = sorted([REPOSITORY / "README.md", *REPOSITORY.glob("docs/**/*.md"), *REPOSITORY.glob("cluster/**/*.md")])
 
 
+MARKDOWN = sorted([*REPOSITORY.glob("*.md"), *REPOSITORY.glob("[a-z]*/**/*.md")])
+
+
+@pytest.mark.parametrize("document", MARKDOWN, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
+def test_documents_wrap_below_120_columns(document: Path) -> None:
+    """Rows of tables and fenced blocks cannot be wrapped."""
+    text = re.sub(r"```.*?```", "", document.read_text(), flags=re.DOTALL)
+    assert not [line for line in text.splitlines() if len(line) >= 120 and not line.startswith("|")]
+
+
 def shell_lines(text: str) -> list[str]:
     """Commands in the fenced shell blocks of a Markdown text, without comments and continuation lines joined."""
     blocks = re.findall(r"```(?:sh|bash|console)\n(.*?)```", text, re.DOTALL)

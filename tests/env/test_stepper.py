@@ -82,7 +82,7 @@ def test_the_engine_that_is_chosen_is_the_one_that_steps() -> None:
     levels = batch(DRIVEN, PUSHED)
     env = environment(2)
     no_thrusters = Engine(SIZES["s"], effects=WITHOUT_JOINTS.without("thrusters"))
-    env._stepper._engines[0].step_packed = no_thrusters.step_packed  # type: ignore[union-attr, method-assign]
+    env.stepper._engines[0].step_packed = no_thrusters.step_packed  # type: ignore[union-attr, method-assign]
     actions = jnp.ones((2, 6), jnp.int32)
     moved = []
     for one in (env, environment(2)):

@@ -10,8 +10,9 @@ from rich.console import Console
 
 from jax2d.effects import Effects, effects_of
 from kinetix_dist.config import ConfigError, differences, from_dict, to_dict
+from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.recipes import RECIPES, recipe
-from kinetix_dist.runtime.cores.levels import fixed_levels, make_environment
+from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.driver.clock import RoleClock
 from kinetix_dist.runtime.driver.weight_sync import WeightStore
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer, WorkBufferFullError
@@ -63,7 +64,7 @@ def test_paper_recipes_have_the_papers_numbers():
 def test_engines_of_grouped_worlds_suit_the_levels_of_the_run():
     single = recipe("single_level")
     config = dataclasses.replace(single, env=dataclasses.replace(single.env, effect_groups=2))
-    levels = fixed_levels(config)
+    levels, _ = load_level_set(config.curriculum.levels, config.env.size)
     expected = (effects_of(levels.scene), Effects.full(config.env.capacity))
     assert make_environment(config).variants == expected
     assert make_environment(single).variants == ()

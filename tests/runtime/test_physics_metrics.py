@@ -89,7 +89,7 @@ class _PoisonedCurator(CuratorClient):
     def take(self):
         refresh = super().take()
         if self.num_taken:
-            refresh = Refresh(buffer=LocalTicket(_with_nan(refresh.buffer.fetch())), seconds=refresh.seconds)
+            refresh = Refresh(refreshed=LocalTicket(_with_nan(refresh.refreshed.fetch())), seconds=refresh.seconds)
         self.num_taken += 1
         return refresh
 
