@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 Array = Any  # jax.Array or numpy.ndarray: fields are traced, stored and compared alike
@@ -142,37 +141,6 @@ def replace(record: Record, **changes: Any) -> Record:
         for name, change in changes.items()
     }
     return dataclasses.replace(record, **changes)  # type: ignore[type-var]
-
-
-def is_active(field: Field, of: Any) -> Array:
-    """[..., slots] bool, which slots of a field are in use. `of`: the `Scene` that the field belongs to."""
-    active = of.shapes.active
-    if field.dims[0] == "P":
-        return active[..., : of.shapes.num_vertices.shape[-1]]
-    if field.dims[0] == "C":
-        return active[..., active.shape[-1] - of.shapes.radius.shape[-1] :]
-    return {"n": active, "J": of.joints.active, "T": of.thrusters.active}[field.dims[0]]
-
-
-def take_slots(record: Record, source: Mapping[str, Array]) -> Record:
-    """The same record with its slots in another order, or fewer or more of them.
-
-    `source`: for letters of SLOTS the old slot [new slots] that comes to each new one. Numbers of shapes are renamed to
-    where these shapes go; those of shapes that are left out become 0. Traceable, for one world.
-    """
-    shapes = jnp.asarray(source["n"])
-
-    def taken(field: Field) -> Array:
-        x = field.get(record)
-        for axis, letter in enumerate(field.dims):
-            if letter in SLOTS and letter in source:
-                x = jnp.take(jnp.asarray(x), jnp.asarray(source[letter]), axis=axis)
-        if field.refers_to == "n":
-            is_there = shapes[None, :] == x[..., None]
-            x = jnp.argmax(is_there, axis=-1).astype(jnp.int32)
-        return x
-
-    return make(type(record), taken)
 
 
 def _empty_array(field: Field, shape: tuple[int, ...]) -> np.ndarray:

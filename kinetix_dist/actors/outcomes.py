@@ -43,14 +43,3 @@ def _add_physics(counts: PhysicsCounts, info: Any) -> PhysicsCounts:
     step = {name: getattr(info, name) for name in PHYSICS_FIELDS}
     step["missing_effects"] = step["missing_effects"] != 0  # bits of which effects
     return jax.tree.map(lambda total, count: total + count.astype(jnp.int32), counts, PhysicsCounts(**step))
-
-
-def add_outcomes(a: LevelOutcome, b: LevelOutcome) -> LevelOutcome:
-    """Outcomes of the same levels in two rollouts."""
-    return jax.tree.map(jnp.add, a, b)
-
-
-def success_rate(outcome: LevelOutcome) -> Array:
-    """[W] float32: solved share of finished episodes; NaN for a level with none (its count says why)."""
-    finished = outcome.num_finished
-    return jnp.where(finished > 0, outcome.num_solved / jnp.maximum(finished, 1), jnp.nan)

@@ -56,9 +56,3 @@ def add_env_steps(words: Array, count: int) -> Array:
     low = words[0] + jnp.uint32(count)
     carry = (low < words[0]).astype(jnp.uint32)
     return jnp.stack([low, words[1] + carry])
-
-
-def env_step_count(state: LearnerState) -> int:
-    """Environment steps learned from, as a Python integer (waits for the device)."""
-    low, high = (int(word) for word in jax.device_get(state.env_steps))
-    return low + (high << 32)

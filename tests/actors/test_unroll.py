@@ -11,9 +11,8 @@ import pytest
 from jax.sharding import PartitionSpec
 
 from jax2d.scene import stack_worlds
-from kinetix_dist.actors.outcomes import PHYSICS_FIELDS, add_outcomes, add_step, no_outcomes, success_rate
+from kinetix_dist.actors.outcomes import PHYSICS_FIELDS, add_step, no_outcomes
 from kinetix_dist.actors.unroll import Worlds, score, unroll
-from kinetix_dist.env.action_spaces import categorical as heads
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh
 from kinetix_dist.level.schema import load_level
@@ -61,7 +60,7 @@ def test_stored_probabilities_and_values_are_those_of_the_stored_observations(pr
         seen = problem.env.observe(prepared, jax.tree.map(lambda x, step=step: x[step], trajectory.dynamic_obs))
         logits, value = problem.policy.apply(problem.params, seen)
         np.testing.assert_allclose(trajectory.values[step], value, atol=1e-5)  # float32, another fusion
-        log_probs = heads.log_prob(logits, trajectory.actions[step])
+        log_probs, _ = problem.env.action_distribution.log_prob_and_entropy(logits, trajectory.actions[step])
         np.testing.assert_allclose(trajectory.log_probs[step], log_probs, atol=1e-5)
     np.testing.assert_allclose(
         last_value, problem.policy.apply(problem.params, problem.env.observe(prepared, obs))[1], atol=1e-5
@@ -150,8 +149,8 @@ def test_outcomes_by_hand():
         episode_return=jnp.asarray([1.5, -1.0, 0.25]),
         episode_length=jnp.asarray([7, 3, 9]),
     )
-    one = add_step(no_outcomes(3), jnp.asarray([True, True, False]), info)
-    both = add_outcomes(one, one)
+    done = jnp.asarray([True, True, False])
+    both = add_step(add_step(no_outcomes(3), done, info), done, info)
     assert both.num_finished.tolist() == [2, 2, 0]
     assert both.num_solved.tolist() == [2, 0, 0]
     assert both.num_failed.tolist() == [0, 2, 0]
@@ -160,4 +159,3 @@ def test_outcomes_by_hand():
     assert both.physics.unstable.tolist() == [0, 0, 2]
     assert both.physics.missing_effects.tolist() == [2, 0, 0]  # steps, whatever the bits
     assert both.physics.speed_limited.tolist() == [2 * int(counts["speed_limited"][0]), 0, 0]
-    np.testing.assert_array_equal(success_rate(both), [1.0, 0.0, np.nan])

@@ -19,8 +19,9 @@ from jax2d import (
     preset,
     stack_worlds,
 )
-from jax2d.fields import SLOTS, fields_of, is_active
+from jax2d.fields import SLOTS, fields_of
 from tests.engine.worlds import CAPACITY, builder, engine, run
+from tests.slots import is_active
 
 PRESETS = [preset("standard"), preset("paper")]
 

@@ -148,7 +148,7 @@ def test_bounce_gains_nothing_from_the_push_out(restitution: float, height: floa
 
 
 def test_frictionless_floor_takes_no_speed():
-    """mu = sqrt(mu_a^2 + mu_b^2) is never zero while one body rubs."""
+    """mu = sqrt(mu_a^2 + mu_b^2) is never zero while one body has friction."""
     b = builder()
     floor(b, friction=0.0)
     box = b.add_box(width=0.5, height=0.5, position=(0, 0.25), velocity=(2, 0), friction=1.0)

@@ -15,7 +15,7 @@ from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import data_mesh
-from kinetix_dist.learner.state import add_env_steps, env_step_count
+from kinetix_dist.learner.state import add_env_steps
 from kinetix_dist.learner.update import METRICS, PpoConfig, _shuffled
 from kinetix_dist.models.policy import make_policy
 from tests.learner.update_program import POLICY, PPO, STEPS, WORLDS, make_problem, place, poisoned
@@ -80,7 +80,11 @@ def test_counters_and_metrics(problem):
     after, metrics = update(state, *place(arguments, mesh))
     assert set(metrics) == set(METRICS)
     assert all(bool(jnp.isfinite(value)) for value in metrics.values())
-    assert (int(after.num_updates), int(after.num_gradient_steps), env_step_count(after)) == (1, 6, STEPS * WORLDS)
+    assert (int(after.num_updates), int(after.num_gradient_steps), tuple(after.env_steps)) == (
+        1,
+        6,
+        (STEPS * WORLDS, 0),
+    )
     assert float(metrics["skipped_steps"]) == 0
 
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from jax2d.engine import Engine
-from jax2d.fields import take_slots
 from jax2d.scene import Capacity, Controls, JointKind, Joints, capacity_of, stack_worlds
 from kinetix_dist.env.observations.entities import EntityObs, dynamic_obs, observe, static_obs
 from kinetix_dist.env.observations.observation import Moving
@@ -27,6 +26,7 @@ from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import level_from_json, level_to_json
 from kinetix_dist.level.walls import WALL_NAMES, empty_level
 from tests.level.one_level_four_ways import BOX, by_file, by_generator, by_hand, by_public_file
+from tests.slots import take_slots
 
 NUM_LEVELS = 24  # of the generator, each relabelled once
 

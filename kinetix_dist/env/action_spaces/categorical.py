@@ -30,51 +30,32 @@ class Categorical:
         return len(self.head_sizes)
 
     def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
-        return sample(outputs, uniforms)
+        """Actions [..., heads] int32 and their log-probability [...] from uniform numbers [..., heads] in [0, 1)."""
+        log_probs = _log_probabilities(outputs)
+        actions = jnp.zeros(uniforms.shape, jnp.int32)
+        cumulative = jnp.zeros_like(log_probs[0])
+        last_choice = jnp.asarray([head.shape[-1] - 1 for head in outputs], jnp.int32)
+        for lp in log_probs[:-1]:
+            cumulative = cumulative + jnp.exp(lp)
+            actions = actions + (uniforms >= cumulative).astype(jnp.int32)
+        # Rounding can leave the sum of probabilities below 1: never step past the last choice of a head.
+        actions = jnp.minimum(actions, last_choice)
+        return actions, _log_prob(log_probs, actions)
 
     def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
-        return log_prob_and_entropy(outputs, actions)
+        """Both from one normalisation, summed over heads: (log-probability [...], entropy [...] in nats)."""
+        log_probs = _log_probabilities(outputs)
+        log_prob = _log_prob(log_probs, actions)
+        # Absent choices: probability 0 times a finite log-probability is 0.
+        return log_prob, -_sum_heads(sum(jnp.exp(lp) * lp for lp in log_probs))
 
     def mode(self, outputs: tuple[Array, ...]) -> Array:
-        return mode(outputs)
+        """The most likely actions [..., heads] int32."""
+        return jnp.stack([jnp.argmax(head, axis=-1) for head in outputs], axis=-1).astype(jnp.int32)
 
 
-def log_prob(logits: tuple[Array, ...], actions: Array) -> Array:
-    """Log-probability [...] of actions [..., heads], summed over heads. logits: one [..., choices] a head."""
-    return log_prob_and_entropy(logits, actions)[0]
-
-
-def entropy(logits: tuple[Array, ...]) -> Array:
-    """Entropy [...] in nats, summed over heads."""
-    log_probs = _log_probabilities(logits)
-    return _entropy(log_probs)
-
-
-def log_prob_and_entropy(logits: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
-    """Both from one normalisation: (log-probability [...], entropy [...])."""
-    log_probs = _log_probabilities(logits)
-    chosen = sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs))
-    return _sum_heads(chosen), _entropy(log_probs)
-
-
-def sample(logits: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
-    """Draws actions [..., heads] int32 and their log-probability [...] from uniform numbers [..., heads] in [0, 1)."""
-    log_probs = _log_probabilities(logits)
-    actions = jnp.zeros(uniforms.shape, jnp.int32)
-    cumulative = jnp.zeros_like(log_probs[0])
-    last_choice = jnp.asarray([head.shape[-1] - 1 for head in logits], jnp.int32)
-    for lp in log_probs[:-1]:
-        cumulative = cumulative + jnp.exp(lp)
-        actions = actions + (uniforms >= cumulative).astype(jnp.int32)
-    # Rounding can leave the sum of probabilities below 1: never step past the last choice of a head.
-    actions = jnp.minimum(actions, last_choice)
-    chosen = sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs))
-    return actions, _sum_heads(chosen)
-
-
-def mode(logits: tuple[Array, ...]) -> Array:
-    """The most likely actions [..., heads] int32."""
-    return jnp.stack([jnp.argmax(head, axis=-1) for head in logits], axis=-1).astype(jnp.int32)
+def _log_prob(log_probs: list[Array], actions: Array) -> Array:
+    return _sum_heads(sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs)))
 
 
 def _log_probabilities(logits: tuple[Array, ...]) -> list[Array]:
@@ -98,11 +79,6 @@ def _log_probabilities(logits: tuple[Array, ...]) -> list[Array]:
     highest = jax.lax.stop_gradient(highest)
     log_total = highest + jnp.log(sum(jnp.exp(choice - highest) for choice in choices))
     return [choice - log_total for choice in choices]
-
-
-def _entropy(log_probs: list[Array]) -> Array:
-    # Absent choices: probability 0 times a finite log-probability is 0.
-    return -_sum_heads(sum(jnp.exp(lp) * lp for lp in log_probs))
 
 
 def _sum_heads(x: Array) -> Array:

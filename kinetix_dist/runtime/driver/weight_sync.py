@@ -1,7 +1,7 @@
 """Versions of the policy on their way from the learner to those who act with it.
 
-Weights are put into the object store once and passed on by reference. A version is kept as long as someone may still
-need it: rollout actors (lag 1) the last two, a curator the one its refresh was asked for with, also after a restart.
+Weights are put into the object store once and passed on by reference. Rollout actors (lag 1) need the last two
+versions; a curator keeps the reference that its refresh was asked for with.
 """
 
 from __future__ import annotations
@@ -13,18 +13,17 @@ import numpy as np
 
 
 class WeightStore:
-    """Published versions by number, with pins. Holds whatever stands for weights: arrays or references to them."""
+    """Published versions by number. Holds whatever stands for weights: arrays or references to them."""
 
     def __init__(self, *, keep_last: int = 2) -> None:
         self._keep_last = keep_last
         self._weights: dict[int, Any] = {}
-        self._pinned: set[int] = set()
 
     def publish(self, version: int, weights: Any) -> None:
-        """Adds a version and forgets those that are neither recent nor pinned."""
+        """Adds a version and forgets those that are not recent."""
         self._weights[version] = weights
         recent = sorted(self._weights)[-self._keep_last :]
-        self._weights = {v: w for v, w in self._weights.items() if v in recent or v in self._pinned}
+        self._weights = {v: w for v, w in self._weights.items() if v in recent}
 
     def __contains__(self, version: int) -> bool:
         return version in self._weights
@@ -33,14 +32,6 @@ class WeightStore:
         if version not in self._weights:
             raise LookupError(f"policy version {version} is not kept; kept are {sorted(self._weights)}")
         return self._weights[version]
-
-    def pin(self, version: int) -> None:
-        """Keeps a version until it is unpinned."""
-        self.get(version)
-        self._pinned.add(version)
-
-    def unpin(self, version: int) -> None:
-        self._pinned.discard(version)
 
 
 def resolve(weights: Any) -> Any:
