@@ -10,10 +10,12 @@ import time
 import numpy as np
 import pytest
 
-from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint
+from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, save_checkpoint
+from kinetix_dist.config import to_dict
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
@@ -136,6 +138,19 @@ def test_a_checkpoint_of_another_config_is_refused_with_the_field(tmp_path):
     controller = Controller(other, run, ColocatedTrainer(other, backend, [WORKER]), None, QuietReporter())
     with pytest.raises(CheckpointError, match=r"another config: run.seed 1 instead of 0"):
         controller.restore(resume=True)
+    run.close()
+
+
+def test_a_checkpoint_of_a_version_with_other_fields_is_refused(tmp_path):
+    """Its config reads as ours, since fields that it lacks have defaults; its hash says that it is not."""
+    config = tiny_config(num_updates=2)
+    run = RunDirectory.create(tmp_path / "run", numbered=False)
+    theirs = to_dict(config)
+    del theirs["env"]["observation"]
+    description = {"config": theirs, "config_hash": "0123456789abcdef", "training_seconds": 1.0}
+    save_checkpoint(run.checkpoints, 1, {"learner/num_updates": np.ones(())}, description, keep=1)
+    with pytest.raises(CheckpointError, match=r"written by an older version, .* start a new run"):
+        newest_checkpoint(run, config, QuietReporter())
     run.close()
 
 

@@ -30,17 +30,11 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.checkpoint import (
-    Checkpoint,
-    CheckpointError,
-    flatten_arrays,
-    newest_good,
-    save_checkpoint,
-    select_arrays,
-)
-from kinetix_dist.config import ConfigError, TrainConfig, differences, from_dict, to_dict
+from kinetix_dist.checkpoint import Checkpoint, CheckpointError, flatten_arrays, save_checkpoint, select_arrays
+from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.runtime.driver.clock import RoleClock
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
+from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
@@ -82,7 +76,7 @@ class Controller:
 
     def restore(self, *, resume: bool) -> None:
         """Starts the trainer: from the newest good checkpoint if the run goes on, else afresh."""
-        checkpoint = self._newest_checkpoint() if resume else None
+        checkpoint = newest_checkpoint(self.run, self.config, self.reporter) if resume else None
         if checkpoint is not None:
             self.seconds_before = checkpoint.description["training_seconds"]
         self._start_from(checkpoint)
@@ -254,21 +248,6 @@ class Controller:
             return {}
         return flatten_arrays({PENDING: resolve(self._pending[1])})
 
-    def _newest_checkpoint(self) -> Checkpoint | None:
-        checkpoint, rejected = newest_good(self.run.checkpoints)
-        for bad in rejected:
-            self.run.event("checkpoint_rejected", checkpoint=bad.path.name, reason=bad.reason)
-            self.reporter.note(f"checkpoint {bad.path.name} passed over: {bad.reason}")
-        if checkpoint is not None and checkpoint.description["config_hash"] != self.config.hash:
-            try:
-                theirs = from_dict(checkpoint.description["config"])
-            except ConfigError as error:
-                raise CheckpointError(f"checkpoint {checkpoint.path} cannot be resumed: {error}") from error
-            raise CheckpointError(
-                f"checkpoint {checkpoint.path} is of another config: {', '.join(differences(self.config, theirs))}"
-            )
-        return checkpoint
-
     def _start_from(self, checkpoint: Checkpoint | None) -> None:
         self._pending = None
         if checkpoint is None:
@@ -296,7 +275,7 @@ class Controller:
         if self.curator is not None:
             self.curator.cancel()
         lost_at = self.num_updates
-        self._start_from(self._newest_checkpoint())
+        self._start_from(newest_checkpoint(self.run, self.config, self.reporter))
         self._recovery_seconds = time.monotonic() - began
         self.run.event("recovered", from_update=lost_at, to_update=self.num_updates, seconds=self._recovery_seconds)
 

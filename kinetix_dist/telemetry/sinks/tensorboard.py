@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from tensorboardX import SummaryWriter
+
 from kinetix_dist.telemetry.names import check_metrics
 
 
@@ -13,8 +15,6 @@ class TensorboardSink:
     """Writes scalars against environment steps; `purge_after` hides points of a killed session beyond it."""
 
     def __init__(self, directory: Path, *, purge_after: int | None = None) -> None:
-        from tensorboardX import SummaryWriter
-
         self._writer = SummaryWriter(str(directory), purge_step=purge_after, flush_secs=10)
 
     def write(self, update: int, metrics: Mapping[str, float]) -> None:

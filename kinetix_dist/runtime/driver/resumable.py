@@ -1,0 +1,31 @@
+"""The checkpoint that a run goes on from: the newest good one, of the same numbers."""
+
+from __future__ import annotations
+
+from kinetix_dist.checkpoint import Checkpoint, CheckpointError, newest_good
+from kinetix_dist.config import ConfigError, TrainConfig, differences, from_dict
+from kinetix_dist.runtime.driver.roles import Reporter
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+
+
+def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter) -> Checkpoint | None:
+    """None where there is none. Bad ones are passed over, with an event and a note.
+
+    Raises CheckpointError where the newest good one is of another config, or of a version with other fields.
+    """
+    checkpoint, rejected = newest_good(run.checkpoints)
+    for bad in rejected:
+        run.event("checkpoint_rejected", checkpoint=bad.path.name, reason=bad.reason)
+        reporter.note(f"checkpoint {bad.path.name} passed over: {bad.reason}")
+    if checkpoint is None or checkpoint.description["config_hash"] == config.hash:
+        return checkpoint
+    try:
+        theirs = from_dict(checkpoint.description["config"])
+    except ConfigError as error:
+        raise CheckpointError(f"checkpoint {checkpoint.path} cannot be resumed: {error}") from error
+    if fields := differences(config, theirs):
+        raise CheckpointError(f"checkpoint {checkpoint.path} is of another config: {', '.join(fields)}")
+    raise CheckpointError(
+        f"checkpoint {checkpoint.path} was written by an older version, whose config had other fields: what it does "
+        "may have changed, so that training cannot go on from it; start a new run (`kinetix-dist eval` still plays it)"
+    )
