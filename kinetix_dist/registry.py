@@ -46,7 +46,7 @@ def import_plugins(modules: Iterable[str]) -> None:
     for module in modules:
         try:
             importlib.import_module(module)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise PluginError(
                 f"run.plugins: module {module!r} cannot be imported ({reason}); install it on every machine of the "

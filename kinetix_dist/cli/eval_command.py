@@ -161,9 +161,9 @@ def _check(args: Args) -> None:
         with user_errors(ValueError):
             preset(args.preset)
     for name, file in (("json", args.json), ("record", args.record)):
-        if file is not None and (file.is_dir() or not os.access(file.parent, os.W_OK)):
+        if file is not None and (file.is_dir() or not file.parent.is_dir() or not os.access(file.parent, os.W_OK)):
             raise UserError(f"cannot write {file}; give --{name} a file in a directory that exists and is writable")
-    if args.record is not None and args.record.exists():
+    if args.record is not None and (args.record.exists() or args.record.is_symlink() or args.record == args.json):
         raise UserError(f"{args.record} exists and recordings are never overwritten; give --record a new file")
 
 

@@ -89,4 +89,14 @@ class CurriculumState:
     def _observe_replicated(self, state: Any, proposal: Proposal, outcome: LevelOutcome) -> Any:
         # Every device sees all worlds and works out the same: no result depends on how many devices there are.
         seen = jax.lax.with_sharding_constraint((proposal, outcome), replicated(self._mesh))
-        return self._curriculum.observe(state, *seen)
+        after = self._curriculum.observe(state, *seen)
+        if _layout(after) != _layout(state):
+            raise ValueError(
+                f"observe of curriculum {self._curriculum.tools.config.name!r} returned other parts, shapes or "
+                f"types: {_layout(after)} instead of {_layout(state)}"
+            )
+        return after
+
+
+def _layout(state: Any) -> Any:
+    return jax.tree.map(lambda x: f"{x.dtype}{list(x.shape)}", state)

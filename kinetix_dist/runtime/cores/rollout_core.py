@@ -81,6 +81,12 @@ class RolloutCore:
 
         group_keys = jax.vmap(lambda group: jax.random.fold_in(level_key, group))(groups)
         proposal = self._curriculum.propose(state, group_keys, groups)
+        expected, found = self._groups_per_device * worlds_per_group, proposal.levels.position.shape[0]
+        if found != expected:
+            raise ValueError(
+                f"curriculum {config.curriculum.name!r} proposed {found} levels for {self._groups_per_device} groups "
+                f"of {worlds_per_group} worlds; propose must return {expected}"
+            )
         prepared = env.prepare(proposal.levels)
         played = unroll(
             self._policy,
