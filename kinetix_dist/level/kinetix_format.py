@@ -87,7 +87,7 @@ def load_kinetix(path: str | Path) -> Level:
     path = Path(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
     try:
         return import_kinetix(document)

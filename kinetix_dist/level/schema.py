@@ -34,7 +34,7 @@ def load_level(path: str | Path, size: str | None = None) -> tuple[Level, LevelI
     path = Path(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
     try:
         level = level_from_json(document, size)

@@ -79,7 +79,7 @@ def read_level(path: Path) -> tuple[Level, LevelInfo]:
     """One level of a file in either format, in arrays of the size the file says, and what is known about it."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
     if not is_kinetix_document(document):
         return load_level(path)
