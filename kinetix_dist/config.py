@@ -18,6 +18,7 @@ from typing import Any
 from jax2d.settings import preset
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
+from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
@@ -174,7 +175,12 @@ class TrainConfig:
     @property
     def has_curator(self) -> bool:
         """Whether a curator works beside training."""
-        return curriculum_class(self.curriculum, self.rollout.worlds_per_group).refreshes
+        return self.curriculum_class.refreshes
+
+    @property
+    def curriculum_class(self) -> type[Curriculum]:
+        """Raises ValueError for a curriculum that is unknown or cannot run with this configuration."""
+        return curriculum_class(self.curriculum, self.rollout.worlds_per_group)
 
     @property
     def hash(self) -> str:

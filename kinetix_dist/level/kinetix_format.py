@@ -13,7 +13,6 @@ Slots are kept: shape i of the file is shape i of the level.
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
-from kinetix_dist.level.validate import LevelFormatError
+from kinetix_dist.level.validate import LevelFormatError, read_document
 from kinetix_dist.level.walls import empty_level, pad_vertices
 
 # What the 74 public files say; readers of these files expect the keys.
@@ -85,10 +84,7 @@ def is_kinetix_document(document: Any) -> bool:
 def load_kinetix(path: str | Path) -> Level:
     """Reads a public level file; raises `LevelFormatError` naming the file and the field."""
     path = Path(path)
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
+    document = read_document(path)
     try:
         return import_kinetix(document)
     except LevelFormatError as error:

@@ -10,7 +10,6 @@ A document says what shapes are and where; centres of mass, masses, inertias and
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo,
 from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.roles import ROLE_NAMES
-from kinetix_dist.level.validate import LevelFormatError, check_anchor_gap, validate_document
+from kinetix_dist.level.validate import LevelFormatError, check_anchor_gap, read_document, validate_document
 from kinetix_dist.level.walls import WALL_NAMES, empty_level, pad_vertices
 
 __all__ = ["LevelFormatError", "LevelInfo", "level_from_json", "level_to_json", "load_level", "save_level"]
@@ -32,10 +31,7 @@ __all__ = ["LevelFormatError", "LevelInfo", "level_from_json", "level_to_json", 
 def load_level(path: str | Path, size: str | None = None) -> tuple[Level, LevelInfo]:
     """Reads a level file into arrays of its own size, or of `size`. Raises `LevelFormatError` naming file and field."""
     path = Path(path)
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
+    document = read_document(path)
     try:
         level = level_from_json(document, size)
     except LevelFormatError as error:

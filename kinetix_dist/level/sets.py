@@ -10,7 +10,6 @@ file or directory of level files, ours or of the public package.
 from __future__ import annotations
 
 import dataclasses
-import json
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -28,7 +27,7 @@ from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import LevelInfo, load_level
-from kinetix_dist.level.validate import LevelFormatError
+from kinetix_dist.level.validate import read_document
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
 HELD_OUT_LEVELS = 256
@@ -77,10 +76,7 @@ def designed_sets() -> dict[str, dict[str, Any]]:
 
 def read_level(path: Path) -> tuple[Level, LevelInfo]:
     """One level of a file in either format, in arrays of the size the file says, and what is known about it."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
+    document = read_document(path)
     if not is_kinetix_document(document):
         return load_level(path)
     level = load_kinetix(path)

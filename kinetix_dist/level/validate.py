@@ -10,6 +10,7 @@ import functools
 import json
 import math
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 from jax2d.scene import Capacity
@@ -31,6 +32,14 @@ class LevelFormatError(ValueError):
     def in_file(self, file: object) -> LevelFormatError:
         """The same complaint with the file before the field."""
         return LevelFormatError(f"{file}: {self.path}" if self.path else str(file), self.problem, self.remedy)
+
+
+def read_document(path: Path) -> Any:
+    """The JSON document of a level file of either format; raises `LevelFormatError` naming the file."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
 
 
 def validate_document(document: Any, capacity: Capacity, size_name: str | None = None) -> None:

@@ -17,29 +17,20 @@ from kinetix_dist.env.observations.entities import (
     NUM_THRUSTER_FEATURES,
     DynamicObs,
     EntityObs,
+    EntityObservation,
     StaticObs,
-    dynamic_obs,
     num_polygon_features,
-    observe,
-    static_obs,
 )
-from kinetix_dist.env.observations.observation import VECTOR, Moving, Observation
-from kinetix_dist.level.level import Level
+from kinetix_dist.env.observations.observation import VECTOR
 
 
-class FlatObservation(Observation):
+class FlatObservation(EntityObservation):
     """Stored as the entity observation, of which it has the numbers."""
 
     gives = VECTOR
 
-    def static(self, levels: Level) -> StaticObs:
-        return static_obs(levels)
-
-    def dynamic(self, moving: Moving) -> DynamicObs:
-        return dynamic_obs(moving)
-
     def join(self, static: StaticObs, dynamic: DynamicObs) -> Array:
-        return flatten(observe(static, dynamic))
+        return flatten(super().join(static, dynamic))
 
 
 def flatten(obs: EntityObs) -> Array:

@@ -13,7 +13,6 @@ from jax2d.scene import Array
 from kinetix_dist.actors.unroll import score
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.noop import noop_solved
@@ -38,7 +37,7 @@ def make_curriculum(config: TrainConfig, env: Environment, policy: Any) -> Curri
         play=play,
         load_levels=lambda name: load_level_set(name, config.env.size)[0],
     )
-    return curriculum_class(config.curriculum, config.rollout.worlds_per_group)(tools)
+    return config.curriculum_class(tools)
 
 
 class CurriculumState:

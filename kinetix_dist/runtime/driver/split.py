@@ -21,7 +21,6 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
 from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
@@ -43,7 +42,7 @@ class SplitTrainer:
         self._backend = backend
         self._learner_plan = placement.of("learner")
         self._rollout_plans = placement.of("rollout")
-        self._observes = curriculum_class(config.curriculum, config.rollout.worlds_per_group).observes
+        self._observes = config.curriculum_class.observes
         self._learner: Handle | None = None
         self._actors: list[Handle] = []
         self._dropped_before = 0
@@ -67,11 +66,10 @@ class SplitTrainer:
             # The batch that was being played when the checkpoint was taken: same weights, same state.
             acting = nested(select_arrays(arrays, ACTING))
             self._weights.publish(num_updates - 1, self._backend.put(acting))
-            state_now = self._state
+            state = self._state
             if self._observes:
-                self._state = self._learner.call("state_from", self._backend.put(select_arrays(arrays, PROPOSING)))
-            self._issue(num_updates, num_updates - 1)
-            self._state = state_now
+                state = self._learner.call("state_from", self._backend.put(select_arrays(arrays, PROPOSING)))
+            self._issue(num_updates, num_updates - 1, state)
 
     def weights(self) -> Ticket:
         assert self._learner is not None
@@ -85,8 +83,8 @@ class SplitTrainer:
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         assert self._learner is not None
         if num_updates not in self._orders:
-            self._issue(num_updates, num_updates)
-        self._issue(num_updates + 1, num_updates)
+            self._issue(num_updates, num_updates, self._state)
+        self._issue(num_updates + 1, num_updates, self._state)
         stamps = self._collect(num_updates)
         queue_length = len(self._work)
         works = self._work.take(num_updates)
@@ -132,8 +130,8 @@ class SplitTrainer:
             self._dropped_before += self._work.dropped_steps
         self._work = WorkBuffer(num_parts=len(self._rollout_plans), lag=self.policy_lag)
         self._weights = WeightStore(keep_last=2)
-        self._orders: dict[int, tuple[int, Any]] = {}  # update -> (policy version, state of the
-        # curriculum) its batch is played with
+        # By update: the policy version and the state of the curriculum that its batch is played with.
+        self._orders: dict[int, tuple[int, Any]] = {}
         self._in_flight: dict[tuple[int, int], tuple[Ticket, Ticket]] = {}  # (update, part) -> stamp, batch
         self._state: Any = None  # of the curriculum
 
@@ -147,9 +145,9 @@ class SplitTrainer:
     def _spawn_actor(self, part: int) -> Handle:
         return self._backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
 
-    def _issue(self, update: int, policy_version: int) -> None:
-        """Orders batch `update` from all rollout actors."""
-        self._orders[update] = (policy_version, self._state)
+    def _issue(self, update: int, policy_version: int, state: Any) -> None:
+        """Orders batch `update` from all rollout actors, its levels proposed by `state` of the curriculum."""
+        self._orders[update] = (policy_version, state)
         for part in range(len(self._actors)):
             self._issue_part(update, part)
 
