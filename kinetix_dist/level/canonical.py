@@ -3,6 +3,7 @@
     corners of a polygon   counter-clockwise, first the one with the smallest polar angle about the centroid, in
                            [0, 2 pi) and the shape's own frame: a box begins at (+, +)
     ends of a joint        a is the lower slot; polygons come before circles
+    axis of a slider       an angle in [-pi, pi]; one within is kept bit for bit
 
 A policy reads corners and ends as they are stored, so that an order of its own in a file, an importer or a generator
 would be a difference that it has to learn. `derive` brings every level into this form; whatever makes levels ends
@@ -39,6 +40,7 @@ def canonical(level: Level) -> Level:
         swap_ends(joints),
         joints,
     )
+    in_order = dataclasses.replace(in_order, axis_angle=_wrapped(in_order.axis_angle))
     scene = level.scene.replace(shapes={"vertices": jnp.where(is_polygon, vertices, shapes.vertices)}, joints=in_order)
     return dataclasses.replace(level, scene=scene)
 
@@ -77,6 +79,11 @@ def swap_ends(joints: Joints) -> Joints:
         lower_limit=jnp.where(slides, joints.lower_limit, _negative(joints.upper_limit)),
         upper_limit=jnp.where(slides, joints.upper_limit, _negative(joints.lower_limit)),
     )
+
+
+def _wrapped(angle: Array) -> Array:
+    """The same direction as an angle in [-pi, pi]."""
+    return angle - 2.0 * math.pi * jnp.round(angle / (2.0 * math.pi))
 
 
 def _negative(x: Array) -> Array:

@@ -19,6 +19,7 @@ from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.walls import WALL_NAMES
 
 MIN_AREA_M2 = 1e-6  # a square of 1 mm
+MAX_NUMBER = 1e6  # of any field, in its unit; float32 positions beyond it are 6 cm apart and coarser
 MAX_ANCHOR_GAP_M = 0.1  # two ends of a joint farther apart than this are a mistake, not rounding
 
 
@@ -38,7 +39,7 @@ def read_document(path: Path) -> Any:
     """The JSON document of a level file of either format; raises `LevelFormatError` naming the file."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also text that is not UTF-8, whole numbers of 4,300 digits
         raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
 
 
@@ -86,6 +87,8 @@ def _path_text(parts: Any) -> str:
 def _check_numbers(value: Any, path: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise LevelFormatError(path, f"is {value}", "give a finite number")
+    if isinstance(value, int | float) and abs(value) > MAX_NUMBER:
+        raise LevelFormatError(path, f"is {_short(value)}", f"give a number between -{MAX_NUMBER:g} and {MAX_NUMBER:g}")
     if isinstance(value, dict):
         for key, inner in value.items():
             _check_numbers(inner, f"{path}.{key}" if path else str(key))

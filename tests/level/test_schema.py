@@ -141,6 +141,10 @@ MISTAKES = {
         edit("shapes.1.vertices.2.0", math.nan),
         r"^shapes\[1\]\.vertices\[2\]\[0\]: is nan; give a finite number$",
     ),
+    "too large": (
+        edit("shapes.1.position.0", 1e39),
+        r"^shapes\[1\]\.position\[0\]: is 1e\+39; give a number between -1e\+06 and 1e\+06$",
+    ),
     "inf": (edit("joints.0.motor.speed", math.inf), r"^joints\[0\]\.motor\.speed: is inf; give a finite number$"),
     "clockwise": (
         edit("shapes.1.vertices", [[0, 0], [0, 0.3], [0.6, 0]]),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,15 @@ def test_a_slider_reads_and_writes_its_axis_and_limits() -> None:
     assert (written["type"], written["axis"], written["limits"]) == ("prismatic", 0.2, [-0.4, 1.0])
     again = level_from_json(level_to_json(level))
     np.testing.assert_array_equal(again.scene.joints.axis_angle, joints.axis_angle)
+
+
+def test_the_axis_of_a_slider_is_kept_between_minus_and_plus_half_a_turn() -> None:
+    axis = level_from_json(slider_document()).scene.joints.axis_angle
+    a_turn_more = level_from_json(slider_document(axis=0.2 + 2 * math.pi)).scene.joints.axis_angle
+    # The wedge is turned by 0.2 rad more than the chassis: in its frame the axis points along 0, and back along pi.
+    from_the_other_end = level_from_json(slider_document(a="wedge", b="chassis", axis=math.pi)).scene.joints.axis_angle
+    np.testing.assert_allclose(a_turn_more, axis, atol=1e-6)
+    np.testing.assert_allclose(from_the_other_end, axis, atol=1e-6)
 
 
 def test_anchors_of_a_slider_may_be_apart_along_its_axis_only() -> None:
