@@ -24,7 +24,7 @@ from jax2d.xla.contact_solver import (
     current_separation,
     normal_speed,
     push_apart,
-    rows_of,
+    rows_now,
     solve_friction,
     with_impulses,
 )
@@ -81,7 +81,7 @@ def bounce(
             )
             return jax.tree.map(lambda x, y: jnp.where(now.done, x, y), now, after), None
 
-        leaving = BounceTargets(leaving_speed, contacts.mass_normal, contacts.approach)
+        leaving = BounceTargets(leaving_speed, rows_now(bodies, contacts).mass_normal, contacts.approach)
         no, none_bounces = jnp.array(False), ~jnp.any(leaving_speed > 0)
         start = Round(bodies, joints, contacts, leaving, converged=no, friction_applied=no, done=none_bounces)
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
@@ -161,7 +161,7 @@ def solve_bounces(
         )
 
     velocities, (normal, tangent, leaving, converged) = jax.lax.scan(
-        solve, bodies.velocities, (rows_of(contacts), leaving, apart)
+        solve, bodies.velocities, (rows_now(bodies, contacts), leaving, apart)
     )
     return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent), leaving, jnp.all(converged)
 

@@ -15,6 +15,7 @@ from jax2d.xla.bodies import (
     PairVelocities,
     Velocities,
     apply_impulse,
+    pair_mass,
     pair_velocities,
     pick,
     relative_velocity,
@@ -30,14 +31,28 @@ def warm_start(bodies: Bodies, contacts: Contacts) -> Bodies:
         + vec2.right(contacts.normal) * contacts.impulse_tangent[:, None]
     )
     before = pair_velocities(contacts.pair, bodies.velocities)
-    after = apply_impulse(before, contacts.pair, contacts.arm_a, contacts.arm_b, impulse)
+    after = apply_impulse(before, contacts.pair, *arms_now(bodies, contacts), impulse)
     return bodies._replace(velocities=scatter_velocities(bodies.velocities, contacts.pair, before, after))
 
 
+def moved_apart(bodies: Bodies, contacts: Contacts) -> jax.Array:
+    """How b has moved against a since the contact was found, [K, 2] m."""
+    return pick(contacts.pair.is_b, bodies.delta) - pick(contacts.pair.is_a, bodies.delta)
+
+
+def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
+    """Where impulses act, [K, 2] m from both centres. Where both bodies can move it is one point, wherever they have
+    gone since: an impulse at two points would change what both have of angular momentum. What is fixed takes any, so
+    that the other's own surface is the point."""
+    apart = contacts.normal * jnp.maximum(contacts.separation, 0)[:, None] + moved_apart(bodies, contacts)
+    apart = jnp.where(contacts.against_fixed[:, None], 0, apart)
+    share = contacts.follows_b[:, None]
+    return contacts.arm_a + apart * share, contacts.arm_b - apart * (1 - share)
+
+
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
-    """[K] m. Anchors move and turn with their bodies; the normal stays as it was at the start of the step."""
-    pair = contacts.pair
-    moved = pick(pair.is_b, bodies.delta) - pick(pair.is_a, bodies.delta)
+    """[K] m. Surfaces move and turn with their bodies; the normal stays as it was at the start of the step."""
+    pair, moved = contacts.pair, moved_apart(bodies, contacts)
     arm_a = _turned_by(contacts.arm_a, pick(pair.is_a, bodies.turn))
     arm_b = _turned_by(contacts.arm_b, pick(pair.is_b, bodies.turn))
     return contacts.separation + vec2.dot(moved + arm_b - arm_a, contacts.normal)
@@ -77,7 +92,7 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: SolverNumbers, *, use
         return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total)
 
     velocities, (normal, tangent) = jax.lax.scan(
-        solve, bodies.velocities, (rows_of(contacts), bias, mass_scale, impulse_scale)
+        solve, bodies.velocities, (rows_now(bodies, contacts), bias, mass_scale, impulse_scale)
     )
     return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent)
 
@@ -108,6 +123,17 @@ class Row(NamedTuple):
 
 def rows_of(contacts: Contacts) -> Row:
     return Row(*(getattr(contacts, name) for name in Row._fields))
+
+
+def rows_now(bodies: Bodies, contacts: Contacts) -> Row:
+    """As the bodies stand now, which `rows_of` has as they stood when the contacts were found."""
+    arm_a, arm_b = arms_now(bodies, contacts)
+    return rows_of(contacts)._replace(
+        arm_a=arm_a,
+        arm_b=arm_b,
+        mass_normal=pair_mass(contacts.pair, arm_a, arm_b, contacts.normal),
+        mass_tangent=pair_mass(contacts.pair, arm_a, arm_b, vec2.right(contacts.normal)),
+    )
 
 
 def with_impulses(contacts: Contacts, normal: jax.Array, tangent: jax.Array) -> Contacts:

@@ -25,8 +25,9 @@ class Contacts(NamedTuple):
     key: jax.Array  # [K] int32, -1 where free
     pair: Pair  # of [K]
     normal: jax.Array  # [K, 2]
-    arm_a: jax.Array  # [K, 2] m, from the centres of mass, at the start of the step
+    arm_a: jax.Array  # [K, 2] m, from the centres of mass to both surfaces, at the start of the step
     arm_b: jax.Array
+    follows_b: jax.Array  # [K] share by which the common point goes with b; the rest goes with a
     separation: jax.Array  # [K] m, at the start of the step
     mass_normal: jax.Array  # [K] kg
     mass_tangent: jax.Array
@@ -90,6 +91,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         normal=points.normal,
         arm_a=arm_a,
         arm_b=arm_b,
+        follows_b=points.follows_b,
         separation=points.separation,
         mass_normal=pair_mass(pair, arm_a, arm_b, points.normal),
         mass_tangent=pair_mass(pair, arm_a, arm_b, vec2.right(points.normal)),
@@ -122,7 +124,7 @@ def _points_in_use(
     reach = params.speculative_distance if is_soft else 0.0
     if capacity.shapes == 1:  # no pair at all, one slot
         zeros, none = jnp.zeros((slots, 2), bodies.position.dtype), jnp.zeros(slots, jnp.int32)
-        return Points(zeros, zeros, zeros[:, 0], none, none > 0), none, none, none[0], none[0] > 0, None
+        return Points(zeros, zeros, zeros[:, 0], none, zeros[:, 0], none > 0), none, none, none[0], none[0] > 0, None
     pairs = pair_list(capacity)
     margin = margins(predicted, reach, ahead=is_soft)
     points = collide(geometry, bodies, capacity, margin, rules)

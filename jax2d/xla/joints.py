@@ -176,11 +176,16 @@ def constraints(bodies: Bodies, joints: Joints) -> Constraints:
     gap, angle = current_gap(bodies, joints, arm_a, arm_b), current_angle(bodies, joints)
     local_axis = vec2.rotated(vec2.from_angle(joints.axis_angle), joints.angle_a)
     axis = vec2.rotated(local_axis, pick(joints.pair.is_a, bodies.turn))
-    # Impulses of a slider act on both bodies at the anchor of b.
-    common_a = jnp.where(joints.is_prismatic[:, None], arm_a + gap, arm_a)
+    # Impulses act on both bodies at one point, or they would change what both have of angular momentum: of a slider at
+    # the anchor of b, of others in the middle of the gap; what is fixed takes any.
+    both_move = (joints.pair.mass_a > 0) & (joints.pair.mass_b > 0)
+    half_gap = jnp.where(both_move[:, None], 0.5 * gap, 0)
+    is_slider = joints.is_prismatic[:, None]
+    common_a = arm_a + jnp.where(is_slider, gap, half_gap)
+    common_b = arm_b - jnp.where(is_slider, 0, half_gap)
 
     def along(direction: jax.Array) -> Jacobian:
-        return Jacobian(direction, vec2.cross(common_a, direction), vec2.cross(arm_b, direction))
+        return Jacobian(direction, vec2.cross(common_a, direction), vec2.cross(common_b, direction))
 
     one = jnp.ones_like(angle)
     turning = Jacobian(jnp.zeros_like(gap), one, one)

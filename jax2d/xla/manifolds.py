@@ -24,6 +24,7 @@ class Points(NamedTuple):
     point: jax.Array  # [..., 2] m, relative to the centre of mass of a
     separation: jax.Array  # [...] m
     feature: jax.Array  # [...] int32, which vertex on which edge: matches the point between steps
+    follows_b: jax.Array  # [...] share by which the point goes with b while both bodies move
     exists: jax.Array  # [...] bool
 
 
@@ -36,7 +37,9 @@ def circle_circle(radius_a: jax.Array, radius_b: jax.Array, d: jax.Array, margin
         # Coincident centres have no direction of their own: any fixed one separates them.
         normal = jnp.where(distance > C.coincident_distance, normal, jnp.array([0, 1], d.dtype))
     point = normal * (radius_a + (0.5 * separation if rules.is_soft else 0))
-    return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), (separation <= margin)[None])
+    follows_b = radius_a / jnp.maximum(radius_a + radius_b, jnp.finfo(d.dtype).tiny)  # no radius in free slots
+    feature, exists = jnp.zeros(1, jnp.int32), (separation <= margin)[None]
+    return Points(normal[None], point[None], separation[None], feature, follows_b[None], exists)
 
 
 def rolls_past(away: jax.Array, relative_velocity: jax.Array, radius: jax.Array) -> jax.Array:
@@ -82,4 +85,5 @@ def polygon_circle(
         exists &= ~(
             at_corner & (separation > 0) & rolls_past(away, relative_velocity - vec2.left(corner) * spin, radius)
         )
-    return Points(normal[None], point[None], separation[None], jnp.zeros(1, jnp.int32), exists[None])
+    feature, follows_b = jnp.zeros(1, jnp.int32), jnp.ones(1, centre.dtype)  # it stays below the disc's centre
+    return Points(normal[None], point[None], separation[None], feature, follows_b, exists[None])

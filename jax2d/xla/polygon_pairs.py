@@ -89,6 +89,7 @@ def polygon_polygon(
         point=jnp.where(beside, corners.point, clipped_point),
         separation=separation,
         feature=jnp.where(beside, corners.feature, clipped_feature),
+        follows_b=jnp.broadcast_to(jnp.where(faces.flipped, 0.0, 1.0).astype(d.dtype), (2,)),  # the corners on a face
         exists=jnp.where(beside, jnp.array([True, False]), True) & (separation <= margin),
     )
     if "deepest_depth" in details:
@@ -231,5 +232,6 @@ def _at_seams(points: Points, faces: Faces, relative_velocity: jax.Array, margin
         point=jnp.where(seam.exists, seam.point + centre, points.point),
         separation=jnp.where(seam.exists, seam.separation, points.separation),
         feature=jnp.where(seam.exists, C.feature_seam + faces.base_feature + seam.number, points.feature),
+        follows_b=points.follows_b,
         exists=jnp.where(seam.exists, jnp.array([True, False]), points.exists),
     )

@@ -154,6 +154,11 @@ struct Bodies {
   }
 };
 
+// From the centres of mass of two bodies to where an impulse acts on both.
+struct Arms {
+  Vec2 a, b;
+};
+
 // Two bodies held in registers while constraints between them are solved: bodies stand in local or shared
 // memory, where each use of one is a load and each push a store and a wait.
 struct Pair {
@@ -185,6 +190,13 @@ struct Pair {
   // Velocity of b at the end of its arm, seen from a at the end of its own.
   KFN Vec2 relative(Vec2 arm_a, Vec2 arm_b) const {
     return (velocity_b + arm_b.left() * omega_b) - (velocity_a + arm_a.left() * omega_a);
+  }
+
+  // kg, that an impulse along a direction moves.
+  KFN real mass(Vec2 arm_a, Vec2 arm_b, Vec2 direction) const {
+    real ra = arm_a.cross(direction), rb = arm_b.cross(direction);
+    return Math::inverse_or_zero(inverse_mass_a + inverse_mass_b + inverse_inertia_a * ra * ra +
+                                 inverse_inertia_b * rb * rb);
   }
 
   KFN void apply_impulse(Vec2 arm_a, Vec2 arm_b, Vec2 impulse_on_b) {

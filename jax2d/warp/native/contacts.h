@@ -6,7 +6,8 @@
 struct Contact {
   int a, b, key;
   Vec2 normal;
-  Vec2 arm_a, arm_b;         // from the centres of mass, at the start of the step
+  Vec2 arm_a, arm_b;         // from the centres of mass to both surfaces, at the start of the step
+  real follows_b;            // share by which the common point goes with b; the rest goes with a
   real separation;           // at the start of the step
   real mass_normal, mass_tangent;
   real impulse_normal, impulse_tangent;
@@ -76,6 +77,7 @@ struct Contacts {
         c.arm_a = m.points[p].point - half_gap;
         c.arm_b = m.points[p].point + half_gap - d;
         c.separation = m.points[p].separation;
+        c.follows_b = m.follows_b;
         c.friction = friction;
         c.restitution = restitution;
         c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
@@ -155,23 +157,32 @@ struct Contacts {
   }
 
   KFN static real pair_mass(const Bodies& bodies, const Contact& c, Vec2 direction) {
-    real ra = c.arm_a.cross(direction), rb = c.arm_b.cross(direction);
-    return Math::inverse_or_zero(bodies.inverse_mass(c.a) + bodies.inverse_mass(c.b) +
-                                 bodies.inverse_inertia(c.a) * ra * ra + bodies.inverse_inertia(c.b) * rb * rb);
+    return Pair::of(bodies, c.a, c.b).mass(c.arm_a, c.arm_b, direction);
+  }
+
+  // How b has moved against a since the contact was found.
+  KFN static Vec2 moved(const Bodies& bodies, const Contact& c) { return bodies.delta(c.b) - bodies.delta(c.a); }
+
+  // Where both bodies can move, arms lead to one point, wherever they have gone since: an impulse at two points would
+  // change what both have of angular momentum. What is fixed takes any, so that the other's own surface is the point.
+  KFN static Arms arms_now(const Contact& c, Vec2 moved) {
+    if (c.against_fixed) return {c.arm_a, c.arm_b};
+    Vec2 apart = c.normal * Math::max(c.separation, real(0)) + moved;
+    return {c.arm_a + apart * c.follows_b, c.arm_b - apart * (real(1) - c.follows_b)};
   }
 
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
       const Contact& c = list[i];
       Pair pair = Pair::of(bodies, c.a, c.b);
-      pair.apply_impulse(c.arm_a, c.arm_b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+      Arms arms = arms_now(c, moved(bodies, c));
+      pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
       pair.write_back(bodies);
     }
   }
 
-  KFN static real current_separation(const Bodies& bodies, const Contact& c) {
-    // Anchors move and turn with their bodies; the normal stays as it was at the start of the step.
-    Vec2 moved = bodies.delta(c.b) - bodies.delta(c.a);
+  KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
+    // Surfaces move and turn with their bodies; the normal stays as it was at the start of the step.
     real ta = bodies.turn(c.a), tb = bodies.turn(c.b);
     Vec2 arm_a = c.arm_a.left() * sinf_small(ta) - c.arm_a * one_minus_cos_small(ta);
     Vec2 arm_b = c.arm_b.left() * sinf_small(tb) - c.arm_b * one_minus_cos_small(tb);
@@ -195,7 +206,9 @@ struct Contacts {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       Pair pair = Pair::of(bodies, c.a, c.b);
-      real separation = current_separation(bodies, c);
+      Vec2 moved = Contacts::moved(bodies, c);
+      real separation = current_separation(bodies, c, moved);
+      Arms arms = arms_now(c, moved);
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
       if (separation > real(0)) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more
@@ -205,44 +218,50 @@ struct Contacts {
         impulse_scale = of.impulse_scale;
         bias = Math::max(mass_scale * of.bias_rate * separation, -soft.push_out_speed);
       }
-      real vn = c.normal.dot(pair.relative(c.arm_a, c.arm_b));
+      real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
+      real mass = c.mass_normal, mass_tangent = c.mass_tangent;
+      if (!c.against_fixed) {
+        if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
+        mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
+      }
       if (bounces) {
         bias = -c.bounce;
-        converged &= update_secant_mass(bodies, c, vn, round);
+        converged &= update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
+        mass = c.mass_normal;
       }
-      real impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
+      real impulse = -mass * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
       real total = Math::max(c.impulse_normal + impulse, real(0));
       impulse = total - c.impulse_normal;
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
-      pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
-      if (!use_bias && (with_friction || !bounces)) solve_friction(pair, c);
+      pair.apply_impulse(arms.a, arms.b, c.normal * impulse);
+      if (!use_bias && (with_friction || !bounces)) solve_friction(pair, c, arms, mass_tangent);
       pair.write_back(bodies);
     }
   }
 
-  KFN static void solve_friction(Pair& pair, Contact& c) {
+  KFN static void solve_friction(Pair& pair, Contact& c, Arms arms, real mass_tangent) {
     if (!HAS_FRICTION || c.friction == real(0)) return;
     Vec2 tangent = c.normal.right();
-    real vt = tangent.dot(pair.relative(c.arm_a, c.arm_b));
+    real vt = tangent.dot(pair.relative(arms.a, arms.b));
     real max_friction = c.friction * c.impulse_normal;
-    real total = Math::clamp(c.impulse_tangent - c.mass_tangent * vt, -max_friction, max_friction);
+    real total = Math::clamp(c.impulse_tangent - mass_tangent * vt, -max_friction, max_friction);
     real impulse = total - c.impulse_tangent;
     c.impulse_tangent = total;
-    pair.apply_impulse(c.arm_a, c.arm_b, tangent * impulse);
+    pair.apply_impulse(arms.a, arms.b, tangent * impulse);
   }
 
   // What the last pass gave a bounce, joints and other contacts have shared out since. The next pass pushes as if the
   // contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone.
   // True if it has its speed, or no push can give it any more.
-  KFN static bool update_secant_mass(const Bodies& bodies, Contact& c, real vn, int round) {
+  KFN static bool update_secant_mass(Contact& c, real mass_of_pair, real vn, int round) {
     real kept = (vn - c.approach) / (c.bounce - c.approach);
     c.approach = vn;
     if (round == 1) return false;
     if (Math::abs(vn - c.bounce) <= BOUNCE_TOLERANCE * c.bounce || Math::abs(kept) < MIN_KEPT_SHARE) return true;
     bool is_seen = kept > real(0) && kept < MAX_SECANT_SHARE;
-    c.mass_normal = is_seen ? c.mass_normal / Math::max(kept, MIN_SECANT_SHARE) : pair_mass(bodies, c, c.normal);
+    c.mass_normal = is_seen ? c.mass_normal / Math::max(kept, MIN_SECANT_SHARE) : mass_of_pair;
     return false;
   }
 
@@ -272,7 +291,7 @@ struct Contacts {
                            (bodies.inverse_mass(c.b) > real(0) ? real(1) : real(0)));
     real a = pull.dot(c.normal), u = -c.approach;
     real half = real(0.5) * a * h;
-    real fallen = c.separation - current_separation(bodies, c);
+    real fallen = c.separation - current_separation(bodies, c, moved(bodies, c));
     real twice_energy = u * u + real(2) * half * u + real(2) * a * fallen;
     return sqrtf(Math::max(half * half + twice_energy, real(0))) + half;
   }
@@ -291,7 +310,7 @@ struct Contacts {
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
-      solve_friction(pair, c);
+      solve_friction(pair, c, {c.arm_a, c.arm_b}, c.mass_tangent);
       pair.write_back(bodies);
     }
   }

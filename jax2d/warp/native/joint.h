@@ -41,6 +41,14 @@ struct Joint {
   // Anchor of b from anchor of a, with arms as they are.
   KFN Vec2 gap(const Bodies& bodies) const { return centre_gap + (bodies.delta(b) - bodies.delta(a)) + (arm_b - arm_a); }
 
+  // To the middle of the gap, where both bodies can move: an impulse at two points would change what both have of
+  // angular momentum.
+  KFN Arms common_arms(const Pair& pair, Vec2 gap) const {
+    bool is_fixed_a = pair.inverse_mass_a == real(0), is_fixed_b = pair.inverse_mass_b == real(0);
+    if (is_fixed_a || is_fixed_b) return {arm_a, arm_b};
+    return {arm_a + gap * real(0.5), arm_b - gap * real(0.5)};
+  }
+
   KFN real current_angle(const Bodies& bodies) const { return start_angle + bodies.turn(b) - bodies.turn(a); }
 
   // Of a motor that shall bring `speed` to its target: what it adds to its bounded impulse. dt changes neither its target

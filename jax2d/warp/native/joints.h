@@ -97,7 +97,8 @@ struct Joints {
       if (joint.is_prismatic()) {
         Slider::of(bodies, joint, local_axis[k]).warm_start(pair, joint);
       } else {
-        pair.apply_impulse(joint.arm_a, joint.arm_b, joint.impulse);
+        Arms arms = joint.common_arms(pair, joint.gap(bodies));
+        pair.apply_impulse(arms.a, arms.b, joint.impulse);
         pair.apply_angular_impulse(joint.angular_impulse + joint.impulse_lower - joint.impulse_upper);
       }
       pair.write_back(bodies);
@@ -166,16 +167,18 @@ struct Joints {
 
   KFN static void solve_point(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias) {
     joint.turn_arms(bodies);
-    Vec2 wrong = pair.relative(joint.arm_a, joint.arm_b);
+    Vec2 gap = joint.gap(bodies);
+    Arms arms = joint.common_arms(pair, gap);
+    Vec2 wrong = pair.relative(arms.a, arms.b);
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
-      wrong = wrong + clamp_length(joint.gap(bodies) * soft.joint.bias_rate, soft.pull_speed);
+      wrong = wrong + clamp_length(gap * soft.joint.bias_rate, soft.pull_speed);
       mass_scale = soft.joint.mass_scale;
       impulse_scale = soft.joint.impulse_scale;
     }
-    Vec2 impulse = -(point_mass_times(pair, joint, wrong) * mass_scale) - joint.impulse * impulse_scale;
+    Vec2 impulse = -(point_mass_times(pair, arms, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
-    pair.apply_impulse(joint.arm_a, joint.arm_b, impulse);
+    pair.apply_impulse(arms.a, arms.b, impulse);
   }
 
   KFN static Vec2 clamp_length(Vec2 v, real max_length) {
@@ -184,10 +187,10 @@ struct Joints {
   }
 
   // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.
-  KFN static Vec2 point_mass_times(const Pair& pair, const Joint& joint, Vec2 v) {
+  KFN static Vec2 point_mass_times(const Pair& pair, Arms arms, Vec2 v) {
     real mass = pair.inverse_mass_a + pair.inverse_mass_b;
     real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
-    Vec2 ra = joint.arm_a, rb = joint.arm_b;
+    Vec2 ra = arms.a, rb = arms.b;
     real k11 = mass + ia * ra.y * ra.y + ib * rb.y * rb.y;
     real k12 = -ia * ra.x * ra.y - ib * rb.x * rb.y;
     real k22 = mass + ia * ra.x * ra.x + ib * rb.x * rb.x;

@@ -16,6 +16,7 @@ struct ContactPoint {
 struct Manifold {
   Vec2 normal;
   int count;
+  real follows_b;  // share by which points go with b while both move, so that a disc's stays below its centre
   ContactPoint points[2];
 };
 
@@ -123,6 +124,7 @@ struct Geometry {
     // Coincident centres have no direction of their own: any fixed one separates them.
     m.normal = distance > COINCIDENT_DISTANCE ? d * (real(1) / distance) : Vec2{real(0), real(1)};
     m.count = 1;
+    m.follows_b = radius[a] / (radius[a] + radius[b]);
     m.points[0] = {m.normal * (radius[a] + HALFWAY * separation), separation, 0};
     return m;
   }
@@ -172,6 +174,7 @@ struct Geometry {
     }
     real separation = distance - r;
     m.count = 1;
+    m.follows_b = real(1);
     m.points[0] = {centre - m.normal * (r + (real(1) - HALFWAY) * separation), separation, 0};
     return m;
   }
@@ -272,6 +275,7 @@ struct Geometry {
     }
 
     m.normal = flipped ? -n : n;
+    m.follows_b = flipped ? real(0) : real(1);  // with the corners that meet a face
     int base = (flipped ? FEATURE_FLIPPED : 0) + edge * FEATURE_EDGE;
     real closing = n.dot(flipped ? motion : -motion);
     if (SOFT_STEP && slides_past(ref, inc, edge, inc_at - ref_at, lower_end - ref_at, upper_end - ref_at, u_lower,
