@@ -75,6 +75,12 @@ class Constants:
         "sub-steps are stopped so often to find contacts again",
         "fewer: fast crowds tunnel; more: time only",
     )
+    limited_passes: int = _constant(
+        8,
+        "a sub-step",
+        "where speed limits act, what they take from contacts is solved for so often again",
+        "0: what spins at its limit passes the end of a wall",
+    )
     sweep_rounding: float = _constant(
         2.0**-20,
         "of a coordinate",

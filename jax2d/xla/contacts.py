@@ -85,6 +85,10 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
     impulse = jnp.where(params.warm_start, _remembered(key, cache), 0)
     velocity = relative_velocity(pair_velocities(pair, bodies.velocities), arm_a, arm_b)
     dynamic = bodies.is_dynamic
+    approach = vec2.dot(points.normal, velocity)
+    if rules.is_soft:
+        hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)
+        rotates_far |= jnp.any(points.exists & hard)
     return Contacts(
         key=key,
         pair=pair,
@@ -99,7 +103,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         impulse_tangent=impulse[:, 1],
         friction=mix_friction(friction_a, friction_b, params, rules),
         restitution=jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b]),
-        approach=vec2.dot(points.normal, velocity),
+        approach=approach,
         max_impulse=jnp.zeros_like(points.separation),
         against_fixed=~(dynamic[a] & dynamic[b]),
         overflow=overflow,
@@ -127,13 +131,17 @@ def _points_in_use(
         return Points(zeros, zeros, zeros[:, 0], none, zeros[:, 0], none > 0), none, none, none[0], none[0] > 0, None
     pairs = pair_list(capacity)
     margin = margins(predicted, reach, ahead=is_soft)
-    points = collide(geometry, bodies, capacity, margin, rules)
+    points = collide(geometry, bodies, capacity, margin, dt, rules)
     # Contact points and normals hold for small turns only: a rod that spins fast sweeps over what they say.
-    rotates_too_far = is_soft & ((geometry.extent - geometry.core) * jnp.square(bodies.velocities.omega * dt) > reach)
+    # So does a bar along which something fast goes meanwhile.
+    turn, arm = jnp.abs(bodies.velocities.omega * dt), geometry.extent - geometry.core
+    swept = ((arm * turn)[:, None] + predicted.distance[None]) * turn[:, None]  # [n, n] m, by one against the other
+    rotates_too_far = is_soft & (arm > 0)[:, None] & (swept > reach)
     exists = points.exists & scene.shapes.can_touch[pairs.point_a, pairs.point_b]
     if "fixed_slots" in rules.published_details:
         exists &= ~published.is_fixed_pair(pairs, capacity)
-    rotates_far = jnp.any(exists & (rotates_too_far[pairs.point_a] | rotates_too_far[pairs.point_b]))
+    one, other = pairs.point_a, pairs.point_b
+    rotates_far = jnp.any(exists & (rotates_too_far[one, other] | rotates_too_far[other, one]))
     source = jnp.argsort(~exists, stable=True)[:slots]
     solve_order = published_order.solve_order(points.exists, scene, bodies.is_dynamic, pairs, capacity, rules)
     points, solve_order = jax.tree.map(lambda x: x[source], (points._replace(exists=exists), solve_order))
@@ -146,6 +154,15 @@ def _points_in_use(
         rotates_far,
         solve_order,
     )
+
+
+def _hits_hard(
+    points: Points, approach: jax.Array, core_a: jax.Array, core_b: jax.Array, params: SolverNumbers, dt: Scalar
+) -> jax.Array:
+    """What hits so fast that it would go through the thinner of the two in what is left of the step moves on as nobody
+    foresaw: around a corner, or over an end."""
+    thin = C.safe_core_share * jnp.minimum(core_a, core_b)
+    return -approach * dt > jnp.maximum(points.separation, 0) + params.speculative_distance + thin
 
 
 def _remembered(key: jax.Array, cache: ContactCache) -> jax.Array:

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.xla import published, vec2
+from jax2d.solver_numbers import Scalar
+from jax2d.xla import impact_plane, published, vec2
 from jax2d.xla.geometry import Polygons
 from jax2d.xla.rules import Rules
 
@@ -28,27 +29,33 @@ class Points(NamedTuple):
     exists: jax.Array  # [...] bool
 
 
-def circle_circle(radius_a: jax.Array, radius_b: jax.Array, d: jax.Array, margin: jax.Array, *, rules: Rules) -> Points:
-    """At most one point, [1]. d [2]: centre of b relative to centre of a. In `paper` the point lies on a's surface."""
+def circle_circle(
+    radius_a: jax.Array,
+    radius_b: jax.Array,
+    d: jax.Array,
+    relative_velocity: jax.Array,
+    margin: jax.Array,
+    *,
+    rules: Rules,
+) -> Points:
+    """At most one point, [1]. d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s of b.
+    In `paper` the point lies on a's surface."""
     distance = vec2.length(d)
     separation = distance - radius_a - radius_b
     normal = vec2.unit_or_zero(d)
     if "coincident_circles" not in rules.published_details:
         # Coincident centres have no direction of their own: any fixed one separates them.
         normal = jnp.where(distance > C.coincident_distance, normal, jnp.array([0, 1], d.dtype))
+    exists = (separation <= margin)[None]
+    if rules.is_soft:
+        plane = impact_plane.of_corner(d, relative_velocity, radius_a + radius_b, 0.0)
+        is_met = (separation > 0) & impact_plane.moves(relative_velocity) & plane.exists
+        normal = jnp.where(is_met, plane.normal, normal)
+        separation = jnp.where(is_met, plane.separation, separation)
     point = normal * (radius_a + (0.5 * separation if rules.is_soft else 0))
     follows_b = radius_a / jnp.maximum(radius_a + radius_b, jnp.finfo(d.dtype).tiny)  # no radius in free slots
-    feature, exists = jnp.zeros(1, jnp.int32), (separation <= margin)[None]
+    feature = jnp.zeros(1, jnp.int32)
     return Points(normal[None], point[None], separation[None], feature, follows_b[None], exists)
-
-
-def rolls_past(away: jax.Array, relative_velocity: jax.Array, radius: jax.Array) -> jax.Array:
-    """A disc that moves on as it does leaves the corner beside it, or grazes it: that of the next tile of a floor."""
-    speed = vec2.length(relative_velocity)
-    return (speed > C.resting_speed) & (
-        jnp.abs(vec2.cross(away, relative_velocity))
-        >= (radius - jnp.minimum(C.grazing_distance, C.grazing_share * radius)) * speed
-    )
 
 
 def polygon_circle(
@@ -58,11 +65,12 @@ def polygon_circle(
     relative_velocity: jax.Array,
     spin: jax.Array,
     margin: jax.Array,
+    seconds: Scalar,
     *,
     rules: Rules,
 ) -> Points:
-    """At most one point, [1]; one polygon, centre [2] relative to it, relative_velocity [2] m/s of the centre,
-    spin [] rad/s of the polygon. In `paper` the point lies on the polygon."""
+    """At most one point, [1]; one polygon, centre [2] m relative to it, relative_velocity [2] m/s of the centre,
+    spin [] rad/s of the polygon, `seconds` for which they move on so. In `paper` the point lies on the polygon."""
     distances = jnp.where(polygon.is_corner, vec2.dot(polygon.normal, centre - polygon.corner), -C.far_distance)
     face = jnp.argmax(distances)
     face_distance = distances[face]
@@ -77,13 +85,16 @@ def polygon_circle(
     distance = jnp.where(at_corner, vec2.length(away), face_distance)
     normal = jnp.where(at_corner, vec2.unit_or_zero(away), polygon.normal[face])
     separation = distance - radius
-    point = centre - normal * (radius + (0.5 if rules.is_soft else 1) * separation)
     exists = (face_distance - radius <= margin) & (separation <= margin)
+    if rules.is_soft:
+        graze = jnp.minimum(C.grazing_distance, C.grazing_share * radius)
+        motion = relative_velocity - vec2.left(centre) * spin  # as a point of the polygon there sees it
+        plane = impact_plane.of_polygon(polygon, centre, radius, motion, seconds, graze)
+        is_met = (separation > jnp.where(at_corner, -graze, 0)) & impact_plane.moves(motion) & plane.exists
+        normal = jnp.where(is_met, plane.normal, normal)
+        separation = jnp.where(is_met, plane.separation, separation)
+    point = centre - normal * (radius + (0.5 if rules.is_soft else 1) * separation)
     if "centre_inside" in rules.published_details:
         normal, separation = published.centre_inside(normal, separation, face_distance, radius)
-    if rules.is_soft:
-        exists &= ~(
-            at_corner & (separation > 0) & rolls_past(away, relative_velocity - vec2.left(corner) * spin, radius)
-        )
     feature, follows_b = jnp.zeros(1, jnp.int32), jnp.ones(1, centre.dtype)  # it stays below the disc's centre
     return Points(normal[None], point[None], separation[None], feature, follows_b, exists[None])

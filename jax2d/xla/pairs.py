@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Capacity
+from jax2d.solver_numbers import Scalar
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.geometry import Geometry
 from jax2d.xla.manifolds import Points, circle_circle, polygon_circle
@@ -39,11 +40,14 @@ def pair_list(capacity: Capacity) -> PairList:
     return PairList(*kinds, order=order, point_a=points[order, 0], point_b=points[order, 1])
 
 
-def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, rules: Rules) -> Points:
+def collide(
+    geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, seconds: Scalar, rules: Rules
+) -> Points:
     """Points of all pairs, in order of pairs. margin [n, n] m: points farther apart than this are left out.
 
-    For soft step points lie midway, and what slides over the seams of a floor is not stopped by them. For `paper` they
-    lie where its appendix says (Collision Manifolds), and only what penetrates has any.
+    `seconds`: for which bodies move on as they do. For soft step points lie midway, and what slides over the seams of a
+    floor is not stopped by them. For `paper` they lie where its appendix says (Collision Manifolds), and only what
+    penetrates has any.
     """
     pairs = pair_list(capacity)
     velocity, omega = bodies.velocities
@@ -62,14 +66,15 @@ def collide(geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.
         other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
         relative_velocity, spin = velocity[b] - velocity[a], omega[a]
         if collide_one is polygon_polygon:
-            points = jax.vmap(functools.partial(polygon_polygon, rules=rules))(
+            points = jax.vmap(functools.partial(polygon_polygon, seconds=seconds, rules=rules))(
                 one, other, d, relative_velocity, margin[a, b]
             )
         elif collide_one is polygon_circle:
-            collide_circle = functools.partial(polygon_circle, rules=rules)
+            collide_circle = functools.partial(polygon_circle, seconds=seconds, rules=rules)
             points = jax.vmap(collide_circle)(one, other, d, relative_velocity, spin, margin[a, b])
         else:
-            points = jax.vmap(functools.partial(circle_circle, rules=rules))(one, other, d, margin[a, b])
+            collide_circles = functools.partial(circle_circle, rules=rules)
+            points = jax.vmap(collide_circles)(one, other, d, relative_velocity, margin[a, b])
         near = bounds_overlap(geometry, a, b, d, margin[a, b])
         points = points._replace(exists=points.exists & near[:, None])
         found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))

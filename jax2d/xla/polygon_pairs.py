@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.xla import published, vec2
+from jax2d.solver_numbers import Scalar
+from jax2d.xla import impact_plane, published, vec2
 from jax2d.xla.geometry import Polygons
 from jax2d.xla.manifolds import Points
 from jax2d.xla.rules import Rules
@@ -24,10 +25,12 @@ class Faces(NamedTuple):
     """The reference face of one polygon and the edge of the other that lies over it."""
 
     flipped: jax.Array  # [] bool, the face is b's
+    is_impact: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
+    onward: jax.Array  # [2] m by which the incident polygon is looked at where they will meet
     reference: Polygons
     incident: Polygons
     reference_at: jax.Array  # [2] m, centre of its polygon
-    incident_at: jax.Array
+    incident_at: jax.Array  # where they will meet
     edge: jax.Array  # [] int32 of the reference polygon
     incident_edge: jax.Array
     normal: jax.Array  # [2] outward of the reference polygon
@@ -60,18 +63,25 @@ class Corners(NamedTuple):
 
 
 def polygon_polygon(
-    a: Polygons, b: Polygons, d: jax.Array, relative_velocity: jax.Array, margin: jax.Array, *, rules: Rules
+    a: Polygons,
+    b: Polygons,
+    d: jax.Array,
+    relative_velocity: jax.Array,
+    margin: jax.Array,
+    seconds: Scalar,
+    *,
+    rules: Rules,
 ) -> Points:
     """At most two points, [2].
 
-    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes. In `paper` points lie on
-    the incident edge.
+    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which it
+    goes on so. In `paper` points lie on the incident edge.
     """
     details = rules.published_details
     zero = jnp.zeros_like(d)
     of_a, of_b = max_separation(a, zero, b, d), max_separation(b, d, a, zero)
     (depth_a, _), (depth_b, _) = of_a, of_b
-    faces = find_faces(a, b, d, of_a, of_b, rules)
+    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, rules)
     corners = find_corners(faces, rules)
     clipped = clip(faces)
     beside = corners.beside
@@ -79,13 +89,14 @@ def polygon_polygon(
         ends = jnp.stack([faces.lower_end, faces.upper_end]) - faces.start
         clipped = published.clip_and_keep_depth(ends, faces.normal, faces.length) + faces.start
         beside = jnp.array(False)
+    clipped = clipped - faces.onward
     clipped_separation = vec2.dot(clipped - faces.start, faces.normal)
     clipped_feature = faces.base_feature + faces.incident_edge * C.feature_incident + jnp.arange(2)
     clipped_point = clipped - _halfway(rules) * clipped_separation[:, None] * faces.normal
 
     separation = jnp.where(beside, corners.separation, clipped_separation)
     points = Points(
-        normal=jnp.where(beside & corners.is_outside, corners.normal, faces.normal),
+        normal=jnp.where(beside & corners.is_outside & ~faces.is_impact, corners.normal, faces.normal),
         point=jnp.where(beside, corners.point, clipped_point),
         separation=separation,
         feature=jnp.where(beside, corners.feature, clipped_feature),
@@ -127,6 +138,8 @@ def find_faces(
     d: jax.Array,
     of_a: tuple[jax.Array, jax.Array],
     of_b: tuple[jax.Array, jax.Array],
+    relative_velocity: jax.Array,
+    seconds: Scalar,
     rules: Rules,
 ) -> Faces:
     """`of_a`, `of_b`: what `max_separation` says of the edges of each."""
@@ -135,15 +148,29 @@ def find_faces(
     # The reference face is that of the clearly larger shape (a's if neither is) unless the other's is clearly better: a
     # floor holds its normal while what stands on it rocks.
     larger_b = b.extent > C.clearly_larger * a.extent
-    flipped = depth_b > depth_a + jnp.where(larger_b, -C.flip_advantage, C.flip_advantage)
+    advantage = jnp.where(larger_b, -C.flip_advantage, C.flip_advantage)
+    flipped = depth_b > depth_a + advantage
     if "reference_bias" in rules.published_details:
         flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
+
+    is_impact, impact_edge, impact_seconds = jnp.array(False), edge_a, jnp.zeros_like(depth_a)
+    if rules.is_soft:
+        towards = jnp.where(flipped, -b.normal[edge_b], a.normal[edge_a])
+        rate = vec2.dot(towards, relative_velocity)
+        apart = jnp.maximum(depth_a, depth_b)
+        impact = impact_plane.of_polygons(a, b, d, relative_velocity, advantage, seconds)
+        is_crossed = (apart > 0) & impact_plane.moves(relative_velocity) & (apart + rate * seconds < 0)
+        is_impact = is_crossed & impact.exists
+        flipped = jnp.where(is_impact, impact.flipped, flipped)
+        impact_edge, impact_seconds = impact.edge, jnp.where(is_impact, impact.seconds, 0)
+    onward = jnp.where(flipped, -relative_velocity, relative_velocity) * impact_seconds
 
     def choose(of_b, of_a):
         return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)
 
     ref, inc = choose(b, a), choose(a, b)
-    ref_at, inc_at, edge = choose(d, zero), choose(zero, d), choose(edge_b, edge_a)
+    ref_at, inc_at = choose(d, zero), choose(zero, d) + onward
+    edge = jnp.where(is_impact, impact_edge, choose(edge_b, edge_a))
     n = ref.normal[edge]
     start, end = ref.corner[edge] + ref_at, ref.following[edge] + ref_at
 
@@ -158,6 +185,8 @@ def find_faces(
         upper_end, lower_end = jnp.where(is_steep, lower_end, upper_end), jnp.where(is_steep, upper_end, lower_end)
     return Faces(
         flipped=flipped,
+        is_impact=is_impact,
+        onward=onward,
         reference=ref,
         incident=inc,
         reference_at=ref_at,
@@ -181,15 +210,20 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     inc_corner = jnp.where(before_start, faces.upper_end, faces.lower_end)
     gap = inc_corner - ref_corner
     distance, face_separation = vec2.length(gap), vec2.dot(faces.normal, gap)
-    is_outside = face_separation > 0
-    at_face = inc_corner - _halfway(rules) * face_separation * faces.normal
+    is_impact = faces.is_impact
+    face_separation = jnp.where(
+        is_impact, jnp.maximum(face_separation - vec2.dot(faces.normal, faces.onward), 0), face_separation
+    )
+    is_outside = (face_separation > 0) | is_impact
+    at_face = inc_corner - faces.onward - _halfway(rules) * face_separation * faces.normal
     kind = jnp.where(is_outside, C.feature_corner_outside, C.feature_corner_inside)
+    between = is_outside & ~is_impact
     return Corners(
         beside=before_start | (faces.u_lower > faces.length),
         is_outside=is_outside,
         normal=vec2.unit_or_zero(gap),
-        point=jnp.where(is_outside, 0.5 * (ref_corner + inc_corner), at_face),
-        separation=jnp.where(is_outside, distance, face_separation),
+        point=jnp.where(between, 0.5 * (ref_corner + inc_corner), at_face),
+        separation=jnp.where(between, distance, face_separation),
         feature=kind + faces.base_feature + jnp.where(before_start, 0, 1),
     )
 
@@ -227,6 +261,7 @@ def _at_seams(points: Points, faces: Faces, relative_velocity: jax.Array, margin
         closing=vec2.dot(faces.normal, faces.choose(relative_velocity, -relative_velocity)),
     )
     seam = slides_past(faces.reference, faces.incident, faces.edge, faces.incident_at - centre, over, margin)
+    seam = seam._replace(exists=seam.exists & ~faces.is_impact)
     return Points(
         normal=jnp.where(seam.exists, seam.normal, points.normal),
         point=jnp.where(seam.exists, seam.point + centre, points.point),

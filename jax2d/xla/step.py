@@ -115,9 +115,8 @@ def soft_step(
         driven = joints_of.warm_start(driven, joints)
         driven = contact_solver.warm_start(driven, contacts)
         bodies = _choose(interrupted, bodies, driven)
-        # Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
-        bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=True)
-        bodies, contacts = contact_solver.solve_soft(bodies, contacts, params, use_bias=True)
+        # Where a speed limit takes back what stops a body, the rest of it is asked for again.
+        bodies, joints, contacts = _solve_within_limits(bodies, joints, contacts, params)
         # Where a body would now go farther than was predicted, contacts are found again before anything moves.
         can_touch, reach = scene.shapes.can_touch, params.speculative_distance
         outruns = outruns_contacts(bodies, contacts.predicted, contacts.pair, can_touch, reach, left)
@@ -152,6 +151,34 @@ def soft_step(
     # One program for sub-steps, those that find contacts every_substep, and those that are stopped.
     step_state, _ = jax.lax.scan(solve_unless_done, step_state, length=rules.substeps + C.max_interruptions)
     return step_state.progress
+
+
+def _solve_within_limits(
+    bodies: Bodies, joints: Joints, contacts: Contacts, params: SolverNumbers
+) -> tuple[Bodies, Joints, Contacts]:
+    """Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one."""
+
+    def solve(now: tuple[Bodies, Joints, Contacts]) -> tuple[Bodies, Joints, Contacts]:
+        bodies, joints = joints_of.solve_soft(now[0], now[1], params, use_bias=True)
+        bodies, contacts = contact_solver.solve_soft(bodies, now[2], params, use_bias=True)
+        return bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed), joints, contacts
+
+    first = solve((bodies, joints, contacts))
+    is_limited = (first[0].limited > bodies.limited) & jnp.any(contacts.key >= 0)
+
+    def again(now: tuple, _: None) -> tuple[tuple, None]:
+        current, is_limited = now
+
+        def once_more() -> tuple:
+            after = solve(current)
+            still = is_limited & (after[0].limited > current[0].limited)
+            after = (after[0]._replace(limited=current[0].limited), *after[1:])  # counted once
+            return _choose(is_limited, after, current), still
+
+        return jax.lax.cond(in_any_world(is_limited), once_more, lambda: (current, is_limited)), None
+
+    (last, _), _ = jax.lax.scan(again, (first, is_limited), length=C.limited_passes)
+    return last
 
 
 def paper_step(

@@ -181,7 +181,8 @@ def test_bounces_give_a_world_no_energy(friction: float) -> None:
     mass = np.where(movable, 1 / np.maximum(level.scene.shapes.inverse_mass, 1e-9), 0).sum(1)
     settled = np.asarray(energies(start(one, level)), np.float64)[60:] / mass  # levels may start with overlaps
     gain = np.diff(settled, axis=0).max(0)
-    assert gain.max() < 0.05
+    # What slides past an end is let sink by `grazing_distance`, and lifted again where it is over it: 9.81 x 5 mm.
+    assert gain.max() < 0.1
 
 
 def assert_agreement(size: str, settings: Settings, scene: Any, state: State, controls: Controls) -> State:

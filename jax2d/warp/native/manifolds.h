@@ -108,14 +108,14 @@ struct Geometry {
     } else if (a < NUM_POLYGONS) {
       if (HAS_POLYGON_CIRCLE_PAIRS) return polygon_circle(a, b - NUM_POLYGONS, d, motion, spin, margin);
     } else if (HAS_CIRCLE_PAIRS) {
-      return circle_circle(a - NUM_POLYGONS, b - NUM_POLYGONS, d, margin);
+      return circle_circle(a - NUM_POLYGONS, b - NUM_POLYGONS, d, motion, margin);
     }
     Manifold none;
     none.count = 0;
     return none;
   }
 
-  KFN Manifold circle_circle(int a, int b, Vec2 d, real margin) const {
+  KFN Manifold circle_circle(int a, int b, Vec2 d, Vec2 motion, real margin) const {
     Manifold m;
     m.count = 0;
     real distance = d.length();
@@ -123,17 +123,19 @@ struct Geometry {
     if (separation > margin) return m;
     // Coincident centres have no direction of their own: any fixed one separates them.
     m.normal = distance > COINCIDENT_DISTANCE ? d * (real(1) / distance) : Vec2{real(0), real(1)};
+    ImpactPlane plane;
+    if (SOFT_STEP && separation > real(0) && moves(motion) &&
+        ImpactPlane::corner(d, motion, radius[a] + radius[b], real(0), plane)) {
+      m.normal = plane.normal;
+      separation = plane.separation;
+    }
     m.count = 1;
     m.follows_b = radius[a] / (radius[a] + radius[b]);
     m.points[0] = {m.normal * (radius[a] + HALFWAY * separation), separation, 0};
     return m;
   }
 
-  // A disc that moves on as it does leaves the corner beside it, or grazes it: the corner of the next tile of a floor.
-  KFN static bool rolls_past(Vec2 away, Vec2 motion, real r) {
-    real speed = motion.length(), beside = away.cross(motion);
-    return speed > RESTING_SPEED && Math::abs(beside) >= (r - Math::min(GRAZING_DISTANCE, GRAZING_SHARE * r)) * speed;
-  }
+  KFN static bool moves(Vec2 motion) { return motion.dot(motion) > RESTING_SPEED * RESTING_SPEED; }
 
   KFN Manifold polygon_circle(int polygon, int circle, Vec2 centre, Vec2 motion, real spin, real margin) const {
     Manifold m;
@@ -169,10 +171,17 @@ struct Geometry {
       Vec2 away = centre - closest;
       distance = away.length();
       if (distance - r > margin) return m;
-      if (SOFT_STEP && distance > r && rolls_past(away, motion - closest.left() * spin, r)) return m;
       m.normal = away * (real(1) / distance);  // distance >= face_distance > 0
     }
     real separation = distance - r;
+    ImpactPlane plane;
+    real graze = at_corner ? Math::min(GRAZING_DISTANCE, GRAZING_SHARE * r) : real(0);
+    motion = motion - centre.left() * spin;  // as a point of the polygon there sees it
+    if (SOFT_STEP && separation > -graze && moves(motion) &&
+        ImpactPlane::polygon(v, n, corners[polygon], centre, r, motion, ahead, plane)) {
+      m.normal = plane.normal;
+      separation = plane.separation;
+    }
     m.count = 1;
     m.follows_b = real(1);
     m.points[0] = {centre - m.normal * (r + (real(1) - HALFWAY) * separation), separation, 0};
@@ -225,6 +234,61 @@ struct Geometry {
     return best;
   }
 
+  // Which face of two polygons apart keeps them so while they move on, see `ImpactPlane`.
+  struct ImpactFace {
+    bool exists, flipped;
+    int edge;
+    real seconds;  // until they meet there, 0 if they do not
+  };
+
+  // How thick a polygon is along n.
+  KFN real width(int polygon, Vec2 n) const {
+    real lo = FAR_DISTANCE, hi = -FAR_DISTANCE;
+    for (int k = 0; k < corners[polygon]; ++k) {
+      real u = n.dot(corner[polygon * MAX_VERTICES + k]);
+      lo = Math::min(lo, u);
+      hi = Math::max(hi, u);
+    }
+    return hi - lo;
+  }
+
+  // One of two polygons; motion: of the other against it. Goes on from what was found for the first.
+  KFN void impact_face(int one, Vec2 one_at, int other, Vec2 other_at, Vec2 motion, bool flipped, real& best, real& last,
+                       ImpactFace& inert, ImpactFace& met) const {
+    for (int k = 0; k < corners[one]; ++k) {
+      Vec2 n = normal[one * MAX_VERTICES + k];
+      Vec2 origin = corner[one * MAX_VERTICES + k] + one_at - other_at;
+      real separation = FAR_DISTANCE;
+      for (int j = 0; j < corners[other]; ++j)
+        separation = Math::min(separation, n.dot(corner[other * MAX_VERTICES + j] - origin));
+      if (separation < -GRAZING_DISTANCE) continue;
+      // A thin shape is met in full, not passed over.
+      if (separation < real(0) && separation < -THIN_SHARE * Math::min(width(one, n), width(other, n))) continue;
+      real rate = n.dot(motion);
+      // Along its plane, as over the next tile of a floor: not into it.
+      if (separation > best && rate * ahead >= -GRAZING_DISTANCE) {
+        best = separation;
+        inert = {true, flipped, k, real(0)};
+      }
+      real crossed = rate < real(0) ? Math::max(separation, real(0)) / -rate : FAR_DISTANCE;
+      if (crossed > last) {
+        last = crossed;
+        met = {true, flipped, k, crossed};
+      }
+    }
+  }
+
+  KFN ImpactFace impact_face(int a, int b, Vec2 d, Vec2 motion, real advantage) const {
+    ImpactFace inert = {false, false, 0, real(0)}, met = inert;
+    real best = -FAR_DISTANCE, last = real(-1);
+    Vec2 zero = {real(0), real(0)};
+    impact_face(a, zero, b, d, motion, false, best, last, inert, met);
+    if (inert.exists) best = best + advantage;
+    impact_face(b, d, a, zero, -motion, true, best, last, inert, met);
+    if (!inert.exists && last == FAR_DISTANCE) met.exists = false;
+    return inert.exists ? inert : met;
+  }
+
   KFN Manifold polygon_polygon(int a, int b, Vec2 d, Vec2 motion, real margin) const {
     Manifold m;
     m.count = 0;
@@ -238,10 +302,19 @@ struct Geometry {
     // The reference face is that of the clearly larger shape (a's if neither is) unless the other's is clearly better:
     // no flicker between near-equal axes, and a floor holds its normal while what stands on it rocks.
     bool larger_b = extent[b] > CLEARLY_LARGER * extent[a];
-    bool flipped = depth_b > depth_a + (larger_b ? -FLIP_ADVANTAGE : FLIP_ADVANTAGE);
+    real advantage = larger_b ? -FLIP_ADVANTAGE : FLIP_ADVANTAGE;
+    bool flipped = depth_b > depth_a + advantage;
+    ImpactFace impact = {false, false, 0, real(0)};
+    real apart = Math::max(depth_a, depth_b);
+    real rate = flipped ? -normal[b * MAX_VERTICES + edge_b].dot(motion) : normal[a * MAX_VERTICES + edge_a].dot(motion);
+    if (SOFT_STEP && apart > real(0) && moves(motion) && apart + rate * ahead < real(0)) impact = impact_face(a, b, d, motion, advantage);
+    if (impact.exists) flipped = impact.flipped;
     int ref = flipped ? b : a, inc = flipped ? a : b;
     Vec2 ref_at = flipped ? d : zero, inc_at = flipped ? zero : d;
-    int edge = flipped ? edge_b : edge_a;
+    int edge = impact.exists ? impact.edge : flipped ? edge_b : edge_a;
+    // The incident polygon is looked at where it will be when they meet; points go back from there.
+    Vec2 onward = (flipped ? -motion : motion) * impact.seconds;
+    inc_at = inc_at + onward;
     Vec2 n = normal[ref * MAX_VERTICES + edge];
     Vec2 r1 = corner[ref * MAX_VERTICES + edge] + ref_at;
     Vec2 r2 = corner[ref * MAX_VERTICES + successor(ref, edge)] + ref_at;
@@ -278,7 +351,7 @@ struct Geometry {
     m.follows_b = flipped ? real(0) : real(1);  // with the corners that meet a face
     int base = (flipped ? FEATURE_FLIPPED : 0) + edge * FEATURE_EDGE;
     real closing = n.dot(flipped ? motion : -motion);
-    if (SOFT_STEP && slides_past(ref, inc, edge, inc_at - ref_at, lower_end - ref_at, upper_end - ref_at, u_lower,
+    if (SOFT_STEP && !impact.exists && slides_past(ref, inc, edge, inc_at - ref_at, lower_end - ref_at, upper_end - ref_at, u_lower,
                                  u_upper, length, closing, margin, m)) {
       m.normal = flipped ? -m.normal : m.normal;
       m.points[0].point = m.points[0].point + ref_at;
@@ -292,6 +365,15 @@ struct Geometry {
       Vec2 gap = inc_corner - ref_corner;
       real distance = gap.length();
       real face_separation = n.dot(gap);
+      if (impact.exists) {
+        inc_corner = inc_corner - onward;
+        face_separation = Math::max(face_separation - n.dot(onward), real(0));
+        if (face_separation > margin) return m;
+        m.count = 1;
+        m.points[0] = {inc_corner - n * (HALFWAY * face_separation), face_separation,
+                       FEATURE_CORNER_OUTSIDE + base + (u_upper < real(0) ? 0 : 1)};
+        return m;
+      }
       if (face_separation > real(0)) {
         if (distance > margin) return m;
         n = gap * (real(1) / distance);
@@ -313,6 +395,8 @@ struct Geometry {
       lower_point = lower_end + (upper_end - lower_end) * (-u_lower / span);
     if (u_upper > length && span > MIN_SPAN)
       upper_point = lower_end + (upper_end - lower_end) * ((length - u_lower) / span);
+    lower_point = lower_point - onward;
+    upper_point = upper_point - onward;
     real s_lower = n.dot(lower_point - r1), s_upper = n.dot(upper_point - r1);
     int feature = base + incident * FEATURE_INCIDENT;
     if (s_lower <= margin) m.points[m.count++] = {lower_point - n * (HALFWAY * s_lower), s_lower, feature};

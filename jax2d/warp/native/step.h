@@ -79,8 +79,16 @@ struct World {
         contacts.warm_start(bodies);
       }
       // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
-      joints.solve_soft(bodies, soft, true, true);
-      contacts.solve_soft(bodies, soft, true, 0, false);
+      // Where a speed limit takes back what stops a body, the rest of it is asked for again.
+      for (int pass = 0; pass <= LIMITED_PASSES; ++pass) {
+        joints.solve_soft(bodies, soft, true, true);
+        contacts.solve_soft(bodies, soft, true, 0, false);
+        int before = bodies.limited;
+        bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
+        if (bodies.limited == before) break;
+        if (pass > 0) bodies.limited = before;
+        if (contacts.count == 0) break;
+      }
       // Where a body would now go farther than was predicted, contacts are found again before anything moves.
       interrupted = interruptions < MAX_INTERRUPTIONS && contacts.outruns_contacts(bodies, geometry, ints, reach, left);
       if (interrupted) {
