@@ -59,7 +59,11 @@ def test_nested_vmap_of_single_worlds_is_the_batch(backend: str):
     one = engine(backend)
     step = functools.partial(one.step, num_steps=NUM_STEPS)
     worlds = jax.tree.map(lambda x: x.reshape(2, 3, *x.shape[1:]), stacked(one, *range(6)))
-    assert_same(fold(jax.jit(jax.vmap(jax.vmap(step)))(*worlds)), jax.jit(step)(*fold(worlds)))
+    nested, batch = fold(jax.jit(jax.vmap(jax.vmap(step)))(*worlds)), jax.jit(step)(*fold(worlds))
+    if backend == "warp":
+        assert_same(nested, batch)
+    else:  # XLA orders the sums of a program as it likes
+        jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-7), nested, batch)
 
 
 @pytest.mark.also_gpu

@@ -1,0 +1,67 @@
+"""Geometry and mechanics in float64 that share no code with the engine: what tests judge it by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from jax2d import BuiltWorld
+
+
+def rotation(angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def corners_of(world: BuiltWorld, shape: int, position: np.ndarray, angle: float) -> np.ndarray:
+    """[k, 2] m: corners of a polygon of a scene where it stands."""
+    shapes = world.scene.shapes
+    local = np.asarray(shapes.vertices[shape][: int(shapes.num_vertices[shape])], np.float64)
+    return local @ rotation(angle).T + position
+
+
+def faces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Outward unit normals and starts of the faces of a counter-clockwise polygon."""
+    along = np.roll(corners, -1, 0) - corners
+    normals = np.stack([along[:, 1], -along[:, 0]], -1)
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True), corners
+
+
+def polygons_overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """m: depth of two convex polygons in each other, negative where they are apart (separating axes)."""
+
+    def least(one: np.ndarray, other: np.ndarray) -> float:
+        normals, starts = faces(one)
+        return float((((other[None] - starts[:, None]) * normals[:, None]).sum(-1)).min(1).max())
+
+    return -max(least(a, b), least(b, a))
+
+
+def disc_overlap(polygon: np.ndarray, centre: np.ndarray, radius: float) -> float:
+    """m: depth of a disc in a convex polygon, negative where they are apart."""
+    normals, starts = faces(polygon)
+    inside = ((centre - starts) * normals).sum(-1).max()
+    if inside <= 0:
+        return radius - float(inside)
+    edges = np.roll(polygon, -1, 0) - polygon
+    share = np.clip(((centre - polygon) * edges).sum(-1) / (edges * edges).sum(-1), 0, 1)
+    return radius - float(np.linalg.norm(centre - polygon - share[:, None] * edges, axis=1).min())
+
+
+def regained_height(num_facets: int, radius: float, start: int, bowl_radius: float, gravity: float) -> float:
+    """m above the lowest point of its path: how high a disc rises that slides without friction or bounce from rest on
+    facet `start` through half a regular polygon of 2 `num_facets` sides. Its centre moves on a smaller polygon, and at
+    every corner of it keeps the part of its speed along the next side, cos^2 of its energy."""
+    turn = math.pi / num_facets
+    inner = bowl_radius - radius / math.cos(turn / 2)
+    heights = [inner * math.sin(math.pi + turn * k) for k in range(num_facets + 1)]
+    lowest = -inner * math.cos(turn / 2)
+    middle = inner * math.cos(turn / 2) * math.sin(math.pi + turn * (start + 0.5))
+    energy = gravity * middle
+    for k in range(start + 1, num_facets):
+        kinetic = energy - gravity * heights[k]
+        if kinetic <= 0:
+            break
+        energy = gravity * heights[k] + kinetic * math.cos(turn) ** 2
+    return energy / gravity - lowest
