@@ -289,34 +289,6 @@ struct Geometry {
     return inert.exists ? inert : met;
   }
 
-  // Two polygons that pass each other: the plane along their motion between them. At most one point.
-  KFN bool pass_each_other(int a, int b, Vec2 d, Vec2 motion, real margin, Manifold& m) const {
-    Vec2 n = motion.left() * (real(1) / motion.length());
-    real a_lower = FAR_DISTANCE, a_upper = -FAR_DISTANCE, b_lower = FAR_DISTANCE, b_upper = -FAR_DISTANCE;
-    int lowest = 0, highest = 0;
-    for (int k = 0; k < corners[a]; ++k) {
-      real u = n.dot(corner[a * MAX_VERTICES + k]);
-      a_lower = Math::min(a_lower, u);
-      a_upper = Math::max(a_upper, u);
-    }
-    for (int k = 0; k < corners[b]; ++k) {
-      real u = n.dot(corner[b * MAX_VERTICES + k] + d);
-      if (u < b_lower) lowest = k;
-      if (u > b_upper) highest = k;
-      b_lower = Math::min(b_lower, u);
-      b_upper = Math::max(b_upper, u);
-    }
-    bool above = b_lower - a_upper > a_lower - b_upper;
-    real gap = above ? b_lower - a_upper : a_lower - b_upper;
-    if (gap < real(0)) return false;
-    m.normal = above ? n : -n;
-    m.follows_b = real(1);
-    m.count = gap > margin ? 0 : 1;
-    Vec2 nearest = corner[b * MAX_VERTICES + (above ? lowest : highest)] + d;
-    m.points[0] = {nearest - m.normal * (HALFWAY * gap), gap, FEATURE_SEAM + 2};
-    return true;
-  }
-
   KFN Manifold polygon_polygon(int a, int b, Vec2 d, Vec2 motion, real margin) const {
     Manifold m;
     m.count = 0;
@@ -336,7 +308,6 @@ struct Geometry {
     real apart = Math::max(depth_a, depth_b);
     real rate = flipped ? -normal[b * MAX_VERTICES + edge_b].dot(motion) : normal[a * MAX_VERTICES + edge_a].dot(motion);
     if (SOFT_STEP && apart > real(0) && moves(motion) && apart + rate * ahead < real(0)) impact = impact_face(a, b, d, motion, advantage);
-    if (impact.exists && impact.seconds > real(0) && pass_each_other(a, b, d, motion, margin, m)) return m;
     if (impact.exists) flipped = impact.flipped;
     int ref = flipped ? b : a, inc = flipped ? a : b;
     Vec2 ref_at = flipped ? d : zero, inc_at = flipped ? zero : d;
