@@ -65,6 +65,15 @@ class Constants:
         "slower than this, what overlaps or is about to meet rests where it is",
         "0: resting shapes slide off",
     )
+    blow_speed: float = _constant(
+        0.6,
+        "m/s",
+        "what meets faster than this gets normal impulse and friction together",
+        "0.3: a house of cards falls; larger: boxes that land on a corner rebound",
+    )
+    settled_speed: float = _constant(
+        0.03, "m/s", "a blow is shared out when no contact changes by more", "0: time only"
+    )
     # Contacts found ahead of motion
     safe_core_share: float = _constant(
         0.5, "of the smaller core", "a pair that moves farther in a step could pass through", "1: thin pairs tunnel"
@@ -88,6 +97,18 @@ class Constants:
         "0: sweep and pair test differ",
     )
     # Bounces
+    joint_passes: int = _constant(
+        2,
+        "a pass with bias",
+        "joints of a chain agree before anything moves",
+        "1: double pendulums gain a tenth of their energy in a second",
+    )
+    bend_share: float = _constant(
+        0.8,
+        "of h omega^2 r / 2",
+        "what anchors leave their circles by is foreseen to this share",
+        "1: chains gain energy; 0: a pendulum loses a tenth of its energy a minute",
+    )
     joint_passes_of_bounce: int = _constant(2, "a round", "along a chain a bounce goes joint by joint")
     bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")
     min_kept_share: float = _constant(

@@ -47,8 +47,8 @@ class Settings:
     contact_hertz: float = 45.0  # stiffness, at most contact_hertz_share / h; at 30 a column of 15 boxes buckles
     contact_hertz_share: float = 0.1875
     contact_damping_ratio: float = 10.0
-    joint_hertz: float = 64.0
-    joint_hertz_share: float = 4 / 15  # at 0.3 heavy ends of chains swing wider, at 0.35 nets of joints gain energy
+    joint_hertz: float = 90.0
+    joint_hertz_share: float = 0.375
     joint_damping_ratio: float = 6.0  # at 2 stretched chains and welded beams ring for seconds
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
     joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed

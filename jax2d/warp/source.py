@@ -23,6 +23,7 @@ NATIVE_FILES = (
     "vec2.h",
     "soft.h",
     "bodies.h",
+    "active_set.h",
     "impact_plane.h",
     "manifolds.h",
     "sweep.h",

@@ -17,6 +17,7 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import joints as joints_of
 from jax2d.xla import vec2
+from jax2d.xla.active_set import ActiveSet
 from jax2d.xla.bodies import Bodies, Velocities, pair_velocities, scatter_velocities
 from jax2d.xla.branching import in_any_world
 from jax2d.xla.contact_solver import (
@@ -61,11 +62,15 @@ def bounce(
 ) -> Bodies:
     """Bodies after the bounces of one world; `leaving_speed` [K] m/s is zero where a contact does not bounce."""
 
+    everything = ActiveSet.everything(bodies)
+
     def rounds() -> Velocities:
         def one_round(now: Round, index: jax.Array) -> tuple[Round, None]:
             bodies, joints, contacts = now.bodies, now.joints, now.contacts
             for _ in range(C.joint_passes_of_bounce):
-                bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False, motors=False)
+                bodies, joints, _ = joints_of.solve_soft(
+                    bodies, joints, params, everything, use_bias=False, motors=False
+                )
             with_friction = ~now.friction_applied & (now.converged | (index == rules.bounce_rounds - 1))
             bodies, contacts, leaving, converged = solve_bounces(
                 bodies, contacts, now.leaving, index == 0, with_friction, params

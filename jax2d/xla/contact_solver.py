@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jax2d.constants import CONSTANTS as C
 from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla import vec2
+from jax2d.xla.active_set import ActiveSet, marked
 from jax2d.xla.bodies import (
     Bodies,
     Pair,
@@ -24,15 +26,19 @@ from jax2d.xla.bodies import (
 from jax2d.xla.contacts import Contacts
 
 
-def warm_start(bodies: Bodies, contacts: Contacts) -> Bodies:
-    """Applies the remembered impulses, all at once: they do not depend on one another."""
+def warm_start(bodies: Bodies, contacts: Contacts) -> tuple[Bodies, Contacts]:
+    """Applies the remembered impulses, all at once: they do not depend on one another. A blow does not last."""
+    contacts = contacts._replace(
+        impulse_normal=jnp.where(contacts.is_blow, 0, contacts.impulse_normal),
+        impulse_tangent=jnp.where(contacts.is_blow, 0, contacts.impulse_tangent),
+    )
     impulse = (
         contacts.normal * contacts.impulse_normal[:, None]
         + vec2.right(contacts.normal) * contacts.impulse_tangent[:, None]
     )
     before = pair_velocities(contacts.pair, bodies.velocities)
     after = apply_impulse(before, contacts.pair, *arms_now(bodies, contacts), impulse)
-    return bodies._replace(velocities=scatter_velocities(bodies.velocities, contacts.pair, before, after))
+    return bodies._replace(velocities=scatter_velocities(bodies.velocities, contacts.pair, before, after)), contacts
 
 
 def moved_apart(bodies: Bodies, contacts: Contacts) -> jax.Array:
@@ -64,9 +70,11 @@ def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
     return vec2.left(arm) * jnp.sin(turn)[:, None] - arm * one_minus_cos[:, None]
 
 
-def solve_soft(bodies: Bodies, contacts: Contacts, params: SolverNumbers, *, use_bias: bool) -> tuple[Bodies, Contacts]:
+def solve_soft(
+    bodies: Bodies, contacts: Contacts, params: SolverNumbers, active: ActiveSet, *, use_bias: bool
+) -> tuple[Bodies, Contacts, jax.Array]:
     """One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes back the
-    velocity that the push added, and applies friction."""
+    velocity that the push added, and applies friction. Also the bodies [n] whose blows are to be shared out."""
     separation = current_separation(bodies, contacts)
     is_apart = separation > 0
     bias = jnp.where(is_apart, separation / params.h, 0)  # speculative: may close the gap, not more
@@ -79,22 +87,64 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: SolverNumbers, *, use
         bias = jnp.where(is_apart, bias, push)
         mass_scale = jnp.where(is_apart, mass_scale, soft.mass_scale)
         impulse_scale = jnp.where(is_apart, impulse_scale, soft.impulse_scale)
+    included = active.includes(contacts.pair)
+    contacts = contacts._replace(is_blow=contacts.is_blow | (active.again & included))
 
     def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
-        c, bias, mass_scale, impulse_scale = row
-        before = of = pair_velocities(c.pair, velocities)
-        vn = normal_speed(of, c)
-        impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal
-        of, normal_total = push_apart(of, c, impulse)
+        c, bias, mass_scale, impulse_scale, is_blow, included = row
+        before = pair_velocities(c.pair, velocities)
+        impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + bias) - impulse_scale * c.impulse_normal
+        of, normal_total = push_apart(before, c, impulse)
         tangent_total = c.impulse_tangent
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
-        return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total)
+        blow, changed = solve_blow(before, c, bias)
+        after = _choose(is_blow, blow, (of, normal_total, tangent_total))
+        of, *totals = _choose(included, after, (before, c.impulse_normal, c.impulse_tangent))
+        return scatter_velocities(velocities, c.pair, before, of), (*totals, included & is_blow & changed)
 
-    velocities, (normal, tangent) = jax.lax.scan(
-        solve, bodies.velocities, (rows_now(bodies, contacts), bias, mass_scale, impulse_scale)
+    rows = (rows_now(bodies, contacts), bias, mass_scale, impulse_scale, contacts.is_blow, included)
+    velocities, (normal, tangent, changed) = jax.lax.scan(solve, bodies.velocities, rows)
+    return (
+        bodies._replace(velocities=velocities),
+        with_impulses(contacts, normal, tangent),
+        marked(bodies, contacts.pair, changed),
     )
-    return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent)
+
+
+def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
+
+
+def solve_blow(
+    of: PairVelocities, c: Row, bias: jax.Array
+) -> tuple[tuple[PairVelocities, jax.Array, jax.Array], jax.Array]:
+    """Normal and friction of a blow together, as each changes the other's speed: it sticks, or slides at Coulomb's
+    limit. Velocities and the new totals; and whether a speed was changed by much."""
+    tangent = vec2.right(c.normal)
+    v = relative_velocity(of, c.arm_a, c.arm_b)
+    vn, vt = vec2.dot(c.normal, v) + bias, vec2.dot(tangent, v)
+    na, nb = vec2.cross(c.arm_a, c.normal), vec2.cross(c.arm_b, c.normal)
+    ta, tb = vec2.cross(c.arm_a, tangent), vec2.cross(c.arm_b, tangent)
+    mass = c.pair.mass_a + c.pair.mass_b
+    knn = mass + c.pair.inertia_a * na * na + c.pair.inertia_b * nb * nb
+    ktt = mass + c.pair.inertia_a * ta * ta + c.pair.inertia_b * tb * tb
+    knt = c.pair.inertia_a * na * ta + c.pair.inertia_b * nb * tb
+    determinant = knn * ktt - knt * knt
+    inverse = jnp.where(determinant != 0, 1 / jnp.where(determinant != 0, determinant, 1), 0)
+    n = c.impulse_normal - inverse * (ktt * vn - knt * vt)
+    t = c.impulse_tangent - inverse * (knn * vt - knt * vn)
+    slides = (n < 0) | (jnp.abs(t) > c.friction * n)
+    # It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
+    closing = knn * c.impulse_normal + knt * c.impulse_tangent - vn  # without its impulses
+    side = jnp.where(t > 0, c.friction, -c.friction)
+    k = knn + side * knt
+    sliding = jnp.where((closing > 0) & (k > 0), closing / jnp.where(k > 0, k, 1), 0)
+    n, t = jnp.where(slides, sliding, n), jnp.where(slides, side * sliding, t)
+    added_n, added_t = n - c.impulse_normal, t - c.impulse_tangent
+    of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * added_n[..., None] + tangent * added_t[..., None])
+    changed = jnp.maximum(jnp.abs(added_n) * knn, jnp.abs(added_t) * ktt) > C.settled_speed
+    return (of, n, t), changed
 
 
 def normal_speed(of: PairVelocities, c: Row) -> jax.Array:

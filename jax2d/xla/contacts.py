@@ -38,8 +38,9 @@ class Contacts(NamedTuple):
     approach: jax.Array  # [K] m/s, relative normal speed before solving, negative when approaching
     max_impulse: jax.Array  # [K] N s, largest normal impulse in this step
     against_fixed: jax.Array  # [K] bool
+    is_blow: jax.Array  # [K] bool, they meet fast, and were apart before
     overflow: jax.Array  # [] int32, points that found no slot
-    rotates_far: jax.Array  # [] bool, a body with a contact turns too far in a step for contacts found once
+    each_substep: jax.Array  # [] bool, what is found does not hold for the whole step: something turns or hits too fast
     predicted: TravelPrediction
     solve_order: (
         published_order.SolveOrder | None
@@ -53,10 +54,10 @@ class ContactCache(NamedTuple):
     impulse: jax.Array  # [K, 2] N s
 
 
-def cache_of(contacts: Contacts, bounces: jax.Array | bool = False) -> ContactCache:
-    """Impulses for warm starting, none of what bounces [K] apart."""
+def cache_of(contacts: Contacts, passes: jax.Array | bool = False) -> ContactCache:
+    """Impulses for warm starting, none of what does not last, [K]."""
     impulse = jnp.stack([contacts.impulse_normal, contacts.impulse_tangent], -1)
-    return ContactCache(contacts.key, jnp.where(jnp.asarray(bounces)[..., None], 0, impulse))
+    return ContactCache(contacts.key, jnp.where(jnp.asarray(passes)[..., None], 0, impulse))
 
 
 class Context(NamedTuple):
@@ -72,7 +73,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
     """Points of all pairs that may touch within `dt`, compacted into the slots of `cache`."""
     scene, params, rules, _ = context
     predicted = predict_travel(bodies, geometry, dt)
-    points, a, b, overflow, rotates_far, solve_order = _points_in_use(
+    points, a, b, overflow, each_substep, solve_order = _points_in_use(
         bodies, geometry, predicted, context, dt, slots=cache.key.shape[0]
     )
     pair = pair_up(bodies, a, b, points.exists)
@@ -88,7 +89,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
     approach = vec2.dot(points.normal, velocity)
     if rules.is_soft:
         hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)
-        rotates_far |= jnp.any(points.exists & hard)
+        each_substep |= jnp.any(points.exists & hard)
     return Contacts(
         key=key,
         pair=pair,
@@ -106,8 +107,9 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         approach=approach,
         max_impulse=jnp.zeros_like(points.separation),
         against_fixed=~(dynamic[a] & dynamic[b]),
+        is_blow=(approach < -C.blow_speed) & (impulse[:, 0] == 0) & rules.is_soft,
         overflow=overflow,
-        rotates_far=rotates_far,
+        each_substep=each_substep,
         predicted=predicted,
         solve_order=solve_order,
     )
@@ -141,7 +143,7 @@ def _points_in_use(
     if "fixed_slots" in rules.published_details:
         exists &= ~published.is_fixed_pair(pairs, capacity)
     one, other = pairs.point_a, pairs.point_b
-    rotates_far = jnp.any(exists & (rotates_too_far[one, other] | rotates_too_far[other, one]))
+    each_substep = jnp.any(exists & (rotates_too_far[one, other] | rotates_too_far[other, one]))
     source = jnp.argsort(~exists, stable=True)[:slots]
     solve_order = published_order.solve_order(points.exists, scene, bodies.is_dynamic, pairs, capacity, rules)
     points, solve_order = jax.tree.map(lambda x: x[source], (points._replace(exists=exists), solve_order))
@@ -151,7 +153,7 @@ def _points_in_use(
         jnp.asarray(pairs.point_a)[source],
         jnp.asarray(pairs.point_b)[source],
         overflow,
-        rotates_far,
+        each_substep,
         solve_order,
     )
 

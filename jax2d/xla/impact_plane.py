@@ -119,6 +119,29 @@ def of_polygons(
     return ImpactFace(has_inert | is_met, flipped, edge, jnp.where(has_inert | ~is_met, 0, last))
 
 
+class Passing(NamedTuple):
+    """Two polygons that pass each other: the plane along their motion between them."""
+
+    exists: jax.Array  # [] bool
+    normal: jax.Array  # [2], from a to b
+    nearest: jax.Array  # [2] m, corner of b
+    separation: jax.Array  # [] m
+
+
+def pass_each_other(a: Polygons, b: Polygons, d: jax.Array, motion: jax.Array) -> Passing:
+    """d [2] m and motion [2] m/s: of b against a."""
+    n = vec2.left(motion) / _unless_zero(vec2.length(motion))
+    of_a, of_b = vec2.dot(a.corner, n), vec2.dot(b.corner + d, n)
+    lowest = jnp.argmin(jnp.where(b.is_corner, of_b, C.far_distance))
+    highest = jnp.argmax(jnp.where(b.is_corner, of_b, -C.far_distance))
+    a_lower = jnp.min(jnp.where(a.is_corner, of_a, C.far_distance))
+    a_upper = jnp.max(jnp.where(a.is_corner, of_a, -C.far_distance))
+    above = of_b[lowest] - a_upper > a_lower - of_b[highest]
+    gap = jnp.where(above, of_b[lowest] - a_upper, a_lower - of_b[highest])
+    nearest = jnp.where(above, b.corner[lowest], b.corner[highest]) + d
+    return Passing(gap >= 0, jnp.where(above, n, -n), nearest, gap)
+
+
 class _Faces(NamedTuple):
     """Of one of two polygons."""
 

@@ -15,9 +15,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Controls, JointKind, Scene, State
 from jax2d.solver_numbers import Softness, SolverNumbers
 from jax2d.xla import vec2
+from jax2d.xla.active_set import ActiveSet, marked
 from jax2d.xla.bodies import (
     Bodies,
     Pair,
@@ -236,15 +238,20 @@ class Row(NamedTuple):
     lower_room: jax.Array  # rad or m left before the limit, negative beyond it
     upper_room: jax.Array
     correction: jax.Array  # [2] m/s and rad/s at which the errors of the two rows are undone
+    bend_a: jax.Array  # [2] m s, times a spin squared: speed that keeps the anchor of a on its circle
+    bend_b: jax.Array
 
 
 def solve_soft(
-    bodies: Bodies, joints: Joints, params: SolverNumbers, *, use_bias: bool, motors: bool = True
-) -> tuple[Bodies, Joints]:
+    bodies: Bodies, joints: Joints, params: SolverNumbers, active: ActiveSet, *, use_bias: bool, motors: bool = True
+) -> tuple[Bodies, Joints, jax.Array]:
     """One pass over all joints: motor and limits, or the angle of a fixed joint; then what is held. No `motors` in a
-    bounce: a force or torque does nothing in an instant."""
+    bounce: a force or torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass."""
     soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
     now = constraints(bodies, joints)
+    # Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
+    bend_time = 0.5 * C.bend_share * params.h if use_bias else 0.0
+    bend_a, bend_b = (jnp.where(joints.is_prismatic[:, None], 0, bend_time * arm) for arm in arms(bodies, joints))
     rows = Row(
         pair=joints.pair,
         is_fixed=joints.is_fixed,
@@ -262,18 +269,33 @@ def solve_soft(
         lower_room=now.position - joints.lower,
         upper_room=joints.upper - now.position,
         correction=correction_speed(now.error * soft.bias_rate, joints.is_prismatic, params),
+        bend_a=bend_a,
+        bend_b=bend_b,
     )
 
-    def solve(velocities: Velocities, row_and_impulses: tuple[Row, JointImpulses]) -> tuple[Velocities, JointImpulses]:
-        row, impulses = row_and_impulses
-        before = of = pair_velocities(row.pair, velocities)
-        of, impulses = solve_motor_or_angle(of, row, impulses, soft)
+    def solve(velocities: Velocities, row_and_impulses: tuple[Row, JointImpulses, jax.Array]) -> tuple:
+        row, unsolved, included = row_and_impulses
+        before = pair_velocities(row.pair, velocities)
+        # In the relax pass a motor that is not at a limit has the last word: what holds the joint costs it no speed.
+        motor_last = ~row.is_fixed & (not use_bias) & (unsolved.lower + unsolved.upper == 0)
+        of, impulses = solve_motor_or_angle(before, row._replace(is_driven=row.is_driven & ~motor_last), unsolved, soft)
         of, impulses = solve_limits(of, row, impulses, params, soft, use_bias=use_bias)
         of, impulses = solve_held(of, row, impulses, soft)
-        return scatter_velocities(velocities, row.pair, before, of), impulses
+        if not use_bias:
+            last = row._replace(is_driven=row.is_driven & motor_last, is_fixed=jnp.zeros_like(row.is_fixed))
+            of, impulses = solve_motor_or_angle(of, last, impulses, soft)
+        of, impulses = jax.tree.map(lambda x, y: jnp.where(included, x, y), (of, impulses), (before, unsolved))
+        change = (of.velocity_b - before.velocity_b) - (of.velocity_a - before.velocity_a)
+        moved = active.again & (vec2.dot(change, change) > C.settled_speed * C.settled_speed)
+        return scatter_velocities(velocities, row.pair, before, of), (impulses, moved)
 
-    velocities, impulses = jax.lax.scan(solve, bodies.velocities, (rows, joints.impulses))
-    return bodies._replace(velocities=velocities), joints._replace(impulses=impulses)
+    included = active.includes(joints.pair)
+    velocities, (impulses, moved) = jax.lax.scan(solve, bodies.velocities, (rows, joints.impulses, included))
+    return (
+        bodies._replace(velocities=velocities),
+        joints._replace(impulses=impulses),
+        marked(bodies, joints.pair, moved),
+    )
 
 
 def correction_speed(wanted: jax.Array, is_prismatic: jax.Array, params: SolverNumbers) -> jax.Array:
@@ -316,7 +338,8 @@ def solve_limits(
 def solve_held(
     of: PairVelocities, row: Row, impulses: JointImpulses, soft: Softness
 ) -> tuple[PairVelocities, JointImpulses]:
-    wrong = jnp.stack([speed_along(row.first, of), speed_along(row.second, of)]) + row.correction
+    bend = row.bend_a * of.omega_a**2 - row.bend_b * of.omega_b**2
+    wrong = jnp.stack([speed_along(row.first, of), speed_along(row.second, of)]) + row.correction + bend
     needed = jnp.stack([vec2.dot(row.held_mass[0], wrong), vec2.dot(row.held_mass[1], wrong)])
     impulse = -needed * soft.mass_scale - impulses.point * soft.impulse_scale
     of = push(push(of, row.pair, row.first, impulse[0]), row.pair, row.second, impulse[1])

@@ -26,6 +26,7 @@ class Faces(NamedTuple):
 
     flipped: jax.Array  # [] bool, the face is b's
     is_impact: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
+    is_met: jax.Array  # [] bool, and they meet there
     onward: jax.Array  # [2] m by which the incident polygon is looked at where they will meet
     reference: Polygons
     incident: Polygons
@@ -84,6 +85,7 @@ def polygon_polygon(
     faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, rules)
     corners = find_corners(faces, rules)
     clipped = clip(faces)
+    within = (depth_a <= margin) & (depth_b <= margin)
     beside = corners.beside
     if "clip_keeps_depth" in details:
         ends = jnp.stack([faces.lower_end, faces.upper_end]) - faces.start
@@ -110,8 +112,19 @@ def polygon_polygon(
     points = points._replace(
         normal=jnp.broadcast_to(jnp.where(faces.flipped, -points.normal, points.normal), (2, 2)),
         feature=points.feature.astype(jnp.int32),
-        exists=(depth_a <= margin) & (depth_b <= margin) & points.exists,
+        exists=within & points.exists,
     )
+    if rules.is_soft:
+        passing = impact_plane.pass_each_other(a, b, d, relative_velocity)
+        passes = faces.is_impact & faces.is_met & passing.exists
+        points = Points(
+            normal=jnp.where(passes, passing.normal, points.normal),
+            point=jnp.where(passes, passing.nearest - 0.5 * passing.separation * passing.normal, points.point),
+            separation=jnp.where(passes, passing.separation, points.separation),
+            feature=jnp.where(passes, C.feature_seam + 2, points.feature).astype(jnp.int32),
+            follows_b=jnp.where(passes, 1, points.follows_b),
+            exists=jnp.where(passes, jnp.array([True, False]) & (passing.separation <= margin) & within, points.exists),
+        )
     if details & {"warm_start_by_depth", "solve_order"}:
         depth = separation
         points = jax.tree.map(lambda x: jnp.where(depth[0] <= depth[1], x, x[::-1]), points)
@@ -186,6 +199,7 @@ def find_faces(
     return Faces(
         flipped=flipped,
         is_impact=is_impact,
+        is_met=impact_seconds > 0,
         onward=onward,
         reference=ref,
         incident=inc,

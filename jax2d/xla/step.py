@@ -14,6 +14,7 @@ from jax2d.xla import bodies as bodies_of
 from jax2d.xla import bounces, contact_solver, forces, geometry, paper, paper_contacts, published
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
+from jax2d.xla.active_set import ActiveSet
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.branching import in_any_world
 from jax2d.xla.contacts import ContactCache, Contacts
@@ -108,15 +109,14 @@ def soft_step(
             (found, found_contacts, found_joints, found_energy),
             (bodies, contacts, joints, max_energy),
         )
-        every_substep = jnp.where((substep == 0) & ~interrupted, contacts.rotates_far, every_substep)
+        every_substep = jnp.where((substep == 0) & ~interrupted, contacts.each_substep, every_substep)
 
         driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
         driven = forces.apply(driven, thrusters, h)
         driven = joints_of.warm_start(driven, joints)
-        driven = contact_solver.warm_start(driven, contacts)
-        bodies = _choose(interrupted, bodies, driven)
-        # Where a speed limit takes back what stops a body, the rest of it is asked for again.
-        bodies, joints, contacts = _solve_within_limits(bodies, joints, contacts, params)
+        driven, warm_contacts = contact_solver.warm_start(driven, contacts)
+        bodies, contacts = _choose(interrupted, (bodies, contacts), (driven, warm_contacts))
+        bodies, joints, contacts = _solve_passes(bodies, joints, contacts, params, rules, use_bias=True)
         # Where a body would now go farther than was predicted, contacts are found again before anything moves.
         can_touch, reach = scene.shapes.can_touch, params.speculative_distance
         outruns = outruns_contacts(bodies, contacts.predicted, contacts.pair, can_touch, reach, left)
@@ -125,8 +125,7 @@ def soft_step(
         bodies = _choose(interrupted, bodies, moved)
         substep = jnp.where(interrupted, substep, substep + 1)
         interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
-        bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
-        bodies, contacts = contact_solver.solve_soft(bodies, contacts, params, use_bias=False)
+        bodies, joints, contacts = _solve_passes(bodies, joints, contacts, params, rules, use_bias=False)
         max_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
 
         is_end = interrupted | every_substep | (substep == rules.substeps)
@@ -135,7 +134,7 @@ def soft_step(
         bounced = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
         progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy)
-        ended = _finish_contacts(progress._replace(bodies=bounced), leaving > 0)
+        ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_blow | (leaving > 0))
         return StepState(_choose(is_end, ended, progress), substep, interrupted, is_end, every_substep, interruptions)
 
     def solve_unless_done(now: StepState, _: None) -> tuple[StepState, None]:
@@ -153,32 +152,54 @@ def soft_step(
     return step_state.progress
 
 
-def _solve_within_limits(
-    bodies: Bodies, joints: Joints, contacts: Contacts, params: SolverNumbers
+class Pass(NamedTuple):
+    """A pass over joints and contacts that others may follow."""
+
+    bodies: Bodies
+    joints: Joints
+    contacts: Contacts
+    active: ActiveSet
+    follows: jax.Array  # [] bool, it is called for
+    was_limited: jax.Array  # [] bool, a speed limit has acted
+
+
+def _solve_passes(
+    bodies: Bodies, joints: Joints, contacts: Contacts, params: SolverNumbers, rules: Rules, *, use_bias: bool
 ) -> tuple[Bodies, Joints, Contacts]:
-    """Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one."""
+    """Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
+    With bias, where a speed limit takes back what stops a body, the rest of it is asked for again. And where something
+    hits, passes go on until all that it reaches has its share."""
+    everything = ActiveSet.everything(bodies)
 
-    def solve(now: tuple[Bodies, Joints, Contacts]) -> tuple[Bodies, Joints, Contacts]:
-        bodies, joints = joints_of.solve_soft(now[0], now[1], params, use_bias=True)
-        bodies, contacts = contact_solver.solve_soft(bodies, now[2], params, use_bias=True)
-        return bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed), joints, contacts
+    def solve(now: Pass, index: jax.Array) -> Pass:
+        def joint_pass(carry: tuple[Bodies, Joints], _: None) -> tuple[tuple[Bodies, Joints], jax.Array]:
+            *carry, moved = joints_of.solve_soft(*carry, params, now.active, use_bias=use_bias)
+            return tuple(carry), moved
 
-    first = solve((bodies, joints, contacts))
-    is_limited = (first[0].limited > bodies.limited) & jnp.any(contacts.key >= 0)
+        joint_passes = C.joint_passes if use_bias else 1
+        (bodies, joints), moved = jax.lax.scan(joint_pass, (now.bodies, now.joints), length=joint_passes)
+        moved = jnp.any(moved, axis=0)
+        bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
+        next_active = ActiveSet(moved | hit, jnp.array(True))
+        follows = jnp.any(next_active.now) & (index < rules.bounce_rounds)
+        if not use_bias:
+            return Pass(bodies, joints, contacts, next_active, follows, now.was_limited)
+        limited = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed)
+        is_limited = (limited.limited > bodies.limited) & jnp.any(contacts.key >= 0) & (index < C.limited_passes)
+        limited = limited._replace(limited=jnp.where(now.was_limited, bodies.limited, limited.limited))  # counted once
+        next_active = _choose(is_limited, everything, next_active)
+        return Pass(limited, joints, contacts, next_active, follows | is_limited, now.was_limited | is_limited)
 
-    def again(now: tuple, _: None) -> tuple[tuple, None]:
-        current, is_limited = now
+    def one_pass(now: Pass, index: jax.Array) -> tuple[Pass, None]:
+        def solved() -> Pass:
+            return _choose(now.follows, solve(now, index), now)
 
-        def once_more() -> tuple:
-            after = solve(current)
-            still = is_limited & (after[0].limited > current[0].limited)
-            after = (after[0]._replace(limited=current[0].limited), *after[1:])  # counted once
-            return _choose(is_limited, after, current), still
+        return jax.lax.cond(in_any_world(now.follows), solved, lambda: now), None
 
-        return jax.lax.cond(in_any_world(is_limited), once_more, lambda: (current, is_limited)), None
-
-    (last, _), _ = jax.lax.scan(again, (first, is_limited), length=C.limited_passes)
-    return last
+    first = Pass(bodies, joints, contacts, everything, follows=jnp.array(True), was_limited=jnp.array(False))
+    num_passes = 1 + max(rules.bounce_rounds, C.limited_passes if use_bias else 0)
+    last, _ = jax.lax.scan(one_pass, first, jnp.arange(num_passes))
+    return last.bodies, last.joints, last.contacts
 
 
 def paper_step(
@@ -191,7 +212,7 @@ def paper_step(
     contacts = contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, params.dt)
     bodies = paper.apply_motors(bodies, joints, params)
     bodies = forces.apply(bodies, forces.load(bodies, scene, controls, params), params.dt)
-    bodies = contact_solver.warm_start(bodies, contacts)
+    bodies, contacts = contact_solver.warm_start(bodies, contacts)
     bodies, joints = paper.warm_start(bodies, joints)
 
     def iteration(carry: tuple[Bodies, Joints, Contacts], _: None) -> tuple[tuple[Bodies, Joints, Contacts], None]:
@@ -225,11 +246,11 @@ def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
 
 
-def _finish_contacts(progress: Progress, bounces: jax.Array | bool = False) -> Progress:
-    """Records who touched, and keeps the impulses for the contacts found next, none of what bounces apart."""
+def _finish_contacts(progress: Progress, passes: jax.Array | bool = False) -> Progress:
+    """Records who touched, and keeps the impulses for the contacts found next, none of blows and bounces."""
     contacts = progress.contacts
     return progress._replace(
-        cache=contacts_of.cache_of(contacts, bounces),
+        cache=contacts_of.cache_of(contacts, passes),
         touch=progress.touch | touching(contacts),
         overflow=progress.overflow + contacts.overflow,
     )

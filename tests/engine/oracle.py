@@ -65,3 +65,14 @@ def regained_height(num_facets: int, radius: float, start: int, bowl_radius: flo
             break
         energy = gravity * heights[k] + kinetic * math.cos(turn) ** 2
     return energy / gravity - lowest
+
+
+def sticking_blow(
+    arm: np.ndarray, velocity: np.ndarray, spin: float, squared_radius: float
+) -> tuple[np.ndarray, float]:
+    """Velocity and spin after a body met something fixed at `arm` [2] m from its centre of mass and did not slip or
+    bounce there: angular momentum about that point is kept. `squared_radius` m^2: inertia over mass."""
+    centre = -arm
+    about_point = squared_radius * spin + centre[0] * velocity[1] - centre[1] * velocity[0]
+    after = about_point / (squared_radius + centre @ centre)
+    return after * np.array([-centre[1], centre[0]]), float(after)

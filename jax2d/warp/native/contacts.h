@@ -16,16 +16,18 @@ struct Contact {
   real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
   real max_impulse;         // largest normal impulse in this step
   bool against_fixed;
+  bool is_blow;              // they meet fast, and were apart before
 };
 
 struct Contacts {
   Contact list[NUM_CONTACTS + 1];
   int count, overflow;
   Pairs pairs;
-  bool rotates_far;    // a body with a contact turns too far in a step for contacts found once
+  bool each_substep;  // what is found does not hold for the whole step: something turns too far or hits too hard
   bool may_bounce;  // something approaches fast enough
   bool any_exceeds;     // a body moves so much faster than predicted that it may outrun its contacts
   bool converged;     // in the last pass every bounce had its speed
+  ActiveSet active;
 
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << (FEATURE_BITS + SHAPE_BITS)) | (slot_b << FEATURE_BITS) | feature; }
 
@@ -36,7 +38,7 @@ struct Contacts {
                 bool ahead) {
     count = 0;
     overflow = 0;
-    rotates_far = may_bounce = any_exceeds = false;
+    each_substep = may_bounce = any_exceeds = false;
     real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
@@ -50,7 +52,7 @@ struct Contacts {
       real margin = Pairs::margin(geometry, a, b, reach, ahead);
       Manifold m = geometry.collide(a, b, d, bodies.velocity(b) - bodies.velocity(a), bodies.omega(a), margin);
       if (m.count == 0) continue;
-      if (ahead) rotates_far |= rotates_too_far(bodies, geometry, a, b, reach, dt) || rotates_too_far(bodies, geometry, b, a, reach, dt);
+      if (ahead) each_substep |= rotates_too_far(bodies, geometry, a, b, reach, dt) || rotates_too_far(bodies, geometry, b, a, reach, dt);
       real friction = real(0), restitution = real(0);
       if (HAS_FRICTION)
         friction = mix_friction(scene.get(SCENE_SHAPES_FRICTION + slot_a), scene.get(SCENE_SHAPES_FRICTION + slot_b), params);
@@ -97,8 +99,9 @@ struct Contacts {
           }
         }
         c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
+        c.is_blow = SOFT_STEP && c.approach < -BLOW_SPEED && c.impulse_normal == real(0);
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
-        if (ahead) rotates_far |= hits_hard(geometry, c, reach, dt);
+        if (ahead) each_substep |= hits_hard(geometry, c, reach, dt);
       }
     }
   }
@@ -180,9 +183,15 @@ struct Contacts {
     return {c.arm_a + apart * c.follows_b, c.arm_b - apart * (real(1) - c.follows_b)};
   }
 
+  // Whether the same impulse is to be expected again: not that of a blow or bounce.
+  KFN static bool lasts(const Contact& c) {
+    return c.bounce == real(0) && !c.is_blow;
+  }
+
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
-      const Contact& c = list[i];
+      Contact& c = list[i];
+      if (!lasts(c)) c.impulse_normal = c.impulse_tangent = real(0);
       Pair pair = Pair::of(bodies, c.a, c.b);
       Arms arms = arms_now(c, moved(bodies, c));
       pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
@@ -214,6 +223,7 @@ struct Contacts {
     converged = true;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
+      if (active.leaves_out(c.a, c.b)) continue;
       Pair pair = Pair::of(bodies, c.a, c.b);
       Vec2 moved = Contacts::moved(bodies, c);
       real separation = current_separation(bodies, c, moved);
@@ -239,6 +249,13 @@ struct Contacts {
         converged &= update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
         mass = c.mass_normal;
       }
+      c.is_blow |= active.again;
+      if (c.is_blow && round == 0) {
+        if (solve_block(pair, c, arms, bias) > SETTLED_SPEED) active.mark(bodies, c.a, c.b);
+        c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
+        pair.write_back(bodies);
+        continue;
+      }
       real impulse = -mass * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
       real total = Math::max(c.impulse_normal + impulse, real(0));
       impulse = total - c.impulse_normal;
@@ -248,6 +265,33 @@ struct Contacts {
       if (!use_bias && (with_friction || !bounces)) solve_friction(pair, c, arms, mass_tangent);
       pair.write_back(bodies);
     }
+  }
+
+  // Normal and friction of a blow together, as each changes the other's speed: it sticks, or slides at Coulomb's limit.
+  // Returns by how much (m/s) it changed a speed.
+  KFN static real solve_block(Pair& pair, Contact& c, Arms arms, real bias) {
+    Vec2 tangent = c.normal.right();
+    Vec2 v = pair.relative(arms.a, arms.b);
+    real vn = c.normal.dot(v) + bias, vt = tangent.dot(v);
+    real na = arms.a.cross(c.normal), nb = arms.b.cross(c.normal), ta = arms.a.cross(tangent), tb = arms.b.cross(tangent);
+    real mass = pair.inverse_mass_a + pair.inverse_mass_b;
+    real knn = mass + pair.inverse_inertia_a * na * na + pair.inverse_inertia_b * nb * nb;
+    real ktt = mass + pair.inverse_inertia_a * ta * ta + pair.inverse_inertia_b * tb * tb;
+    real knt = pair.inverse_inertia_a * na * ta + pair.inverse_inertia_b * nb * tb;
+    Vec2 stick = Symmetric::solve(knn, knt, ktt, {vn, vt});
+    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
+    if (n < real(0) || Math::abs(t) > c.friction * n) {
+      // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
+      real closing = knn * c.impulse_normal + knt * c.impulse_tangent - vn;  // without its impulses
+      real side = t > real(0) ? c.friction : -c.friction, k = knn + side * knt;
+      n = closing > real(0) && k > real(0) ? closing / k : real(0);
+      t = side * n;
+    }
+    pair.apply_impulse(arms.a, arms.b, c.normal * (n - c.impulse_normal) + tangent * (t - c.impulse_tangent));
+    real change = Math::max(Math::abs(n - c.impulse_normal) * knn, Math::abs(t - c.impulse_tangent) * ktt);
+    c.impulse_normal = n;
+    c.impulse_tangent = t;
+    return change;
   }
 
   KFN static void solve_friction(Pair& pair, Contact& c, Arms arms, real mass_tangent) {
@@ -329,7 +373,7 @@ struct Contacts {
     for (int s = 0; s < CAPACITY_CONTACTS; ++s) {
       if (s < count) {
         keys.set(s, list[s].key);
-        bool lasts = list[s].bounce == real(0);
+        bool lasts = Contacts::lasts(list[s]);
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, lasts ? list[s].impulse_normal : real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
       } else if (keys.get(s) >= 0) {

@@ -51,6 +51,9 @@ struct Joint {
 
   KFN real current_angle(const Bodies& bodies) const { return start_angle + bodies.turn(b) - bodies.turn(a); }
 
+  // In the relax pass a motor that is not at a limit has the last word, so that what holds the joint costs it no speed.
+  KFN bool is_motor_last(bool use_bias) const { return !use_bias && impulse_lower + impulse_upper == real(0); }
+
   // Of a motor that shall bring `speed` to its target: what it adds to its bounded impulse. dt changes neither its target
   // nor its strength.
   KFN real motor_impulse(real speed) {

@@ -106,10 +106,12 @@ struct Joints {
   }
 
   // Without `motors` in a bounce: a force or torque does nothing in an instant.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool motors) {
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool motors, ActiveSet& active) {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
+      if (active.leaves_out(joint.a, joint.b)) continue;
       Pair pair = Pair::of(bodies, joint.a, joint.b);
+      Vec2 before = pair.velocity_b - pair.velocity_a;
       if (joint.is_prismatic()) {
         joint.turn_arms(bodies);
         Slider::of(bodies, joint, local_axis[k]).solve(bodies, pair, joint, soft, use_bias, motors);
@@ -117,10 +119,14 @@ struct Joints {
         solve_angle(pair, joint, joint.current_angle(bodies), soft, use_bias);
         solve_point(bodies, pair, joint, soft, use_bias);
       } else {
-        if (motors && joint.is_driven()) solve_motor(pair, joint);
+        bool motor_last = joint.is_motor_last(use_bias);
+        if (motors && joint.is_driven() && !motor_last) solve_motor(pair, joint);
         if (joint.is_limited()) solve_limits(pair, joint, joint.current_angle(bodies), soft, use_bias);
         solve_point(bodies, pair, joint, soft, use_bias);
+        if (motors && joint.is_driven() && motor_last) solve_motor(pair, joint);
       }
+      Vec2 change = pair.velocity_b - pair.velocity_a - before;
+      if (active.again && change.dot(change) > SETTLED_SPEED * SETTLED_SPEED) active.mark(bodies, joint.a, joint.b);
       pair.write_back(bodies);
     }
   }
@@ -172,7 +178,9 @@ struct Joints {
     Vec2 wrong = pair.relative(arms.a, arms.b);
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
-      wrong = wrong + clamp_length(gap * soft.joint.bias_rate, soft.pull_speed);
+      // Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
+      Vec2 bend = joint.arm_a * (pair.omega_a * pair.omega_a) - joint.arm_b * (pair.omega_b * pair.omega_b);
+      wrong = wrong + clamp_length(gap * soft.joint.bias_rate, soft.pull_speed) + bend * soft.bend_time;
       mass_scale = soft.joint.mass_scale;
       impulse_scale = soft.joint.impulse_scale;
     }

@@ -241,15 +241,22 @@ struct Geometry {
     real seconds;  // until they meet there, 0 if they do not
   };
 
-  // How thick a polygon is along n.
-  KFN real width(int polygon, Vec2 n) const {
-    real lo = FAR_DISTANCE, hi = -FAR_DISTANCE;
+  // From where to where a polygon reaches along n, and with which corners.
+  struct Span {
+    real lower, upper;
+    int lowest, highest;
+    KFN real width() const { return upper - lower; }
+  };
+  KFN Span span(int polygon, Vec2 n) const {
+    Span of = {FAR_DISTANCE, -FAR_DISTANCE, 0, 0};
     for (int k = 0; k < corners[polygon]; ++k) {
       real u = n.dot(corner[polygon * MAX_VERTICES + k]);
-      lo = Math::min(lo, u);
-      hi = Math::max(hi, u);
+      if (u < of.lower) of.lowest = k;
+      if (u > of.upper) of.highest = k;
+      of.lower = Math::min(of.lower, u);
+      of.upper = Math::max(of.upper, u);
     }
-    return hi - lo;
+    return of;
   }
 
   // One of two polygons; motion: of the other against it. Goes on from what was found for the first.
@@ -263,7 +270,7 @@ struct Geometry {
         separation = Math::min(separation, n.dot(corner[other * MAX_VERTICES + j] - origin));
       if (separation < -GRAZING_DISTANCE) continue;
       // A thin shape is met in full, not passed over.
-      if (separation < real(0) && separation < -THIN_SHARE * Math::min(width(one, n), width(other, n))) continue;
+      if (separation < real(0) && separation < -THIN_SHARE * Math::min(span(one, n).width(), span(other, n).width())) continue;
       real rate = n.dot(motion);
       // Along its plane, as over the next tile of a floor: not into it.
       if (separation > best && rate * ahead >= -GRAZING_DISTANCE) {
@@ -289,6 +296,22 @@ struct Geometry {
     return inert.exists ? inert : met;
   }
 
+  // Two polygons that pass each other: the plane along their motion between them. At most one point.
+  KFN bool pass_each_other(int a, int b, Vec2 d, Vec2 motion, real margin, Manifold& m) const {
+    Vec2 n = motion.left() * (real(1) / motion.length());
+    Span of_a = span(a, n), of_b = span(b, n);
+    real offset = n.dot(d), above = offset + of_b.lower - of_a.upper, below = of_a.lower - of_b.upper - offset;
+    real gap = Math::max(above, below);
+    if (gap < real(0)) return false;
+    bool is_above = above > below;
+    m.normal = is_above ? n : -n;
+    m.follows_b = real(1);
+    m.count = gap > margin ? 0 : 1;
+    Vec2 nearest = corner[b * MAX_VERTICES + (is_above ? of_b.lowest : of_b.highest)] + d;
+    m.points[0] = {nearest - m.normal * (HALFWAY * gap), gap, FEATURE_SEAM + 2};
+    return true;
+  }
+
   KFN Manifold polygon_polygon(int a, int b, Vec2 d, Vec2 motion, real margin) const {
     Manifold m;
     m.count = 0;
@@ -308,6 +331,7 @@ struct Geometry {
     real apart = Math::max(depth_a, depth_b);
     real rate = flipped ? -normal[b * MAX_VERTICES + edge_b].dot(motion) : normal[a * MAX_VERTICES + edge_a].dot(motion);
     if (SOFT_STEP && apart > real(0) && moves(motion) && apart + rate * ahead < real(0)) impact = impact_face(a, b, d, motion, advantage);
+    if (impact.exists && impact.seconds > real(0) && pass_each_other(a, b, d, motion, margin, m)) return m;
     if (impact.exists) flipped = impact.flipped;
     int ref = flipped ? b : a, inc = flipped ? a : b;
     Vec2 ref_at = flipped ? d : zero, inc_at = flipped ? zero : d;

@@ -52,7 +52,8 @@ struct Slider {
   }
 
   KFN void solve(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias, bool motors) const {
-    if (motors && joint.is_driven()) push_along(pair, joint.motor_impulse(axial_speed(pair)));
+    bool motor_last = joint.is_motor_last(use_bias);
+    if (motors && joint.is_driven() && !motor_last) push_along(pair, joint.motor_impulse(axial_speed(pair)));
     if (joint.is_limited()) {
       real translation = axis.dot(gap);
       real lower = joint.lower_impulse(translation - joint.lower, axial_speed(pair), soft, use_bias, soft.pull_speed);
@@ -76,5 +77,6 @@ struct Slider {
     Vec2 impulse = -(Symmetric::solve(k11, k12, k22, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
     push_across(pair, impulse);
+    if (motors && joint.is_driven() && motor_last) push_along(pair, joint.motor_impulse(axial_speed(pair)));
   }
 };

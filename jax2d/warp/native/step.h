@@ -56,9 +56,9 @@ struct World {
     int substeps = (int)(params.get(PARAM_SUBSTEPS));
     Vec2 gravity = scene.get2(SCENE_GRAVITY);
 
-    bool every_substep = false;  // contacts are found in each, where a body turns too far for those found once
+    bool every_substep = false;  // contacts are found in each, where those found once would not hold
     bool find = true, interrupted = false;
-    int interruptions = 0;
+    int interruptions = 0, rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
     for (int substep = 0; substep < substeps;) {
       // Each function is called once: what is inlined twice is twice the code.
       real left = every_substep ? h : h * (real)(substeps - substep);
@@ -69,7 +69,7 @@ struct World {
         first = false;
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true);
         joints.prepare(bodies, scene, controls, params, h);
-        if (substep == 0 && !interrupted) every_substep = contacts.rotates_far;
+        if (substep == 0 && !interrupted) every_substep = contacts.each_substep;
         if (contacts.may_bounce) bounces.begin(bodies, gravity, h);
       }
       if (!interrupted) {
@@ -80,14 +80,20 @@ struct World {
       }
       // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
       // Where a speed limit takes back what stops a body, the rest of it is asked for again.
-      for (int pass = 0; pass <= LIMITED_PASSES; ++pass) {
-        joints.solve_soft(bodies, soft, true, true);
+      // And where something hits, until all that it reaches has its share.
+      bool was_limited = false;
+      contacts.active.begin();
+      for (int pass = 0;; ++pass) {
+        for (int joint_pass = 0; joint_pass < JOINT_PASSES; ++joint_pass) joints.solve_soft(bodies, soft, true, true, contacts.active);
         contacts.solve_soft(bodies, soft, true, 0, false);
         int before = bodies.limited;
         bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
-        if (bodies.limited == before) break;
-        if (pass > 0) bodies.limited = before;
-        if (contacts.count == 0) break;
+        bool is_limited = bodies.limited != before && contacts.count > 0 && pass < LIMITED_PASSES;
+        if (was_limited) bodies.limited = before;
+        was_limited |= is_limited;
+        bool is_shared_out = !contacts.active.repeat() || pass >= rounds;
+        if (is_shared_out && !is_limited) break;
+        if (is_limited) contacts.active.begin();
       }
       // Where a body would now go farther than was predicted, contacts are found again before anything moves.
       interrupted = interruptions < MAX_INTERRUPTIONS && contacts.outruns_contacts(bodies, geometry, ints, reach, left);
@@ -112,11 +118,20 @@ struct World {
   KFN void relax(Vec2 gravity, real h, bool is_last) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
     bool bouncing = false, friction_applied = false;
+    int repeats = 0;
+    contacts.active.begin();
     for (int round = 0; round <= rounds; ++round) {
       int joint_passes = round == 0 ? 1 : JOINT_PASSES_OF_BOUNCE;
       bool with_friction = round > 0 && !friction_applied && (contacts.converged || round == rounds);
-      for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0);
+      for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0, contacts.active);
       contacts.solve_soft(bodies, soft, false, round, with_friction);
+      if (round == 0) {  // joints and other contacts share in a blow
+        if (contacts.active.repeat() && repeats++ < rounds) {
+          --round;
+          continue;
+        }
+        contacts.active.begin();
+      }
       if (round > 0) {
         if (friction_applied && contacts.converged) break;
         friction_applied |= with_friction;

@@ -1,0 +1,30 @@
+// Bodies that a blow has moved. Passes over joints and contacts are repeated for what holds or touches them until none of
+// these changes any more: a blow is shared out by all that it reaches, and costs nothing elsewhere.
+
+struct ActiveSet {
+  unsigned int now[SHAPE_WORDS], next[SHAPE_WORDS];
+  bool again;  // in a repeated pass
+
+  KFN void begin() {
+    again = false;
+    for (int word = 0; word < SHAPE_WORDS; ++word) next[word] = 0u;
+  }
+
+  KFN bool leaves_out(int a, int b) const { return again && !Bodies::has(now, a) && !Bodies::has(now, b); }
+
+  KFN void mark(const Bodies& bodies, int a, int b) {
+    if (bodies.is_dynamic(a)) next[a / 32] |= 1u << (a % 32);
+    if (bodies.is_dynamic(b)) next[b / 32] |= 1u << (b % 32);
+  }
+
+  // Whether another pass is called for; it is one over what was marked.
+  KFN bool repeat() {
+    again = false;
+    for (int word = 0; word < SHAPE_WORDS; ++word) {
+      again |= next[word] != 0u;
+      now[word] = next[word];
+      next[word] = 0u;
+    }
+    return again;
+  }
+};

@@ -1,0 +1,29 @@
+"""Bodies that a blow has moved. Passes over joints and contacts are repeated for what holds or touches them until none
+of these changes any more: a blow is shared out by all that it reaches, and costs nothing elsewhere."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.xla.bodies import Bodies, Pair
+
+
+class ActiveSet(NamedTuple):
+    now: jax.Array  # [n] bool
+    again: jax.Array  # [] bool, in a repeated pass: only what holds or touches these is solved
+
+    @classmethod
+    def everything(cls, bodies: Bodies) -> ActiveSet:
+        return cls(jnp.ones(bodies.inverse_mass.shape, bool), jnp.array(False))
+
+    def includes(self, pair: Pair) -> jax.Array:
+        """[...] bool, pairs that are solved."""
+        return ~self.again | jnp.any((pair.is_a | pair.is_b) & self.now, axis=-1)
+
+
+def marked(bodies: Bodies, pair: Pair, changed: jax.Array) -> jax.Array:
+    """[n] bool, movable bodies of the pairs that have changed, [...] bool."""
+    return jnp.any((pair.is_a | pair.is_b) & changed[:, None], axis=0) & bodies.is_dynamic
