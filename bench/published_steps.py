@@ -94,6 +94,7 @@ def load(file: Path) -> Steps:
             inverse_mass=shapes("inverse_mass"),
             inverse_inertia=shapes("inverse_inertia"),
             density=np.ones_like(shapes("friction")),
+            kinematic=np.zeros_like(shapes("active")),
             friction=shapes("friction"),
             restitution=shapes("restitution"),
             vertices=counter_clockwise(d["polygon.vertices"], d["polygon.n_vertices"]),

@@ -35,7 +35,9 @@ EFFECTS = (
     "motors",
     "thrusters",
     "gravity",
+    "kinematic_bodies",
 )
+NOT_IN_PAPER = ("prismatic_joints", "kinematic_bodies")  # its appendix has none of them
 SLOTS = ("polygon_slots", "circle_slots", "joint_slots", "thruster_slots", "contact_slots")
 
 
@@ -60,6 +62,7 @@ class Effects:
     motors: bool = False  # of joints that are not fixed
     thrusters: bool = False
     gravity: bool = False  # that acts on a mass
+    kinematic_bodies: bool = False
     # Number of slots, from the first, in which anything is active
     polygon_slots: int = 0
     circle_slots: int = 0
@@ -80,8 +83,8 @@ class Effects:
         )
 
     def known_to(self, solver: str) -> Effects:
-        """These effects as far as a solver has them: the paper's appendix knows no prismatic joints."""
-        return self if solver == "soft_step" else self.without("prismatic_joints")
+        """These effects as far as a solver has them."""
+        return self if solver == "soft_step" else self.without(*NOT_IN_PAPER)
 
     def missing(self, other: Effects) -> tuple[str, ...]:
         """Names of what `other` calls for and this has not, in the order of EFFECTS and SLOTS."""
@@ -159,6 +162,7 @@ def called_for(scenes: Scene) -> EffectTable:
     flags["thrusters"] = jnp.asarray(scenes.thrusters.active).any(-1)
     has_gravity = (jnp.asarray(scenes.gravity) != 0).any(-1)
     flags["gravity"] = has_gravity & (scenes.shapes.inverse_mass > 0).any(-1)
+    flags["kinematic_bodies"] = scenes.shapes.kinematic.any(-1)
 
     points = {name: pairs.sum((-2, -1), dtype=jnp.int32) for name, pairs in between.items()}
     contacts = 2 * points["polygon_pairs"] + points["polygon_circle_pairs"] + points["circle_pairs"]

@@ -93,9 +93,12 @@ class Shapes:
     """`n` shapes, polygons first: `P` polygons of at most `V` vertices and `C` circles."""
 
     active: Array = array("n", bool, "padded slots are False", empty=False)
-    inverse_mass: Array = array("n", float, "0: does not move", unit="1/kg", at_least=0)
-    inverse_inertia: Array = array("n", float, "0: does not turn", unit="1/(kg m^2)", at_least=0)
+    inverse_mass: Array = array("n", float, "0: nothing pushes it", unit="1/kg", at_least=0)
+    inverse_inertia: Array = array("n", float, "0: nothing turns it", unit="1/(kg m^2)", at_least=0)
     density: Array = array("n", float, "for observations and editing", unit="kg/m^2", empty=1, stepped=False)
+    kinematic: Array = array(
+        "n", bool, "moves as its velocity says, and nothing pushes it: it has no mass", empty=False
+    )
     friction: Array = array("n", float, "coefficient", empty=1, at_least=0)
     restitution: Array = array("n", float, "share of the speed kept", at_least=0, at_most=1)
     vertices: Array = array(
@@ -275,6 +278,7 @@ def only_what_acts(scene: Scene) -> Scene:
         shapes={
             "inverse_mass": inverse_mass,
             "inverse_inertia": inverse_inertia,
+            "kinematic": active & shapes.kinematic,
             "num_vertices": jnp.clip(jnp.asarray(shapes.num_vertices), 3, shapes.vertices.shape[-2]),
             "can_touch": meets,
         },

@@ -93,6 +93,10 @@ def _in_order(lower: np.ndarray, upper: np.ndarray, has_limits: np.ndarray, is_o
     return ~(is_on & has_limits) | (lower <= upper)
 
 
+def _has_no_mass(kinematic: np.ndarray, mass: np.ndarray, inertia: np.ndarray, active: np.ndarray) -> np.ndarray:
+    return ~(kinematic & active) | ((mass == 0) & (inertia == 0))
+
+
 def _polygons(shape_active: np.ndarray, num_vertices: np.ndarray) -> np.ndarray:
     """[..., P] bool, of [..., n] what is about polygons."""
     return shape_active[..., : num_vertices.shape[-1]]
@@ -168,6 +172,11 @@ SCENE_RULES = (
         "have its centre of mass at (0, 0)",
     ),
     _rule("shapes.can_touch", _same_both_ways, "be the same for [i, j] and [j, i]"),
+    _rule(
+        "shapes.kinematic shapes.inverse_mass shapes.inverse_inertia shapes.active",
+        _has_no_mass,
+        "be False, or inverse_mass and inverse_inertia 0: nothing pushes a kinematic shape",
+    ),
     _rule("joints.b joints.a joints.active", _differs, "be another shape than joints.a"),
     _rule("joints.lower_limit joints.upper_limit joints.has_limits joints.active", _in_order, "be at most upper_limit"),
 )

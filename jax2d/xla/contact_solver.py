@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.solver_numbers import SolverNumbers
+from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.bodies import (
     Bodies,
@@ -48,6 +48,34 @@ def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
     apart = jnp.where(contacts.against_fixed[:, None], 0, apart)
     share = contacts.follows_b[:, None]
     return contacts.arm_a + apart * share, contacts.arm_b - apart * (1 - share)
+
+
+def carried_arms(
+    bodies: Bodies, contacts: Contacts, arm_a: jax.Array, arm_b: jax.Array, h: Scalar
+) -> tuple[jax.Array, jax.Array]:
+    """`arms_now`, but on a kinematic body to where the other's surface is, as it turns in the middle of the sub-step:
+    the velocity there is the mean of how the place moves. With the velocity of its beginning a turntable would throw
+    off what it carries."""
+    apart = contacts.normal * jnp.maximum(contacts.separation, 0)[:, None] + moved_apart(bodies, contacts)
+
+    def ahead(arm: jax.Array, body: jax.Array) -> jax.Array:
+        return arm + vec2.left(arm) * (pick(body, bodies.velocities.omega) * 0.5 * h)[:, None]
+
+    pair = contacts.pair
+    return (
+        jnp.where(contacts.kinematic_a[:, None], ahead(arm_a + apart, pair.is_a), arm_a),
+        jnp.where(contacts.kinematic_b[:, None], ahead(arm_b - apart, pair.is_b), arm_b),
+    )
+
+
+def surface_work(bodies: Bodies, contacts: Contacts, h: Scalar) -> jax.Array:
+    """J, what moving surfaces have done to the bodies in this sub-step."""
+    row = rows_now(bodies, contacts, h)
+    on_b = row.normal * row.impulse_normal[:, None] + vec2.right(row.normal) * row.impulse_tangent[:, None]
+    of = pair_velocities(row.pair, bodies.velocities)
+    by_a = vec2.dot(on_b, of.velocity_a + vec2.left(row.arm_a) * of.omega_a[:, None])
+    by_b = vec2.dot(on_b, of.velocity_b + vec2.left(row.arm_b) * of.omega_b[:, None])
+    return jnp.sum(jnp.where(contacts.kinematic_a, by_a, 0) - jnp.where(contacts.kinematic_b, by_b, 0))
 
 
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
@@ -92,7 +120,7 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: SolverNumbers, *, use
         return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total)
 
     velocities, (normal, tangent) = jax.lax.scan(
-        solve, bodies.velocities, (rows_now(bodies, contacts), bias, mass_scale, impulse_scale)
+        solve, bodies.velocities, (rows_now(bodies, contacts, params.h), bias, mass_scale, impulse_scale)
     )
     return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent)
 
@@ -125,9 +153,9 @@ def rows_of(contacts: Contacts) -> Row:
     return Row(*(getattr(contacts, name) for name in Row._fields))
 
 
-def rows_now(bodies: Bodies, contacts: Contacts) -> Row:
+def rows_now(bodies: Bodies, contacts: Contacts, h: Scalar) -> Row:
     """As the bodies stand now, which `rows_of` has as they stood when the contacts were found."""
-    arm_a, arm_b = arms_now(bodies, contacts)
+    arm_a, arm_b = carried_arms(bodies, contacts, *arms_now(bodies, contacts), h)
     return rows_of(contacts)._replace(
         arm_a=arm_a,
         arm_b=arm_b,

@@ -37,7 +37,9 @@ class Contacts(NamedTuple):
     restitution: jax.Array
     approach: jax.Array  # [K] m/s, relative normal speed before solving, negative when approaching
     max_impulse: jax.Array  # [K] N s, largest normal impulse in this step
-    against_fixed: jax.Array  # [K] bool
+    against_fixed: jax.Array  # [K] bool, one of the two cannot be pushed
+    kinematic_a: jax.Array  # [K] bool, a cannot be pushed and moves
+    kinematic_b: jax.Array
     overflow: jax.Array  # [] int32, points that found no slot
     rotates_far: jax.Array  # [] bool, a body with a contact turns too far in a step for contacts found once
     predicted: TravelPrediction
@@ -106,6 +108,8 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         approach=approach,
         max_impulse=jnp.zeros_like(points.separation),
         against_fixed=~(dynamic[a] & dynamic[b]),
+        kinematic_a=bodies.is_kinematic[a] & points.exists,
+        kinematic_b=bodies.is_kinematic[b] & points.exists,
         overflow=overflow,
         rotates_far=rotates_far,
         predicted=predicted,

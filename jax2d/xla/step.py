@@ -103,6 +103,8 @@ def soft_step(
         found_contacts = find(found, cache, left)
         found_joints = joints_of.prepare(found, scene, joints.impulses, controls, params)
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
+        # Of a sub-step that was stopped, bodies have had the impulses already.
+        found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
         bodies, contacts, joints, max_energy = _choose(
             is_found,
             (found, found_contacts, found_joints, found_energy),
@@ -128,10 +130,12 @@ def soft_step(
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
         bodies, contacts = contact_solver.solve_soft(bodies, contacts, params, use_bias=False)
         max_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
+        carried = bounces.carried_work(bodies, joints, contacts, h)
+        max_energy += carried
 
         is_end = interrupted | every_substep | (substep == rules.substeps)
         leaving = jnp.where(is_end, bounces.leaving_speed(bodies, contacts, scene.gravity, params), 0)
-        energy_limit = bounces.EnergyLimit(max_energy, scene.gravity)
+        energy_limit = bounces.EnergyLimit(max_energy, carried, scene.gravity)
         bounced = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
         progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy)

@@ -59,6 +59,7 @@ def without(scene: Scene, effect: str) -> Scene:
         "motors": {"joints": {"motor_on": zero(scene.joints.motor_on)}},
         "thrusters": {"thrusters": {"active": zero(scene.thrusters.active)}},
         "gravity": {"gravity": zero(scene.gravity)},
+        "kinematic_bodies": {"shapes": {"kinematic": zero(scene.shapes.kinematic)}},
     }
     for kind in JointKind:
         others = scene.joints.active & ~np.asarray(scene.joints.is_kind(kind))

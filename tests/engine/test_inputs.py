@@ -101,7 +101,7 @@ DART = UNIT_BOX * [[1, 1], [1, 1], [-0.4, -0.4], [1, 1]]
             "shapes.inverse_mass",
             1,
             -1.0,
-            r"shapes\.inverse_mass\[1\] is -1\.0; it must be 0 or more \(0: does not move\)",
+            r"shapes\.inverse_mass\[1\] is -1\.0; it must be 0 or more \(0: nothing pushes it\)",
         ),
         ("shapes.inverse_inertia", 1, -1.0, r"shapes\.inverse_inertia\[1\] is -1\.0; it must be 0"),
         ("joints.motor_power", 0, -1.0, r"joints\.motor_power\[0\] is -1\.0; it must be 0 or more"),

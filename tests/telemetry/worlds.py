@@ -35,6 +35,7 @@ def scene() -> Scene:
             inverse_mass=inverse_mass,
             inverse_inertia=inverse_mass,
             density=np.ones(n, np.float32),
+            kinematic=np.zeros(n, bool),
             friction=np.ones(n, np.float32),
             restitution=np.zeros(n, np.float32),
             vertices=np.array(

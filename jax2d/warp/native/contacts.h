@@ -15,7 +15,8 @@ struct Contact {
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
   real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
   real max_impulse;         // largest normal impulse in this step
-  bool against_fixed;
+  bool against_fixed;      // one of the two cannot be pushed
+  bool against_kinematic;  // and moves
 };
 
 struct Contacts {
@@ -81,6 +82,7 @@ struct Contacts {
         c.friction = friction;
         c.restitution = restitution;
         c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
+        if (HAS_KINEMATIC_BODIES) c.against_kinematic = bodies.is_kinematic(a) || bodies.is_kinematic(b);
         c.mass_normal = pair_mass(bodies, c, m.normal);
         c.mass_tangent = pair_mass(bodies, c, m.normal.right());
         c.impulse_normal = real(0);
@@ -125,7 +127,7 @@ struct Contacts {
     for (Bodies::Each one = Bodies::Each::of(far_shapes); one.next();) {
       for (Bodies::Each other = Bodies::Each::of(bodies.present); other.next();) {
         int a = Math::min_int(one.shape, other.shape), b = Math::max_int(one.shape, other.shape);
-        real both = (bodies.is_dynamic(a) ? travel[a] : real(0)) + (bodies.is_dynamic(b) ? travel[b] : real(0));
+        real both = (bodies.moves(a) ? travel[a] : real(0)) + (bodies.moves(b) ? travel[b] : real(0));
         if (both - geometry.predicted_travel[a] - geometry.predicted_travel[b] <= reach) continue;
         Vec2 d = bodies.position[b] - bodies.position[a];
         if (geometry.bounds_overlap(a, b, d, both) && can_touch(ints, a, b) && !has_contact(a, b)) return true;
@@ -180,6 +182,33 @@ struct Contacts {
     return {c.arm_a + apart * c.follows_b, c.arm_b - apart * (real(1) - c.follows_b)};
   }
 
+  // On a kinematic body the place where the other's surface is, as it turns in the middle of the sub-step: the velocity
+  // there is the mean of how the place moves. With the velocity of its beginning a turntable would throw off what it
+  // carries.
+  KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Vec2 moved, real half_h) {
+    Vec2 apart = c.normal * Math::max(c.separation, real(0)) + moved;
+    bool is_a = bodies.is_kinematic(c.a);
+    Vec2 arm = is_a ? c.arm_a + apart : c.arm_b - apart;
+    arm = arm + arm.left() * (bodies.omega(is_a ? c.a : c.b) * half_h);
+    return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
+  }
+
+  // J, what moving surfaces have done to the bodies in this sub-step.
+  KFN real surface_work(const Bodies& bodies, real half_h) const {
+    real work = real(0);
+    for (int i = 0; i < count && HAS_KINEMATIC_BODIES; ++i) {
+      const Contact& c = list[i];
+      if (!c.against_kinematic) continue;
+      bool is_a = bodies.is_kinematic(c.a);
+      int k = is_a ? c.a : c.b;
+      Arms arms = carried_arms(bodies, c, moved(bodies, c), half_h);
+      Vec2 impulse_on_b = c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent;
+      real done = impulse_on_b.dot(bodies.velocity(k) + (is_a ? arms.a : arms.b).left() * bodies.omega(k));
+      work += is_a ? done : -done;
+    }
+    return work;
+  }
+
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
       const Contact& c = list[i];
@@ -218,6 +247,7 @@ struct Contacts {
       Vec2 moved = Contacts::moved(bodies, c);
       real separation = current_separation(bodies, c, moved);
       Arms arms = arms_now(c, moved);
+      if (HAS_KINEMATIC_BODIES && c.against_kinematic) arms = carried_arms(bodies, c, moved, real(0.5) / soft.inverse_h);
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
       if (separation > real(0)) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more

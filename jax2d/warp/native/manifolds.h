@@ -37,7 +37,7 @@ struct Geometry {
   // `fixed_too`: as in Bodies::begin_step.
   KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies, bool fixed_too) {
     for (int p = 0; p < NUM_POLYGONS; ++p) {
-      if (!bodies.is_active(p) || (!fixed_too && !bodies.is_dynamic(p))) continue;
+      if (!bodies.is_active(p) || (!fixed_too && !bodies.moves(p))) continue;
       corners[p] = ints.get(INTS_SHAPES_NUM_VERTICES + p);
       Rotation q = bodies.rotation[p];
       Vec2 lo = {FAR_DISTANCE, FAR_DISTANCE}, hi = {-FAR_DISTANCE, -FAR_DISTANCE};
