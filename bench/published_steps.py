@@ -101,6 +101,10 @@ def load(file: Path) -> Steps:
             num_vertices=d["polygon.n_vertices"],
             radius=d["circle.radius"],
             can_touch=d["can_touch"],
+            **dict.fromkeys(
+                ("surface_speed", "linear_damping", "angular_damping", "rolling_resistance"),
+                np.zeros((len(d["gravity"]), 0), np.float32),
+            ),
         ),
         joints=Joints(
             active=d["joint.active"],
@@ -139,6 +143,7 @@ def load(file: Path) -> Steps:
         joint_impulse=joint_impulse,
         contact_key=np.full((count, slots), -1, np.int32),
         contact_impulse=np.zeros((count, slots, 2), np.float32),
+        rolling_impulse=np.zeros((count, 0), np.float32),
     )
     key = d["contact_pair"] @ np.array([KEY_A, KEY_B]) + d["contact_order"]
     return Steps(

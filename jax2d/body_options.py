@@ -27,6 +27,11 @@ class BodyOptions:
     friction: float | None = None  # share of settings.base_friction, 1 unless given
     friction_coefficient: float | None = None  # in its place: two shapes of mu have mu, with the presets' settings
     restitution: float = 0.0  # 0 to 1, the lower of two counts
+    # Of a capacity with extended shapes
+    surface_speed: float = 0.0  # m/s, of a belt around it, clockwise: the top of a floor goes towards +x
+    linear_damping: float = 0.0  # 1/s, at which velocity decays
+    angular_damping: float = 0.0  # 1/s, at which angular velocity decays
+    rolling_resistance: float = 0.0  # torque against rolling, share of normal force x radius; the larger of two counts
     category: int = 1  # bits of what it is, 0 to 65535
     mask: int = (
         2**FILTER_BITS - 1
@@ -79,9 +84,26 @@ def body_of(area: float, second_moment: float, options: BodyOptions, capacity: C
         "density": density,
         "friction": _friction(o),
         "restitution": restitution,
+        **_extended(o, capacity, has_mass=has_mass),
     }
     allowed = Filter(_bits("category", o.category), _bits("mask", o.mask))
     return Body(shape, finite("position", o.position, 2), number("angle", o.angle), velocity, spin, allowed)
+
+
+def _extended(o: BodyOptions, capacity: Capacity, *, has_mass: bool) -> dict[str, float]:
+    """Fields of dimension E, where the capacity has room for them."""
+    values = {"surface_speed": number("surface_speed", o.surface_speed)}
+    for name in ("linear_damping", "angular_damping", "rolling_resistance"):
+        values[name] = not_negative(name, getattr(o, name))
+    given = [name for name, value in values.items() if value]
+    if given and not capacity.extended_shapes:
+        raise SceneError(
+            f"{given[0]} is {values[given[0]]:g}, but this capacity has no room for it; build with "
+            "Capacity(extended_shapes=True)"
+        )
+    if not has_mass and (damped := [name for name in given if name.endswith("damping")]):
+        raise SceneError(f"{damped[0]} of a shape that is fixed or kinematic would slow nothing; leave it out")
+    return values if capacity.extended_shapes else {}
 
 
 def _friction(o: BodyOptions) -> float:

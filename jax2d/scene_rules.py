@@ -59,7 +59,7 @@ def _range_text(field: Field) -> str:
 
 def _within(field: Field, number: np.ndarray, is_on: np.ndarray, shape_active: np.ndarray, *only: np.ndarray):
     del shape_active
-    if field.dims[0] == "C":
+    if field.dims[0] in "CE":  # of the last shapes, of all, or of none
         is_on = is_on[..., is_on.shape[-1] - number.shape[-1] :]
     for also in only:
         is_on = is_on & also

@@ -75,6 +75,18 @@ def apply_gravity(bodies: Bodies, gravity: jax.Array, dt: Scalar) -> Bodies:
     return bodies._replace(velocities=Velocities(jnp.where(falls, velocity + gravity * dt, velocity), omega))
 
 
+def apply_damping(bodies: Bodies, scene: Scene, h: Scalar) -> Bodies:
+    """Implicit Euler: v / (1 + h d), which no rate makes unstable."""
+    if scene.shapes.linear_damping.shape[0] == 0:
+        return bodies
+    velocity, omega = bodies.velocities
+    slower, turns_slower = (1 / (1 + h * d) for d in (scene.shapes.linear_damping, scene.shapes.angular_damping))
+    velocity = jnp.where((bodies.inverse_mass > 0)[:, None], velocity * slower[:, None], velocity)
+    return bodies._replace(
+        velocities=Velocities(velocity, jnp.where(bodies.inverse_inertia > 0, omega * turns_slower, omega))
+    )
+
+
 def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies:
     """Speed limits; each time one acts is counted."""
     velocity, omega = bodies.velocities

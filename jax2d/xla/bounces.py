@@ -26,6 +26,7 @@ from jax2d.xla.contact_solver import (
     push_apart,
     rows_now,
     solve_friction,
+    solve_rolling,
     surface_work,
     with_impulses,
 )
@@ -160,21 +161,26 @@ def solve_bounces(
         impulse = jnp.where(bounces, mass * (bounce.speed - vn), -c.mass_normal * (vn + apart))
         pushed, normal_total = push_apart(of, c, impulse)
         friction_applied, tangent_total = solve_friction(pushed, c, normal_total)
+        friction_applied, rolling_total = solve_rolling(friction_applied, c, normal_total)
         has_friction = with_friction | ~bounces
         of = jax.tree.map(lambda x, y: jnp.where(has_friction, x, y), friction_applied, pushed)
         tangent_total = jnp.where(has_friction, tangent_total, c.impulse_tangent)
+        if rolling_total is not None:
+            rolling_total = jnp.where(has_friction, rolling_total, c.rolling_impulse)
         after = BounceTargets(bounce.speed, mass, vn)
         return scatter_velocities(velocities, c.pair, before, of), (
             normal_total,
             tangent_total,
+            rolling_total,
             after,
             has_converged | ~bounces,
         )
 
-    velocities, (normal, tangent, leaving, converged) = jax.lax.scan(
+    velocities, (normal, tangent, rolling, leaving, converged) = jax.lax.scan(
         solve, bodies.velocities, (rows_now(bodies, contacts, params.h), leaving, apart)
     )
-    return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent), leaving, jnp.all(converged)
+    contacts = with_impulses(contacts._replace(rolling_impulse=rolling), normal, tangent)
+    return bodies._replace(velocities=velocities), contacts, leaving, jnp.all(converged)
 
 
 def update_secant_mass(

@@ -14,6 +14,7 @@ from jax2d.xla.bodies import (
     Pair,
     PairVelocities,
     Velocities,
+    apply_angular_impulse,
     apply_impulse,
     pair_mass,
     pair_velocities,
@@ -32,6 +33,8 @@ def warm_start(bodies: Bodies, contacts: Contacts) -> Bodies:
     )
     before = pair_velocities(contacts.pair, bodies.velocities)
     after = apply_impulse(before, contacts.pair, *arms_now(bodies, contacts), impulse)
+    if contacts.rolling_impulse is not None:
+        after = apply_angular_impulse(after, contacts.pair, contacts.rolling_impulse)
     return bodies._replace(velocities=scatter_velocities(bodies.velocities, contacts.pair, before, after))
 
 
@@ -75,7 +78,10 @@ def surface_work(bodies: Bodies, contacts: Contacts, h: Scalar) -> jax.Array:
     of = pair_velocities(row.pair, bodies.velocities)
     by_a = vec2.dot(on_b, of.velocity_a + vec2.left(row.arm_a) * of.omega_a[:, None])
     by_b = vec2.dot(on_b, of.velocity_b + vec2.left(row.arm_b) * of.omega_b[:, None])
-    return jnp.sum(jnp.where(contacts.kinematic_a, by_a, 0) - jnp.where(contacts.kinematic_b, by_b, 0))
+    work = jnp.where(contacts.kinematic_a, by_a, 0) - jnp.where(contacts.kinematic_b, by_b, 0)
+    if contacts.surface_speed is not None:
+        work += contacts.impulse_tangent * contacts.surface_speed * (contacts.key >= 0)
+    return jnp.sum(work)
 
 
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
@@ -114,14 +120,16 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: SolverNumbers, *, use
         vn = normal_speed(of, c)
         impulse = -c.mass_normal * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal
         of, normal_total = push_apart(of, c, impulse)
-        tangent_total = c.impulse_tangent
+        tangent_total, rolling_total = c.impulse_tangent, c.rolling_impulse
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
-        return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total)
+            of, rolling_total = solve_rolling(of, c, normal_total)
+        return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total, rolling_total)
 
-    velocities, (normal, tangent) = jax.lax.scan(
+    velocities, (normal, tangent, rolling) = jax.lax.scan(
         solve, bodies.velocities, (rows_now(bodies, contacts, params.h), bias, mass_scale, impulse_scale)
     )
+    contacts = contacts._replace(rolling_impulse=rolling)
     return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent)
 
 
@@ -147,6 +155,9 @@ class Row(NamedTuple):
     impulse_normal: jax.Array
     impulse_tangent: jax.Array
     friction: jax.Array
+    surface_speed: jax.Array | None  # of extended shapes
+    rolling_arm: jax.Array | None
+    rolling_impulse: jax.Array | None
 
 
 def rows_of(contacts: Contacts) -> Row:
@@ -172,7 +183,19 @@ def with_impulses(contacts: Contacts, normal: jax.Array, tangent: jax.Array) -> 
 def solve_friction(of: Any, c: Row, normal_total: jax.Array) -> tuple[Any, jax.Array]:
     tangent = vec2.right(c.normal)
     vt = vec2.dot(tangent, relative_velocity(of, c.arm_a, c.arm_b))
+    if c.surface_speed is not None:
+        vt -= c.surface_speed
     max_friction = c.friction * normal_total
     total = jnp.clip(c.impulse_tangent - c.mass_tangent * vt, -max_friction, max_friction)
     total = jnp.where(c.friction == 0, c.impulse_tangent, total)
     return apply_impulse(of, c.pair, c.arm_a, c.arm_b, tangent * (total - c.impulse_tangent)[..., None]), total
+
+
+def solve_rolling(of: Any, c: Row, normal_total: jax.Array) -> tuple[Any, jax.Array | None]:
+    """A torque against the spin of one on the other, of at most the normal force times `rolling_arm`."""
+    if c.rolling_arm is None or c.rolling_impulse is None:
+        return of, None
+    inertia = vec2.inverse_or_zero(c.pair.inertia_a + c.pair.inertia_b)
+    most = c.rolling_arm * normal_total
+    total = jnp.clip(c.rolling_impulse - inertia * (of.omega_b - of.omega_a), -most, most)
+    return apply_angular_impulse(of, c.pair, total - c.rolling_impulse), total

@@ -59,6 +59,7 @@ def run(
             joint_impulse=joints_of.store(end.joints, state),
             contact_key=end.cache.key,
             contact_impulse=end.cache.impulse,
+            rolling_impulse=state.rolling_impulse if end.cache.rolling is None else end.cache.rolling,
         )
         return after, (end.touch, end.overflow, bodies.limited)
 
@@ -114,6 +115,8 @@ def soft_step(
 
         driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
         driven = forces.apply(driven, thrusters, h)
+        driven = forces.apply_external(driven, controls, h)
+        driven = bodies_of.apply_damping(driven, scene, h)
         driven = joints_of.warm_start(driven, joints)
         driven = contact_solver.warm_start(driven, contacts)
         bodies = _choose(interrupted, bodies, driven)
@@ -130,6 +133,7 @@ def soft_step(
         bodies, joints = joints_of.solve_soft(bodies, joints, params, use_bias=False)
         bodies, contacts = contact_solver.solve_soft(bodies, contacts, params, use_bias=False)
         max_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
+        max_energy += forces.external_work(bodies, controls, h)
         carried = bounces.carried_work(bodies, joints, contacts, h)
         max_energy += carried
 
@@ -217,7 +221,8 @@ def _begin(
 ) -> tuple[Bodies, Joints, ContactCache]:
     bodies = bodies_of.load(scene, state)
     joints = joints_of.prepare(bodies, scene, joints_of.load(state, params), controls, params)
-    return bodies, joints, ContactCache(state.contact_key, state.contact_impulse)
+    rolling = state.rolling_impulse if state.rolling_impulse.shape[0] else None
+    return bodies, joints, ContactCache(state.contact_key, state.contact_impulse, rolling)
 
 
 def _nothing_recorded(capacity: Capacity, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -44,6 +44,9 @@ def scene() -> Scene:
             num_vertices=np.array([4, 4, 4, 3, 4], np.int32),
             radius=np.array([0.35, 0, 0], np.float32),
             can_touch=~np.eye(n, dtype=bool),
+            **dict.fromkeys(
+                ("surface_speed", "linear_damping", "angular_damping", "rolling_resistance"), np.zeros(0, np.float32)
+            ),
         ),
         joints=Joints(
             active=np.array([True, False]),

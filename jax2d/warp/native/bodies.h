@@ -127,6 +127,19 @@ struct Bodies {
     }
   }
 
+  // Implicit Euler: v / (1 + h d), which no rate makes unstable.
+  KFN void apply_damping(const Column& scene, real h) {
+    if (!HAS_DAMPING) return;
+    for (Each each = Each::of(moving); each.next();) {
+      int i = each.shape, slot = Slot::of(i);
+      real one = real(1);
+      if (inverse_mass(i) > real(0))
+        set_velocity(i, velocity(i) * (one / (one + h * scene.get(SCENE_SHAPES_LINEAR_DAMPING + slot))));
+      if (inverse_inertia(i) > real(0))
+        set_omega(i, omega(i) * (one / (one + h * scene.get(SCENE_SHAPES_ANGULAR_DAMPING + slot))));
+    }
+  }
+
   // No state that a call returns moves faster than the limits: what the last relax pass and bounces gave counts too.
   KFN void limit_speeds(real max_speed, real max_omega) {
     for (Each each = Each::of(moving); each.next();) limit_speed(each.shape, max_speed, max_omega);

@@ -42,7 +42,7 @@ struct Bounces {
       linear += mass * v.dot(dv) + inertia * omega[i] * dw;
       quadratic += real(0.5) * (mass * dv.dot(dv) + inertia * dw * dw);
     }
-    if (HAS_KINEMATIC_BODIES) linear -= carried;
+    linear -= carried;
     real after = before + linear + quadratic;
     if (after <= max_energy * (real(1) + ENERGY_ROUNDING)) return;
     real room = Math::max(max_energy - before, real(0));

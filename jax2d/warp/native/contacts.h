@@ -21,6 +21,10 @@ struct Contact {
 
 struct Contacts {
   Contact list[NUM_CONTACTS + 1];
+  // Of each contact, where there are effects that call for it
+  real surface_speed[HAS_SURFACE_SPEED ? NUM_CONTACTS + 1 : 1];       // m/s along the tangent, at which b shall go against a
+  real rolling_arm[HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1];    // m, largest torque a normal force
+  real rolling_impulse[HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1];
   int count, overflow;
   Pairs pairs;
   bool rotates_far;    // a body with a contact turns too far in a step for contacts found once
@@ -68,6 +72,13 @@ struct Contacts {
           ++overflow;
           continue;
         }
+        if (HAS_SURFACE_SPEED)
+          surface_speed[count] = scene.get(SCENE_SHAPES_SURFACE_SPEED + slot_a) + scene.get(SCENE_SHAPES_SURFACE_SPEED + slot_b);
+        if (HAS_ROLLING_RESISTANCE) {
+          real a_share = scene.get(SCENE_SHAPES_ROLLING_RESISTANCE + slot_a), b_share = scene.get(SCENE_SHAPES_ROLLING_RESISTANCE + slot_b);
+          rolling_arm[count] = Math::max(a_share, b_share) * Math::max(geometry.rolling_radius(a), geometry.rolling_radius(b));
+          rolling_impulse[count] = real(0);
+        }
         Contact& c = list[count++];
         c.a = a;
         c.b = b;
@@ -95,6 +106,7 @@ struct Contacts {
           if (key == c.key) {
             c.impulse_normal = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s);
             c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s + 1);
+            if (HAS_ROLLING_RESISTANCE) rolling_impulse[count - 1] = old_impulses.get(IMPULSE_ROLLING_IMPULSE + s);
             break;
           }
         }
@@ -196,9 +208,10 @@ struct Contacts {
   // J, what moving surfaces have done to the bodies in this sub-step.
   KFN real surface_work(const Bodies& bodies, real half_h) const {
     real work = real(0);
-    for (int i = 0; i < count && HAS_KINEMATIC_BODIES; ++i) {
+    for (int i = 0; i < count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++i) {
       const Contact& c = list[i];
-      if (!c.against_kinematic) continue;
+      if (HAS_SURFACE_SPEED) work += c.impulse_tangent * surface_speed[i];
+      if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) continue;
       bool is_a = bodies.is_kinematic(c.a);
       int k = is_a ? c.a : c.b;
       Arms arms = carried_arms(bodies, c, moved(bodies, c), half_h);
@@ -215,6 +228,7 @@ struct Contacts {
       Pair pair = Pair::of(bodies, c.a, c.b);
       Arms arms = arms_now(c, moved(bodies, c));
       pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+      if (HAS_ROLLING_RESISTANCE) pair.apply_angular_impulse(rolling_impulse[i]);
       pair.write_back(bodies);
     }
   }
@@ -275,20 +289,33 @@ struct Contacts {
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(arms.a, arms.b, c.normal * impulse);
-      if (!use_bias && (with_friction || !bounces)) solve_friction(pair, c, arms, mass_tangent);
+      if (!use_bias && (with_friction || !bounces)) {
+        solve_friction(pair, c, arms, mass_tangent, HAS_SURFACE_SPEED ? surface_speed[i] : real(0));
+        if (HAS_ROLLING_RESISTANCE) solve_rolling(pair, c, rolling_arm[i], rolling_impulse[i]);
+      }
       pair.write_back(bodies);
     }
   }
 
-  KFN static void solve_friction(Pair& pair, Contact& c, Arms arms, real mass_tangent) {
+  // Towards the `wanted` speed of b against a along the tangent.
+  KFN static void solve_friction(Pair& pair, Contact& c, Arms arms, real mass_tangent, real wanted) {
     if (!HAS_FRICTION || c.friction == real(0)) return;
     Vec2 tangent = c.normal.right();
-    real vt = tangent.dot(pair.relative(arms.a, arms.b));
+    real vt = tangent.dot(pair.relative(arms.a, arms.b)) - wanted;
     real max_friction = c.friction * c.impulse_normal;
     real total = Math::clamp(c.impulse_tangent - mass_tangent * vt, -max_friction, max_friction);
     real impulse = total - c.impulse_tangent;
     c.impulse_tangent = total;
     pair.apply_impulse(arms.a, arms.b, tangent * impulse);
+  }
+
+  // A torque against the spin of one on the other, of at most the normal force times `arm`.
+  KFN static void solve_rolling(Pair& pair, const Contact& c, real arm, real& accumulated) {
+    if (arm == real(0)) return;
+    real inertia = Math::inverse_or_zero(pair.inverse_inertia_a + pair.inverse_inertia_b), most = arm * c.impulse_normal;
+    real total = Math::clamp(accumulated - inertia * (pair.omega_b - pair.omega_a), -most, most);
+    pair.apply_angular_impulse(total - accumulated);
+    accumulated = total;
   }
 
   // What the last pass gave a bounce, joints and other contacts have shared out since. The next pass pushes as if the
@@ -349,7 +376,7 @@ struct Contacts {
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
-      solve_friction(pair, c, {c.arm_a, c.arm_b}, c.mass_tangent);
+      solve_friction(pair, c, {c.arm_a, c.arm_b}, c.mass_tangent, real(0));
       pair.write_back(bodies);
     }
   }
@@ -362,10 +389,12 @@ struct Contacts {
         bool lasts = list[s].bounce == real(0);
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, lasts ? list[s].impulse_normal : real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
+        if (HAS_ROLLING_RESISTANCE) impulses.set(IMPULSE_ROLLING_IMPULSE + s, lasts ? rolling_impulse[s] : real(0));
       } else if (keys.get(s) >= 0) {
         keys.set(s, -1);
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, real(0));
+        if (HAS_ROLLING_RESISTANCE) impulses.set(IMPULSE_ROLLING_IMPULSE + s, real(0));
       } else {
         break;  // used slots are always the first ones
       }

@@ -79,7 +79,7 @@ struct Joints {
         base_speed = params.get(PARAM_BASE_SLIDER_SPEED);
         base_power = params.get(PARAM_BASE_SLIDER_POWER);
       }
-      real control = controls.get(joint.index);
+      real control = controls.get(CONTROLS_MOTOR + joint.index);
       bool driven = joint.is_driven() && !joint.is_fixed() && control != real(0);
       if (!driven) joint.flags &= ~Joint::MOTOR_BIT;
       joint.motor_target = control * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index) * base_speed;

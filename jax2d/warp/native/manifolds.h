@@ -75,6 +75,9 @@ struct Geometry {
     }
   }
 
+  // m, of what can roll: only circles.
+  KFN real rolling_radius(int i) const { return i < NUM_POLYGONS ? real(0) : radius[i - NUM_POLYGONS]; }
+
   KFN void predict_travel(const Bodies& bodies, real seconds) {
     ahead = seconds;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {

@@ -78,6 +78,8 @@ struct World {
       if (!interrupted) {
         bodies.apply_gravity(gravity, h);
         thrusters.apply(bodies, h);
+        ExternalForces::apply(bodies, controls, h);
+        bodies.apply_damping(scene, h);
         joints.warm_start(bodies);
         contacts.warm_start(bodies);
       }
@@ -128,6 +130,7 @@ struct World {
       }
       if (contacts.may_bounce) {
         bounces.max_energy += joints.motor_work(bodies) + thrusters.work(bodies, h);
+        bounces.max_energy += ExternalForces::work(bodies, controls, h);
         carried = carried_work(h);
         bounces.max_energy += carried;
       }
