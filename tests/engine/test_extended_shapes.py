@@ -1,4 +1,4 @@
-"""Surface speed, damping, rolling resistance and forces from outside: formulas, momentum, the reference, the effects."""
+"""Surface speed, damping, rolling resistance and outside forces: formulas, momentum, the reference, the effects."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_box_on_a_belt_reaches_its_speed(speed: float):
 
 
 def test_disc_that_bounces_on_a_belt_gets_what_friction_gives():
-    """mu (1 + e) u along the belt and twice that over r of spin: the belt's work, which no limit of energy takes back."""
+    """mu (1 + e) u along the belt and twice that over r of spin: the belt's work, which no limit of energy takes."""
     b = builder()
     floor(b, surface_speed=50.0, restitution=1.0)
     disc = b.add_circle(radius=0.2, position=(0, 1.2), restitution=0.8)
