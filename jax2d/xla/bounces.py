@@ -84,7 +84,9 @@ def bounce(
             )
             return jax.tree.map(lambda x, y: jnp.where(now.done, x, y), now, after), None
 
-        leaving = BounceTargets(leaving_speed, rows_now(bodies, contacts, params.h).mass_normal, contacts.approach)
+        leaving = BounceTargets(
+            leaving_speed, rows_now(bodies, contacts, -0.5 * params.h).mass_normal, contacts.approach
+        )
         no, none_bounces = jnp.array(False), ~jnp.any(leaving_speed > 0)
         start = Round(bodies, joints, contacts, leaving, converged=no, friction_applied=no, done=none_bounces)
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
@@ -177,7 +179,7 @@ def solve_bounces(
         )
 
     velocities, (normal, tangent, rolling, leaving, converged) = jax.lax.scan(
-        solve, bodies.velocities, (rows_now(bodies, contacts, params.h), leaving, apart)
+        solve, bodies.velocities, (rows_now(bodies, contacts, -0.5 * params.h), leaving, apart)
     )
     contacts = with_impulses(contacts._replace(rolling_impulse=rolling), normal, tangent)
     return bodies._replace(velocities=velocities), contacts, leaving, jnp.all(converged)

@@ -54,26 +54,26 @@ def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
 
 
 def carried_arms(
-    bodies: Bodies, contacts: Contacts, arm_a: jax.Array, arm_b: jax.Array, h: Scalar
+    bodies: Bodies, contacts: Contacts, arm_a: jax.Array, arm_b: jax.Array, ahead: Scalar
 ) -> tuple[jax.Array, jax.Array]:
-    """`arms_now`, but on a kinematic body to where the other's surface is, as it turns in the middle of the sub-step:
-    the velocity there is the mean of how the place moves. With the velocity of its beginning a turntable would throw
-    off what it carries."""
+    """`arms_now`, but on a kinematic body to where the other's surface is `ahead` seconds from now: in the middle of a
+    sub-step the velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out
+    nor in."""
     apart = contacts.normal * jnp.maximum(contacts.separation, 0)[:, None] + moved_apart(bodies, contacts)
 
-    def ahead(arm: jax.Array, body: jax.Array) -> jax.Array:
-        return arm + vec2.left(arm) * (pick(body, bodies.velocities.omega) * 0.5 * h)[:, None]
+    def turned(arm: jax.Array, body: jax.Array) -> jax.Array:
+        return arm + vec2.left(arm) * (pick(body, bodies.velocities.omega) * ahead)[:, None]
 
     pair = contacts.pair
     return (
-        jnp.where(contacts.kinematic_a[:, None], ahead(arm_a + apart, pair.is_a), arm_a),
-        jnp.where(contacts.kinematic_b[:, None], ahead(arm_b - apart, pair.is_b), arm_b),
+        jnp.where(contacts.kinematic_a[:, None], turned(arm_a + apart, pair.is_a), arm_a),
+        jnp.where(contacts.kinematic_b[:, None], turned(arm_b - apart, pair.is_b), arm_b),
     )
 
 
 def surface_work(bodies: Bodies, contacts: Contacts, h: Scalar) -> jax.Array:
-    """J, what moving surfaces have done to the bodies in this sub-step."""
-    row = rows_now(bodies, contacts, h)
+    """J, what moving surfaces have done to the bodies in this sub-step of h."""
+    row = rows_now(bodies, contacts, -0.5 * h)
     on_b = row.normal * row.impulse_normal[:, None] + vec2.right(row.normal) * row.impulse_tangent[:, None]
     of = pair_velocities(row.pair, bodies.velocities)
     by_a = vec2.dot(on_b, of.velocity_a + vec2.left(row.arm_a) * of.omega_a[:, None])
@@ -114,6 +114,8 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: SolverNumbers, *, use
         mass_scale = jnp.where(is_apart, mass_scale, soft.mass_scale)
         impulse_scale = jnp.where(is_apart, impulse_scale, soft.impulse_scale)
 
+    ahead = 0.5 * params.h if use_bias else -0.5 * params.h  # with bias the sub-step is to come, without it is past
+
     def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
         c, bias, mass_scale, impulse_scale = row
         before = of = pair_velocities(c.pair, velocities)
@@ -127,7 +129,7 @@ def solve_soft(bodies: Bodies, contacts: Contacts, params: SolverNumbers, *, use
         return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total, rolling_total)
 
     velocities, (normal, tangent, rolling) = jax.lax.scan(
-        solve, bodies.velocities, (rows_now(bodies, contacts, params.h), bias, mass_scale, impulse_scale)
+        solve, bodies.velocities, (rows_now(bodies, contacts, ahead), bias, mass_scale, impulse_scale)
     )
     contacts = contacts._replace(rolling_impulse=rolling)
     return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent)
@@ -164,9 +166,10 @@ def rows_of(contacts: Contacts) -> Row:
     return Row(*(getattr(contacts, name) for name in Row._fields))
 
 
-def rows_now(bodies: Bodies, contacts: Contacts, h: Scalar) -> Row:
-    """As the bodies stand now, which `rows_of` has as they stood when the contacts were found."""
-    arm_a, arm_b = carried_arms(bodies, contacts, *arms_now(bodies, contacts), h)
+def rows_now(bodies: Bodies, contacts: Contacts, ahead: Scalar) -> Row:
+    """As the bodies stand now, which `rows_of` has as they stood when the contacts were found; `ahead` [] s: see
+    `carried_arms`."""
+    arm_a, arm_b = carried_arms(bodies, contacts, *arms_now(bodies, contacts), ahead)
     return rows_of(contacts)._replace(
         arm_a=arm_a,
         arm_b=arm_b,

@@ -207,19 +207,19 @@ def test_forces_that_are_none_of_the_kind_are_refused_or_counted():
 
 
 def everything(capacity: Capacity, **left_out: Any) -> BuiltWorld:
-    """A disc that rolls on a kinematic belt, a damped box that slides and bounces on it, a pendulum on a lift."""
+    """A disc that rolls on a kinematic belt, a damped box that slides and bounces on it, a rod that hangs from it."""
 
     def options(**values: Any) -> dict[str, Any]:
         return {name: values[name] for name in values if name not in left_out}
 
     b = SceneBuilder(capacity)
     belt = options(kinematic=True, velocity=(0.3, 1.0), angular_velocity=0.2, restitution=0.7, surface_speed=1.5)
-    b.add_box(width=6, height=0.2, position=(0, -0.1), **belt)
+    carrier = b.add_box(width=6, height=0.2, position=(0, -0.1), **belt)
     damped = options(linear_damping=0.5, angular_damping=1.0, restitution=0.7)
     b.add_box(width=0.4, height=0.4, position=(1.0, 0.4), velocity=(0.5, -2), **damped)
-    rod = b.add_box(width=1, height=0.1, position=(-0.5, 2))
-    disc = b.add_circle(radius=0.2, position=(-1.0, 0.25), velocity=(0, 1.0), **options(rolling_resistance=0.2))
-    b.add_revolute_joint(rod, disc, at=(-0.5, 2))
+    rod = b.add_box(width=1, height=0.1, position=(-3.2, 0.3))
+    b.add_circle(radius=0.2, position=(-1.0, 0.25), velocity=(0, 1.0), **options(rolling_resistance=0.2))
+    b.add_revolute_joint(carrier, rod, at=(-2.7, 0.3))
     return b.build()
 
 

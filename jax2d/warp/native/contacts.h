@@ -194,19 +194,18 @@ struct Contacts {
     return {c.arm_a + apart * c.follows_b, c.arm_b - apart * (real(1) - c.follows_b)};
   }
 
-  // On a kinematic body the place where the other's surface is, as it turns in the middle of the sub-step: the velocity
-  // there is the mean of how the place moves. With the velocity of its beginning a turntable would throw off what it
-  // carries.
-  KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Vec2 moved, real half_h) {
+  // On a kinematic body the place where the other's surface is, `ahead` seconds from now: in the middle of a sub-step the
+  // velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out nor in.
+  KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Vec2 moved, real ahead) {
     Vec2 apart = c.normal * Math::max(c.separation, real(0)) + moved;
     bool is_a = bodies.is_kinematic(c.a);
     Vec2 arm = is_a ? c.arm_a + apart : c.arm_b - apart;
-    arm = arm + arm.left() * (bodies.omega(is_a ? c.a : c.b) * half_h);
+    arm = arm + arm.left() * (bodies.omega(is_a ? c.a : c.b) * ahead);
     return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
   }
 
-  // J, what moving surfaces have done to the bodies in this sub-step.
-  KFN real surface_work(const Bodies& bodies, real half_h) const {
+  // J, what moving surfaces have done to the bodies in this sub-step of h.
+  KFN real surface_work(const Bodies& bodies, real h) const {
     real work = real(0);
     for (int i = 0; i < count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++i) {
       const Contact& c = list[i];
@@ -214,7 +213,7 @@ struct Contacts {
       if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) continue;
       bool is_a = bodies.is_kinematic(c.a);
       int k = is_a ? c.a : c.b;
-      Arms arms = carried_arms(bodies, c, moved(bodies, c), half_h);
+      Arms arms = carried_arms(bodies, c, moved(bodies, c), real(-0.5) * h);
       Vec2 impulse_on_b = c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent;
       real done = impulse_on_b.dot(bodies.velocity(k) + (is_a ? arms.a : arms.b).left() * bodies.omega(k));
       work += is_a ? done : -done;
@@ -261,7 +260,9 @@ struct Contacts {
       Vec2 moved = Contacts::moved(bodies, c);
       real separation = current_separation(bodies, c, moved);
       Arms arms = arms_now(c, moved);
-      if (HAS_KINEMATIC_BODIES && c.against_kinematic) arms = carried_arms(bodies, c, moved, real(0.5) / soft.inverse_h);
+      // With bias the sub-step is to come, in the relax pass it is past.
+      if (HAS_KINEMATIC_BODIES && c.against_kinematic)
+        arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
       if (separation > real(0)) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more

@@ -149,7 +149,7 @@ struct World {
 
   // J, what moving surfaces and kinematic bodies have done in this sub-step.
   KFN real carried_work(real h) const {
-    return contacts.surface_work(bodies, real(0.5) * h) + joints.kinematic_work(bodies);
+    return contacts.surface_work(bodies, h) + joints.kinematic_work(bodies);
   }
 
   // Notes who touched, and keeps the impulses for the contacts found next.
