@@ -21,10 +21,7 @@ struct Contact {
 
 struct Contacts {
   Contact list[NUM_CONTACTS + 1];
-  // Of each contact, where there are effects that call for it
-  real surface_speed[HAS_SURFACE_SPEED ? NUM_CONTACTS + 1 : 1];       // m/s along the tangent, at which b shall go against a
-  real rolling_arm[HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1];    // m, largest torque a normal force
-  real rolling_impulse[HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1];
+  Surfaces surfaces;
   int count, overflow;
   Pairs pairs;
   bool rotates_far;    // a body with a contact turns too far in a step for contacts found once
@@ -72,13 +69,7 @@ struct Contacts {
           ++overflow;
           continue;
         }
-        if (HAS_SURFACE_SPEED)
-          surface_speed[count] = scene.get(SCENE_SHAPES_SURFACE_SPEED + slot_a) + scene.get(SCENE_SHAPES_SURFACE_SPEED + slot_b);
-        if (HAS_ROLLING_RESISTANCE) {
-          real a_share = scene.get(SCENE_SHAPES_ROLLING_RESISTANCE + slot_a), b_share = scene.get(SCENE_SHAPES_ROLLING_RESISTANCE + slot_b);
-          rolling_arm[count] = Math::max(a_share, b_share) * Math::max(geometry.rolling_radius(a), geometry.rolling_radius(b));
-          rolling_impulse[count] = real(0);
-        }
+        surfaces.load(count, scene, geometry, a, b);
         Contact& c = list[count++];
         c.a = a;
         c.b = b;
@@ -106,7 +97,7 @@ struct Contacts {
           if (key == c.key) {
             c.impulse_normal = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s);
             c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s + 1);
-            if (HAS_ROLLING_RESISTANCE) rolling_impulse[count - 1] = old_impulses.get(IMPULSE_ROLLING_IMPULSE + s);
+            surfaces.remember(count - 1, old_impulses, s);
             break;
           }
         }
@@ -209,7 +200,7 @@ struct Contacts {
     real work = real(0);
     for (int i = 0; i < count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++i) {
       const Contact& c = list[i];
-      if (HAS_SURFACE_SPEED) work += c.impulse_tangent * surface_speed[i];
+      if (HAS_SURFACE_SPEED) work += c.impulse_tangent * surfaces.speed_of(i);
       if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) continue;
       bool is_a = bodies.is_kinematic(c.a);
       int k = is_a ? c.a : c.b;
@@ -227,7 +218,7 @@ struct Contacts {
       Pair pair = Pair::of(bodies, c.a, c.b);
       Arms arms = arms_now(c, moved(bodies, c));
       pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
-      if (HAS_ROLLING_RESISTANCE) pair.apply_angular_impulse(rolling_impulse[i]);
+      surfaces.warm_start(pair, i);
       pair.write_back(bodies);
     }
   }
@@ -291,8 +282,8 @@ struct Contacts {
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(arms.a, arms.b, c.normal * impulse);
       if (!use_bias && (with_friction || !bounces)) {
-        solve_friction(pair, c, arms, mass_tangent, HAS_SURFACE_SPEED ? surface_speed[i] : real(0));
-        if (HAS_ROLLING_RESISTANCE) solve_rolling(pair, c, rolling_arm[i], rolling_impulse[i]);
+        solve_friction(pair, c, arms, mass_tangent, surfaces.speed_of(i));
+        surfaces.solve_rolling(pair, i, c.impulse_normal);
       }
       pair.write_back(bodies);
     }
@@ -308,15 +299,6 @@ struct Contacts {
     real impulse = total - c.impulse_tangent;
     c.impulse_tangent = total;
     pair.apply_impulse(arms.a, arms.b, tangent * impulse);
-  }
-
-  // A torque against the spin of one on the other, of at most the normal force times `arm`.
-  KFN static void solve_rolling(Pair& pair, const Contact& c, real arm, real& accumulated) {
-    if (arm == real(0)) return;
-    real inertia = Math::inverse_or_zero(pair.inverse_inertia_a + pair.inverse_inertia_b), most = arm * c.impulse_normal;
-    real total = Math::clamp(accumulated - inertia * (pair.omega_b - pair.omega_a), -most, most);
-    pair.apply_angular_impulse(total - accumulated);
-    accumulated = total;
   }
 
   // What the last pass gave a bounce, joints and other contacts have shared out since. The next pass pushes as if the
@@ -390,12 +372,12 @@ struct Contacts {
         bool lasts = list[s].bounce == real(0);
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, lasts ? list[s].impulse_normal : real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
-        if (HAS_ROLLING_RESISTANCE) impulses.set(IMPULSE_ROLLING_IMPULSE + s, lasts ? rolling_impulse[s] : real(0));
+        surfaces.store(s, lasts, impulses);
       } else if (keys.get(s) >= 0) {
         keys.set(s, -1);
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, real(0));
-        if (HAS_ROLLING_RESISTANCE) impulses.set(IMPULSE_ROLLING_IMPULSE + s, real(0));
+        surfaces.store(s, false, impulses);
       } else {
         break;  // used slots are always the first ones
       }
