@@ -94,12 +94,17 @@ def load(file: Path) -> Steps:
             inverse_mass=shapes("inverse_mass"),
             inverse_inertia=shapes("inverse_inertia"),
             density=np.ones_like(shapes("friction")),
+            kinematic=np.zeros_like(shapes("active")),
             friction=shapes("friction"),
             restitution=shapes("restitution"),
             vertices=counter_clockwise(d["polygon.vertices"], d["polygon.n_vertices"]),
             num_vertices=d["polygon.n_vertices"],
             radius=d["circle.radius"],
             can_touch=d["can_touch"],
+            **dict.fromkeys(
+                ("surface_speed", "linear_damping", "angular_damping", "rolling_resistance"),
+                np.zeros((len(d["gravity"]), 0), np.float32),
+            ),
         ),
         joints=Joints(
             active=d["joint.active"],
@@ -138,6 +143,7 @@ def load(file: Path) -> Steps:
         joint_impulse=joint_impulse,
         contact_key=np.full((count, slots), -1, np.int32),
         contact_impulse=np.zeros((count, slots, 2), np.float32),
+        rolling_impulse=np.zeros((count, 0), np.float32),
     )
     key = d["contact_pair"] @ np.array([KEY_A, KEY_B]) + d["contact_order"]
     return Steps(

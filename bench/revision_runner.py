@@ -18,6 +18,7 @@ file uses nothing of the project but the `jax2d` on its path, in ways that every
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import sys
@@ -54,8 +55,14 @@ def scene_of(arrays: dict[str, np.ndarray]) -> Any:
         if (kind == 2).any():
             raise ValueError("this revision has no sliders; time it on other levels") from None
         flat = {FLAT_NAMES.get(name, name.split(".")[-1]): values for name, values in arrays.items()}
-        return jax2d.Scene(**(flat | {"joint_is_fixed": kind == 1}))
+        return jax2d.Scene(**known_to(jax2d.Scene, flat | {"joint_is_fixed": kind == 1}))
     return from_dict(jax2d.Scene, arrays)
+
+
+def known_to(kind: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """Of these fields those that a record of this revision has: worlds that are timed do not use what came later."""
+    names = {field.name for field in dataclasses.fields(kind)}
+    return {name: value for name, value in values.items() if name in names}
 
 
 def backend_of(options: dict[str, Any]) -> Any:
@@ -76,7 +83,9 @@ class Bench:
 
         options = json.loads(sys.argv[1]) if len(sys.argv) > 1 else {}
         settings = jax2d.preset(preset)
-        engine = jax2d.Engine(jax2d.Capacity(**capacity), settings=settings, backend=backend_of(options))
+        engine = jax2d.Engine(
+            jax2d.Capacity(**known_to(jax2d.Capacity, capacity)), settings=settings, backend=backend_of(options)
+        )
         with np.load(worlds) as file:
             fields = dict(file)
         starts = [fields.pop(name) for name in STARTS]

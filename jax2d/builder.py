@@ -13,30 +13,29 @@ Units: m, kg, s, rad; positions in the world frame. Functions that add a shape r
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from jax2d.body_options import Body, BodyOptions, Filter, body_of
 from jax2d.fields import empty
+from jax2d.given import (
+    SMALLEST_RADIUS_M,
+    Point,
+    SceneError,
+    SceneFullError,
+    check_polygon,
+    finite,
+    number,
+    positive,
+)
 from jax2d.scene import Capacity, JointKind, Scene
 from jax2d.shapes import polygon_integrals
 from jax2d.whole_numbers import whole_number
-
-Point = Sequence[float]
-SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
-SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
-LARGEST = 1e18  # any number given, masses and inertias and their inverses too: the square must fit float32
-
-
-class SceneError(ValueError):
-    """A scene that cannot be built; the message says what is wrong and what to do."""
-
-
-class SceneFullError(SceneError):
-    """The capacity has no slot left for what is added."""
 
 
 class BuiltWorld(NamedTuple):
@@ -49,24 +48,16 @@ class BuiltWorld(NamedTuple):
     angular_velocity: np.ndarray  # [n] rad/s
 
 
-class _Body(NamedTuple):
-    """What shapes of both kinds have, checked."""
-
-    shape: dict[str, float]  # fields of `Shapes`
-    angle: float
-    velocity: list[float]
-    angular_velocity: float
-
-
 class SceneBuilder:
     """Adds shapes, joints and thrusters to an empty world of the given capacity. A refused call adds nothing."""
 
     def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81)):
         self.capacity = capacity
-        self._gravity = np.asarray(_finite("gravity", gravity, 2), np.float32)
+        self._gravity = np.asarray(finite("gravity", gravity, 2), np.float32)
         n = capacity.shapes
         self._polygons = self._circles = self._joints = self._thrusters = 0
         self._apart: set[tuple[int, int]] = set()
+        self._filters: dict[int, Filter] = {}
         self._position = np.zeros((n, 2), np.float32)
         self._angle = np.zeros(n, np.float32)
         self._velocity = np.zeros((n, 2), np.float32)
@@ -75,68 +66,42 @@ class SceneBuilder:
 
     # Shapes
 
-    def add_polygon(
-        self,
-        vertices: Sequence[Point],
-        *,
-        position: Point = (0.0, 0.0),
-        angle: float = 0.0,
-        density: float = 1.0,
-        friction: float = 1.0,
-        restitution: float = 0.0,
-        fixed: bool = False,
-        velocity: Point = (0.0, 0.0),
-        angular_velocity: float = 0.0,
-    ) -> int:
-        """A convex polygon. `vertices` run counter-clockwise about any origin, which comes to `position`;
-        the shape's position in a state is its centre of mass."""
+    def add_polygon(self, vertices: Sequence[Point], **options: Any) -> int:
+        """A convex polygon; options are the fields of `BodyOptions`. `vertices` run counter-clockwise about any origin,
+        which comes to `position`; the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
         area, centroid, inertia = polygon_integrals(corners)
-        body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
-        at = np.asarray(_finite("position", position, 2)) + _rotate(centroid, body.angle)
+        body = body_of(area, inertia, BodyOptions(**options), self.capacity)
         index = self._take("polygons", self._polygons)
         self._polygons += 1
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
         self._scene.shapes.vertices[index] = padded - centroid
         self._scene.shapes.num_vertices[index] = len(corners)
-        self._set_shape(index, at, body)  # the given velocity is that of the centre of mass
+        self._set_shape(index, body, centroid)  # the given velocity is that of the centre of mass
         return index
 
-    def add_box(self, *, width: float, height: float, **options: object) -> int:
+    def add_box(self, *, width: float, height: float, **options: Any) -> int:
         """A rectangle centred on `position`; options as for add_polygon."""
-        x, y = _positive("width", width) / 2, _positive("height", height) / 2
-        return self.add_polygon([(-x, -y), (x, -y), (x, y), (-x, y)], **options)  # type: ignore[arg-type]
+        x, y = positive("width", width) / 2, positive("height", height) / 2
+        return self.add_polygon([(-x, -y), (x, -y), (x, y), (-x, y)], **options)
 
-    def add_circle(
-        self,
-        *,
-        radius: float,
-        position: Point = (0.0, 0.0),
-        angle: float = 0.0,
-        density: float = 1.0,
-        friction: float = 1.0,
-        restitution: float = 0.0,
-        fixed: bool = False,
-        velocity: Point = (0.0, 0.0),
-        angular_velocity: float = 0.0,
-    ) -> int:
-        """A disc."""
-        radius = _positive("radius", radius)
+    def add_circle(self, *, radius: float, **options: Any) -> int:
+        """A disc; options as for add_polygon."""
+        radius = positive("radius", radius)
         if radius < SMALLEST_RADIUS_M:
             raise SceneError(f"radius is {radius:g}; it must be at least {SMALLEST_RADIUS_M:.2g} m")
         area = math.pi * radius**2
-        inertia = 0.5 * area * radius**2
-        body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
-        at = np.asarray(_finite("position", position, 2))
+        body = body_of(area, 0.5 * area * radius**2, BodyOptions(**options), self.capacity)
         slot = self._take("circles", self._circles)
         self._circles += 1
         self._scene.shapes.radius[slot] = radius
         index = self.capacity.polygons + slot
-        self._set_shape(index, at, body)
+        self._set_shape(index, body, np.zeros(2))
         return index
 
     def keep_apart(self, a: int, b: int) -> None:
-        """Lets two shapes pass through each other. Shapes that a joint connects do so already."""
+        """Lets two shapes pass through each other. Shapes that a joint connects do so already; `category` and `mask`
+        do it for many."""
         a, b = self._shape("a", a), self._shape("b", b)
         if a == b:
             raise SceneError(f"shape {a} kept apart from itself; name two different shapes")
@@ -174,7 +139,7 @@ class SceneBuilder:
         `motor_speed` (in units of settings.base_slider_speed) a control drives b along the axis; `limits` bound how
         far it has slid from where it stands now, in m."""
         a = self._shape("a", a)
-        local_axis = _number("axis_angle", axis_angle) - float(self._angle[a])
+        local_axis = number("axis_angle", axis_angle) - float(self._angle[a])
         values = {"kind": JointKind.PRISMATIC, "axis_angle": local_axis}
         return self._add_joint(a, b, at, values | _drive(motor_speed, motor_power, limits))
 
@@ -185,10 +150,13 @@ class SceneBuilder:
     def add_thruster(self, body: int, *, at: Point, angle: float, power: float = 1.0) -> int:
         """A thruster at the world point `at` that pushes its body towards the world angle `angle`."""
         body = self._shape("body", body)
-        if self._is_fixed(body):
-            raise SceneError(f"thruster on shape {body}, which is fixed and would not move; put it on one that can")
+        if self._has_no_mass(body):
+            state = (
+                "kinematic and moves as its velocity says" if self._is_kinematic(body) else "fixed and would not move"
+            )
+            raise SceneError(f"thruster on shape {body}, which is {state}; put it on one that can be pushed")
         position = self._to_local(body, at)
-        local_angle, power = _number("angle", angle) - self._angle[body], _positive("power", power)
+        local_angle, power = number("angle", angle) - self._angle[body], positive("power", power)
         index = self._take("thrusters", self._thrusters)
         self._thrusters += 1
         thrusters = self._scene.thrusters
@@ -203,6 +171,8 @@ class SceneBuilder:
         """The scene and how it starts. The builder can be added to and built again."""
         n = self.capacity.shapes
         can_touch = ~np.eye(n, dtype=bool)
+        for (a, of_a), (b, of_b) in itertools.combinations(self._filters.items(), 2):
+            can_touch[a, b] = can_touch[b, a] = of_a.lets_touch(of_b)
         joints = self._scene.joints
         joined = list(zip(joints.a[joints.active], joints.b[joints.active], strict=True))
         for a, b in [*joined, *self._apart]:
@@ -219,22 +189,27 @@ class SceneBuilder:
             raise SceneFullError(f"{used} of {room} {kind} used; build with Capacity({kind}={room + 1}) or more")
         return used
 
-    def _set_shape(self, index: int, position: np.ndarray, body: _Body) -> None:
+    def _set_shape(self, index: int, body: Body, centre: np.ndarray) -> None:
+        """`centre` [2] m: of mass, from where `position` is, in the body frame."""
         shapes = self._scene.shapes
         shapes.active[index] = True
         for name, value in body.shape.items():
             getattr(shapes, name)[index] = value
-        self._position[index] = position
+        self._position[index] = np.asarray(body.position) + _rotate(centre, body.angle)
         self._angle[index] = body.angle
         self._velocity[index] = body.velocity
         self._angular_velocity[index] = body.angular_velocity
+        self._filters[index] = body.filter
 
     def _add_joint(self, a: int, b: int, at: Point, values: dict[str, float]) -> int:
         a, b = self._shape("a", a), self._shape("b", b)
         if a == b:
             raise SceneError(f"joint from shape {a} to itself; name two different shapes")
-        if self._is_fixed(a) and self._is_fixed(b):
-            raise SceneError(f"joint of shapes {a} and {b}, which are both fixed and would not move; leave it out")
+        if self._has_no_mass(a) and self._has_no_mass(b):
+            state = "fixed and would not move"
+            if self._is_kinematic(a) or self._is_kinematic(b):
+                state = "fixed or kinematic, and which nothing can push"
+            raise SceneError(f"joint of shapes {a} and {b}, which are both {state}; leave it out")
         anchors = self._to_local(a, at), self._to_local(b, at)
         index = self._take("joints", self._joints)
         self._joints += 1
@@ -247,14 +222,17 @@ class SceneBuilder:
             getattr(joints, name)[index] = value
         return index
 
-    def _is_fixed(self, shape: int) -> bool:
+    def _has_no_mass(self, shape: int) -> bool:
         return self._scene.shapes.inverse_mass[shape] == 0
+
+    def _is_kinematic(self, shape: int) -> bool:
+        return bool(self._scene.shapes.kinematic[shape])
 
     def _shape(self, name: str, index: int) -> int:
         try:
-            number = whole_number(name, index)
-            if 0 <= number < self.capacity.shapes and self._scene.shapes.active[number]:
-                return number
+            shape = whole_number(name, index)
+            if 0 <= shape < self.capacity.shapes and self._scene.shapes.active[shape]:
+                return shape
         except ValueError:
             pass
         raise SceneError(
@@ -262,17 +240,17 @@ class SceneBuilder:
         )
 
     def _to_local(self, body: int, at: Point) -> np.ndarray:
-        return _rotate(np.asarray(_finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
+        return _rotate(np.asarray(finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
 
 
 def _drive(motor_speed: float | None, motor_power: float, limits: tuple[float, float] | None) -> dict[str, float]:
     """Fields of `Joints` for a motor and limits."""
     values: dict[str, float] = {}
     if motor_speed is not None:
-        values |= {"motor_on": True, "motor_speed": _number("motor_speed", motor_speed)}
-        values |= {"motor_power": _positive("motor_power", motor_power)}
+        values |= {"motor_on": True, "motor_speed": number("motor_speed", motor_speed)}
+        values |= {"motor_power": positive("motor_power", motor_power)}
     if limits is not None:
-        lower, upper = _finite("limits", limits, 2)
+        lower, upper = finite("limits", limits, 2)
         if lower > upper:
             raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller number first")
         if not lower <= 0 <= upper:
@@ -284,115 +262,6 @@ def _drive(motor_speed: float | None, motor_power: float, limits: tuple[float, f
     return values
 
 
-def _body(
-    area: float,
-    second_moment: float,
-    angle: float,
-    density: float,
-    friction: float,
-    restitution: float,
-    fixed: bool,
-    velocity: Point,
-    angular_velocity: float,
-) -> _Body:
-    """`second_moment`: of area about the centre of mass, m^4."""
-    density = _positive("density", density)
-    friction, restitution = _number("friction", friction), _number("restitution", restitution)
-    if friction < 0:
-        raise SceneError(f"friction is {friction:g}; it must be 0 or more")
-    if not 0 <= restitution <= 1:
-        raise SceneError(f"restitution is {restitution:g}; it must be from 0 to 1")
-    speed, spin = _finite("velocity", velocity, 2), _number("angular_velocity", angular_velocity)
-    if fixed and (any(speed) or spin):
-        raise SceneError("a fixed shape cannot move: drop its velocity, or fixed=True")
-    mass, inertia = density * area, density * second_moment
-    if not fixed and not all(1 / LARGEST <= x <= LARGEST for x in (mass, inertia)):
-        raise SceneError(
-            f"the shape has a mass of {mass:g} kg and an inertia of {inertia:g} kg m^2; both must be from "
-            f"{1 / LARGEST:g} to {LARGEST:g}: change its size or density"
-        )
-    shape = {
-        "inverse_mass": 0.0 if fixed else 1.0 / mass,
-        "inverse_inertia": 0.0 if fixed else 1.0 / inertia,
-        "density": density,
-        "friction": friction,
-        "restitution": restitution,
-    }
-    return _Body(shape, _number("angle", angle), speed, spin)
-
-
-def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
-    """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
-    try:
-        corners = np.asarray(vertices, np.float64)
-    except (TypeError, ValueError):
-        raise SceneError("vertices are no list of (x, y) points; give numbers in metres, two for each") from None
-    if corners.ndim != 2 or corners.shape[1] != 2:
-        raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
-    if not (np.abs(corners) <= LARGEST).all():
-        raise SceneError(f"vertices hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
-    if not 3 <= len(corners) <= max_vertices:
-        raise SceneError(
-            f"{len(corners)} vertices; this capacity takes 3 to {max_vertices}, so split the shape or raise "
-            "Capacity.vertices"
-        )
-    edges = np.roll(corners, -1, 0) - corners
-    lengths = np.hypot(edges[:, 0], edges[:, 1])
-    for i, length in enumerate(lengths):
-        if length <= 1e-6 * max(lengths.max(), 1e-30):
-            raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
-    area, _, _ = polygon_integrals(corners)
-    turns = _cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
-    if abs(area) < SMALLEST_AREA_M2:
-        raise SceneError(f"the polygon has an area of {area:g} m^2; it needs at least {SMALLEST_AREA_M2:g}")
-    if area < 0 and (turns <= 1e-9).all():
-        raise SceneError("vertices run clockwise; list them counter-clockwise (reverse the list)")
-    if (turns < -1e-6).any() or area < 0 or _winding(edges) != 1:
-        bad = int(np.argmin(turns)) + 1
-        raise SceneError(
-            f"the polygon is not convex at vertex {bad % len(corners)}; split it into convex parts and weld them"
-        )
-    return corners
-
-
-def _winding(edges: np.ndarray) -> int:
-    """How often the outline turns around: 1 for a simple convex polygon, 2 for a pentagram."""
-    headings = np.arctan2(edges[:, 1], edges[:, 0])
-    turns = (np.diff(np.append(headings, headings[0])) + math.pi) % (2 * math.pi) - math.pi
-    return round(float(turns.sum()) / (2 * math.pi))
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
 def _rotate(v: np.ndarray, angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])
-
-
-def _finite(name: str, values: Sequence[float], count: int) -> list[float]:
-    try:
-        numbers = [_number(name, value) for value in values]
-    except (TypeError, SceneError):
-        numbers = []
-    if len(numbers) != count:
-        raise SceneError(f"{name} is {values!r}; give {count} finite numbers")
-    return numbers
-
-
-def _number(name: str, value: float) -> float:
-    try:
-        number = math.nan if isinstance(value, (str, bytes, bool)) else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not abs(number) <= LARGEST:
-        raise SceneError(f"{name} is {value!r}; give a finite number (of at most {LARGEST:g})")
-    return number
-
-
-def _positive(name: str, value: float) -> float:
-    number = _number(name, value)
-    if number <= 0:
-        raise SceneError(f"{name} is {number:g}; it must be positive and finite")
-    return number

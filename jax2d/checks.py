@@ -36,6 +36,18 @@ def check_state(state: State, capacity: Capacity, dtype: np.dtype, *, batch: tup
     _check_finite("state", state, {"contact_impulse": in_use})  # slots without a key are never read
 
 
+def completed(controls: Controls, capacity: Capacity, dtype: np.dtype, *, batch: tuple[int, ...]) -> Controls:
+    """Controls with zeros for what callers have left out."""
+    check_type("controls", controls, Controls)
+
+    def given(field: Field) -> Array:
+        values = field.get(controls)
+        left_out = field.may_be_none and values is None
+        return jnp.zeros((*batch, *field.shape(capacity.sizes)), dtype) if left_out else values
+
+    return make(Controls, given)
+
+
 def check_controls(controls: Controls, capacity: Capacity, dtype: np.dtype, *, batch: tuple[int, ...]) -> None:
     check_layout("controls", controls, capacity, dtype, batch)
     for field in fields_of(Controls):
@@ -100,7 +112,7 @@ def clamped_controls(controls: Controls) -> tuple[Controls, jax.Array]:
 
     def clamped(field: Field) -> jax.Array:
         values = jnp.asarray(field.get(controls))
-        invalid.append(jnp.sum(~_in_range(field, values), axis=-1, dtype=jnp.int32))
+        invalid.append(jnp.sum(~_in_range(field, values), axis=tuple(range(1, values.ndim)), dtype=jnp.int32))
         return jnp.where(jnp.isnan(values), 0, jnp.clip(values, field.at_least, field.at_most))
 
     within = make(Controls, clamped)

@@ -35,6 +35,9 @@ BACKGROUND: Colour = (250, 250, 248)
 INK: Colour = (52, 54, 62)
 FLAME_CORE: Colour = (255, 236, 140)
 FIXED_SHADE = 0.62  # fixed shapes are this much darker than movable ones of the same role
+KINEMATIC_SHADE = 0.8  # and kinematic ones
+BELT_ARROW_M = 0.1  # arrows along the outline of what has a surface speed, one every
+BELT_SPACING_M = 0.4
 OUTLINE_SHADE = 0.6
 
 DEFAULT_VIEW: Box = (-0.12, -0.12, 5.12, 5.12)  # the 5 x 5 m box with a rim of its walls
@@ -44,7 +47,7 @@ RAIL_M = 0.5  # of a slider without limits, to each side
 
 
 def shape_colours(scene: Scene, roles: Any = None, palette: Sequence[Colour] = ROLE_PALETTE) -> np.ndarray:
-    """Colour of every shape: that of its role, darker when the shape is fixed. [n, 3] uint8."""
+    """Colour of every shape: that of its role, darker when the shape is kinematic or fixed. [n, 3] uint8."""
     num_shapes = np.asarray(scene.shapes.active).shape[0]
     roles = np.zeros(num_shapes, int) if roles is None else np.asarray(roles).astype(int)
     if roles.shape != (num_shapes,) or roles.min() < 0 or roles.max() >= len(palette):
@@ -52,8 +55,9 @@ def shape_colours(scene: Scene, roles: Any = None, palette: Sequence[Colour] = R
             f"roles has shape {roles.shape} and values {roles.min()}..{roles.max()}; "
             f"give one role in 0..{len(palette) - 1} for each of the {num_shapes} shapes"
         )
-    is_fixed = np.asarray(scene.shapes.inverse_mass) == 0
-    shade = np.where(is_fixed, FIXED_SHADE, 1.0)[:, None]
+    has_no_mass = np.asarray(scene.shapes.inverse_mass) == 0
+    shade_without_mass = np.where(scene.shapes.kinematic, KINEMATIC_SHADE, FIXED_SHADE)
+    shade = np.where(has_no_mass, shade_without_mass, 1.0)[:, None]
     return (np.asarray(palette, float)[roles] * shade).astype(np.uint8)
 
 
@@ -207,6 +211,31 @@ def _draw_shapes(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.
             canvas.disc(position[i], radius, colours[i], outline=outline)
             rim = position[i] + rotate(np.array([radius * 0.9, 0.0]), angle[i])
             canvas.line(position[i], rim, outline, 1.6)  # a spoke: how far it has rolled
+        if i < len(scene.shapes.surface_speed) and scene.shapes.surface_speed[i] != 0:
+            for arrow in belt_arrows(scene, i):
+                canvas.polygon(position[i] + rotate(arrow, angle[i]), outline)
+
+
+def belt_arrows(scene: Scene, i: int) -> list[np.ndarray]:
+    """Arrows [3, 2] m in the frame of shape i along its outline, to where its surface goes."""
+    shapes = scene.shapes
+    num_polygons = shapes.vertices.shape[0]
+    if i < num_polygons:
+        corners = np.asarray(shapes.vertices[i, : shapes.num_vertices[i]], float)
+    else:
+        turns = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+        corners = rotate(np.array([float(shapes.radius[i - num_polygons]), 0.0]), turns)
+    arrows = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = np.linalg.norm(end - start)
+        along = (end - start) / length * -np.sign(shapes.surface_speed[i])  # clockwise, against the order of corners
+        inward = np.array([start[1] - end[1], end[0] - start[0]]) / length
+        count = max(1, int(length / BELT_SPACING_M))
+        for share in (np.arange(count) + 0.5) / count:
+            at = start + (end - start) * share + inward * 0.6 * BELT_ARROW_M
+            side = 0.5 * BELT_ARROW_M * rotate(along, np.pi / 2)
+            arrows.append(np.stack([at + along * BELT_ARROW_M, at + side, at - side]))
+    return arrows
 
 
 def slider_outline(scene: Scene, position: np.ndarray, angle: np.ndarray, k: int) -> np.ndarray:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointKind, Scene, capacity_of, only_what_acts
+from jax2d.scene import Capacity, JointKind, Scene, Shapes, capacity_of, only_what_acts
 
 # Bit i of `Touching.missing` is EFFECTS[i], bit len(EFFECTS) + j is a slot of SLOTS[j] beyond those compiled for.
 EFFECTS = (
@@ -35,7 +35,14 @@ EFFECTS = (
     "motors",
     "thrusters",
     "gravity",
+    "kinematic_bodies",
+    "surface_speed",
+    "damping",
+    "rolling_resistance",
+    "external_forces",
 )
+EXTENDED = EFFECTS[-4:]  # what a capacity with extended shapes has room for
+NOT_IN_PAPER = ("prismatic_joints", "kinematic_bodies", *EXTENDED)  # its appendix has none of them
 SLOTS = ("polygon_slots", "circle_slots", "joint_slots", "thruster_slots", "contact_slots")
 
 
@@ -60,6 +67,11 @@ class Effects:
     motors: bool = False  # of joints that are not fixed
     thrusters: bool = False
     gravity: bool = False  # that acts on a mass
+    kinematic_bodies: bool = False
+    surface_speed: bool = False  # of shapes that may touch
+    damping: bool = False  # of what can be pushed
+    rolling_resistance: bool = False  # where a circle may touch
+    external_forces: bool = False  # of controls: wherever a shape with room for them can be pushed
     # Number of slots, from the first, in which anything is active
     polygon_slots: int = 0
     circle_slots: int = 0
@@ -71,7 +83,7 @@ class Effects:
     def full(cls, capacity: Capacity) -> Effects:
         """Everything that a scene of this capacity can call for."""
         return cls(
-            **dict.fromkeys(EFFECTS, True),
+            **{name: capacity.extended_shapes or name not in EXTENDED for name in EFFECTS},
             polygon_slots=capacity.polygons,
             circle_slots=capacity.circles,
             joint_slots=capacity.joints,
@@ -80,8 +92,8 @@ class Effects:
         )
 
     def known_to(self, solver: str) -> Effects:
-        """These effects as far as a solver has them: the paper's appendix knows no prismatic joints."""
-        return self if solver == "soft_step" else self.without("prismatic_joints")
+        """These effects as far as a solver has them."""
+        return self if solver == "soft_step" else self.without(*NOT_IN_PAPER)
 
     def missing(self, other: Effects) -> tuple[str, ...]:
         """Names of what `other` calls for and this has not, in the order of EFFECTS and SLOTS."""
@@ -159,6 +171,8 @@ def called_for(scenes: Scene) -> EffectTable:
     flags["thrusters"] = jnp.asarray(scenes.thrusters.active).any(-1)
     has_gravity = (jnp.asarray(scenes.gravity) != 0).any(-1)
     flags["gravity"] = has_gravity & (scenes.shapes.inverse_mass > 0).any(-1)
+    flags["kinematic_bodies"] = scenes.shapes.kinematic.any(-1)
+    flags |= _called_for_by_extended_shapes(scenes.shapes, meets, polygons)
 
     points = {name: pairs.sum((-2, -1), dtype=jnp.int32) for name, pairs in between.items()}
     contacts = 2 * points["polygon_pairs"] + points["polygon_circle_pairs"] + points["circle_pairs"]
@@ -173,6 +187,21 @@ def called_for(scenes: Scene) -> EffectTable:
         flags=jnp.stack([flags[name] for name in EFFECTS], axis=-1),
         slots=jnp.stack([slots[name] for name in SLOTS], axis=-1),
     )
+
+
+def _called_for_by_extended_shapes(shapes: Shapes, meets: jax.Array, polygons: int) -> dict[str, jax.Array]:
+    """Flags of EXTENDED. `meets` [..., n, n]: who may touch whom."""
+    if shapes.surface_speed.shape[-1] == 0:
+        return dict.fromkeys(EXTENDED, jnp.zeros(meets.shape[:-2], bool))
+    has_circle = meets & (np.arange(meets.shape[-1]) >= polygons)  # pairs stand at [lower, higher]
+    yields, turns = jnp.asarray(shapes.inverse_mass) > 0, jnp.asarray(shapes.inverse_inertia) > 0
+    damped = (yields & (shapes.linear_damping > 0)) | (turns & (shapes.angular_damping > 0))
+    return {
+        "surface_speed": (meets & _of_pair(jnp.logical_or, jnp.abs(shapes.surface_speed))).any((-2, -1)),
+        "damping": damped.any(-1),
+        "rolling_resistance": (has_circle & _of_pair(jnp.logical_or, shapes.rolling_resistance)).any((-2, -1)),
+        "external_forces": (yields | turns).any(-1),
+    }
 
 
 def _of_pair(combine: jnp.ufunc, coefficient: Array) -> jax.Array:

@@ -30,6 +30,7 @@ from jax2d.checks import (
     check_state,
     check_type,
     clamped_controls,
+    completed,
     is_known,
     like,
 )
@@ -84,13 +85,18 @@ class Engine:
         dtype: Any = jnp.float32,
     ):
         """`effects`: what the kernel is compiled for, `effects_of(scenes)`; by default everything that the solver has
-        (the paper's has no prismatic joints). `backend`: "warp", the fused kernel, or "xla", the reference in plain JAX
-        (slow, differentiable, also in float64), or what makes another. `dtype` is that of states and of the
-        arithmetic."""
+        (the paper's lacks those of `effects.NOT_IN_PAPER`). `backend`: "warp", the fused kernel, or "xla", the
+        reference in plain JAX (slow, differentiable, also in float64), or what makes another. `dtype` is that of states
+        and of the arithmetic."""
         if isinstance(backend, str) and backend not in BACKENDS:
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity
         self.settings = settings if settings is not None else preset("standard")
+        if capacity.extended_shapes and self.settings.solver != "soft_step":
+            raise ValueError(
+                f"Capacity.extended_shapes is True, but solver {self.settings.solver!r} (preset paper) has nothing of "
+                "what it adds; leave it out, or use a preset of soft_step"
+            )
         wanted = effects if effects is not None else Effects.full(capacity)
         check_effects(wanted, capacity)
         self.effects = wanted.known_to(self.settings.solver)
@@ -150,6 +156,7 @@ class Engine:
             controls = self.no_controls(*batch)
         self._check_scene(scene, batch)
         check_state(state, self.capacity, self.dtype, batch=batch)
+        controls = completed(controls, self.capacity, self.dtype, batch=batch)
         check_controls(controls, self.capacity, self.dtype, batch=batch)
         single = not batch
         if single:
@@ -186,12 +193,14 @@ class Engine:
     def step_packed(
         self, scene: PackedScene, state: Any, controls: Controls, num_steps: int = 1
     ) -> tuple[Any, Touching]:
-        """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T]; inside jit those out of range
-        are clamped and counted in `Touching.invalid_controls`, outside they raise ValueError."""
+        """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T], of extended shapes also force
+        [W, n, 2] and torque [W, n], which may be None. Inside jit those out of range are clamped and counted in
+        `Touching.invalid_controls`, outside they raise ValueError."""
         check_type("scene", scene, PackedScene)
         num_worlds = scene.missing.shape[-1]
         for name, tables, expected in zip(("scene", "state"), (scene.tables, state), self._packed_shapes(num_worlds)):
             check_packed(name, tables, expected, num_worlds)
+        controls = completed(controls, self.capacity, self.dtype, batch=(num_worlds,))
         check_controls(controls, self.capacity, self.dtype, batch=(num_worlds,))
         return self._step_packed(scene, state, controls, num_steps)
 

@@ -8,7 +8,8 @@
 builders, moving slots and empty worlds are derived from the declarations (`fields_of`).
 
 Dimensions are letters of `Capacity.sizes` (n shapes, P polygons, V vertices, C circles, J joints, T thrusters,
-K contact slots) or digits. The first one says what the slots of a field are.
+K contact slots; E shapes and R contact slots of a capacity with extended shapes, else none) or digits. The first one
+says what the slots of a field are.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ class Field:
     refers_to: str | None = None  # "n": the numbers are those of shapes
     bits: int | None = None  # of an int in a packed word of the kernel
     stepped: bool = True  # read by a step
+    may_be_none: bool = False  # callers may leave it out: zeros
 
     @property
     def name(self) -> str:
@@ -66,7 +68,9 @@ class Field:
 
 def array(dims: str, kind: type, meaning: str, **facts: Any) -> Any:
     """Declares a field of a record; `facts` are those of `Field`."""
-    return dataclasses.field(metadata={_KEY: {"dims": tuple(dims.split()), "kind": kind, "meaning": meaning, **facts}})
+    default = {"default": None} if facts.get("may_be_none") else {}
+    declared = {"dims": tuple(dims.split()), "kind": kind, "meaning": meaning, **facts}
+    return dataclasses.field(metadata={_KEY: declared}, **default)
 
 
 def part(kind: type) -> Any:

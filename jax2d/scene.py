@@ -25,6 +25,7 @@ from jax2d.whole_numbers import whole_number
 
 MAX_SHAPES = 512  # an int32 contact key has 9 bits for each of two shapes, and 12 for the feature
 SHAPE_INDEX_BITS = 10  # of a shape's number in a packed word
+MAX_FORCE = 1e9  # N and N m of a control: more is a mistake, and squares of what it does must fit float32
 JOINT_IMPULSES = 5  # numbers that warm starting keeps of a joint
 EMPTY_POLYGON_M = ((0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1))  # corners of unused slots: never degenerate, never seen
 
@@ -46,6 +47,7 @@ class Capacity:
     joints: int
     thrusters: int
     vertices: int = 4  # a polygon has at most
+    extended_shapes: bool = False  # shapes have surface speed, damping and rolling resistance, controls have forces
 
     def __post_init__(self) -> None:
         for name in ("polygons", "circles", "joints", "thrusters", "vertices"):
@@ -58,6 +60,8 @@ class Capacity:
                 f"Capacity has {self.polygons} polygons and {self.circles} circles; a world holds at most {MAX_SHAPES} "
                 "shapes: split it into several worlds"
             )
+        if not isinstance(self.extended_shapes, bool):
+            raise ValueError(f"Capacity.extended_shapes is {self.extended_shapes!r}; it must be True or False")
         if not 3 <= self.vertices <= 8:
             raise ValueError(f"Capacity.vertices is {self.vertices}; polygons have 3 to 8 vertices")
 
@@ -70,6 +74,7 @@ class Capacity:
         """Lengths of the dimensions that fields are declared with."""
         letters = {"n": self.shapes, "P": self.polygons, "V": self.vertices, "C": self.circles, "J": self.joints}
         letters |= {"T": self.thrusters, "K": self.contact_slots}
+        letters |= {"E": self.shapes * self.extended_shapes, "R": self.contact_slots * self.extended_shapes}
         return letters | {str(number): number for number in range(1, 10)}
 
     @property
@@ -93,9 +98,12 @@ class Shapes:
     """`n` shapes, polygons first: `P` polygons of at most `V` vertices and `C` circles."""
 
     active: Array = array("n", bool, "padded slots are False", empty=False)
-    inverse_mass: Array = array("n", float, "0: does not move", unit="1/kg", at_least=0)
-    inverse_inertia: Array = array("n", float, "0: does not turn", unit="1/(kg m^2)", at_least=0)
+    inverse_mass: Array = array("n", float, "0: nothing pushes it", unit="1/kg", at_least=0)
+    inverse_inertia: Array = array("n", float, "0: nothing turns it", unit="1/(kg m^2)", at_least=0)
     density: Array = array("n", float, "for observations and editing", unit="kg/m^2", empty=1, stepped=False)
+    kinematic: Array = array(
+        "n", bool, "moves as its velocity says, and nothing pushes it: it has no mass", empty=False
+    )
     friction: Array = array("n", float, "coefficient", empty=1, at_least=0)
     restitution: Array = array("n", float, "share of the speed kept", at_least=0, at_most=1)
     vertices: Array = array(
@@ -108,6 +116,15 @@ class Shapes:
     num_vertices: Array = array("P", int, "of each polygon", empty=len(EMPTY_POLYGON_M))
     radius: Array = array("C", float, "of each circle", unit="m", empty=0.1, above=0)
     can_touch: Array = array("n n", bool, "symmetric, False on the diagonal; collision modes and joints applied")
+    # Of a capacity with extended shapes
+    surface_speed: Array = array(
+        "E", float, "of a belt around it, clockwise: the top of a floor goes towards +x", unit="m/s"
+    )
+    linear_damping: Array = array("E", float, "velocity decays at this rate", unit="1/s", at_least=0)
+    angular_damping: Array = array("E", float, "angular velocity decays at this rate", unit="1/s", at_least=0)
+    rolling_resistance: Array = array(
+        "E", float, "torque against rolling, share of normal force x radius; the larger of two counts", at_least=0
+    )
 
 
 @jax.tree_util.register_dataclass
@@ -193,6 +210,7 @@ class State:
     )
     contact_key: Array = array("K", int, "which pair and feature a slot belongs to; -1 for an unused slot", empty=-1)
     contact_impulse: Array = array("K 2", float, "normal, tangent", unit="N s")
+    rolling_impulse: Array = array("R", float, "of rolling resistance", unit="N m s")
 
 
 @jax.tree_util.register_dataclass
@@ -204,6 +222,25 @@ class Controls:
         "J", float, "share of the motor's target speed (0: motor exerts nothing)", at_least=-1, at_most=1
     )
     thruster: Array = array("T", float, "share of the thruster's power", at_least=0, at_most=1)
+    # Of a capacity with extended shapes, constant over the steps of a call
+    force: Array = array(
+        "E 2",
+        float,
+        "on each shape at its centre of mass, world frame",
+        unit="N",
+        at_least=-MAX_FORCE,
+        at_most=MAX_FORCE,
+        may_be_none=True,
+    )
+    torque: Array = array(
+        "E",
+        float,
+        "on each shape, counter-clockwise",
+        unit="N m",
+        at_least=-MAX_FORCE,
+        at_most=MAX_FORCE,
+        may_be_none=True,
+    )
 
 
 @jax.tree_util.register_dataclass
@@ -253,6 +290,7 @@ def capacity_of(scene: Scene) -> Capacity:
         joints=scene.joints.active.shape[-1],
         thrusters=scene.thrusters.active.shape[-1],
         vertices=scene.shapes.vertices.shape[-2],
+        extended_shapes=scene.shapes.surface_speed.shape[-1] > 0,
     )
 
 
@@ -275,6 +313,7 @@ def only_what_acts(scene: Scene) -> Scene:
         shapes={
             "inverse_mass": inverse_mass,
             "inverse_inertia": inverse_inertia,
+            "kinematic": active & shapes.kinematic,
             "num_vertices": jnp.clip(jnp.asarray(shapes.num_vertices), 3, shapes.vertices.shape[-2]),
             "can_touch": meets,
         },

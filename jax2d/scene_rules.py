@@ -59,7 +59,7 @@ def _range_text(field: Field) -> str:
 
 def _within(field: Field, number: np.ndarray, is_on: np.ndarray, shape_active: np.ndarray, *only: np.ndarray):
     del shape_active
-    if field.dims[0] == "C":
+    if field.dims[0] in "CE":  # of the last shapes, of all, or of none
         is_on = is_on[..., is_on.shape[-1] - number.shape[-1] :]
     for also in only:
         is_on = is_on & also
@@ -91,6 +91,10 @@ def _differs(b: np.ndarray, a: np.ndarray, is_on: np.ndarray) -> np.ndarray:
 
 def _in_order(lower: np.ndarray, upper: np.ndarray, has_limits: np.ndarray, is_on: np.ndarray) -> np.ndarray:
     return ~(is_on & has_limits) | (lower <= upper)
+
+
+def _has_no_mass(kinematic: np.ndarray, mass: np.ndarray, inertia: np.ndarray, active: np.ndarray) -> np.ndarray:
+    return ~(kinematic & active) | ((mass == 0) & (inertia == 0))
 
 
 def _polygons(shape_active: np.ndarray, num_vertices: np.ndarray) -> np.ndarray:
@@ -168,6 +172,11 @@ SCENE_RULES = (
         "have its centre of mass at (0, 0)",
     ),
     _rule("shapes.can_touch", _same_both_ways, "be the same for [i, j] and [j, i]"),
+    _rule(
+        "shapes.kinematic shapes.inverse_mass shapes.inverse_inertia shapes.active",
+        _has_no_mass,
+        "be False, or inverse_mass and inverse_inertia 0: nothing pushes a kinematic shape",
+    ),
     _rule("joints.b joints.a joints.active", _differs, "be another shape than joints.a"),
     _rule("joints.lower_limit joints.upper_limit joints.has_limits joints.active", _in_order, "be at most upper_limit"),
 )

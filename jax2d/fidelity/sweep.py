@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 from jax2d.fidelity.labels import setting_label
-from jax2d.settings import Settings, preset
+from jax2d.settings import Settings, fastest_spin, preset
 
 RATES = (30, 60, 120, 240, 480)  # 1/dt
 SUBSTEPS = (1, 2, 4, 8, 16)
@@ -64,11 +64,19 @@ def _around(base: Settings, *, quick: bool) -> Iterator[Settings]:
     for rate in RATES:
         for count in counts:
             if not quick or rate == 60 or count == base.substeps:
-                yield base.replace(dt=1 / rate, substeps=count)
+                yield _at(base, 1 / rate, count)
     for count in (base.substeps,) if quick else counts:
-        yield base.replace(substeps=count, warm_start=False)
+        yield _at(base, base.dt, count).replace(warm_start=False)
     if base.solver == "soft_step":
         for rate in (60,) if quick else RATES:
             for count in (8, 16):
                 stiff = base.replace(contact_hertz=STIFF_HERTZ, joint_hertz=STIFF_HERTZ)
-                yield stiff.replace(dt=1 / rate, substeps=count)
+                yield _at(stiff, 1 / rate, count)
+
+
+def _at(base: Settings, dt: float, count: int) -> Settings:
+    """Other steps, with the limit of spin that they admit: bodies of the study turn at less."""
+    limit = base.max_angular_speed
+    if base.solver == "soft_step":
+        limit = min(limit, fastest_spin(dt, count))
+    return base.replace(dt=dt, substeps=count, max_angular_speed=limit)

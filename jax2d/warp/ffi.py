@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from jax2d.effects import Effects
-from jax2d.fields import Array, Field, num_elements
+from jax2d.fields import Array, Field, fields_of, num_elements
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, only_what_acts, pack_bits
 from jax2d.settings import Settings
 from jax2d.solver_numbers import flat, solver_numbers
@@ -55,7 +55,7 @@ class StateTables:
     """State tables of the kernel, worlds last."""
 
     bodies: Array  # [6 n, num_worlds] float32: position, angle, velocity, angular velocity
-    impulses: Array  # [5 J + 2 K, num_worlds] float32
+    impulses: Array  # [5 J + 2 K + R, num_worlds] float32
     keys: Array  # [K, num_worlds] int32
 
 
@@ -175,8 +175,10 @@ class WarpBackend:
     ) -> tuple[StateTables, BackendReport]:
         c, rows = self.capacity, self.rows["OUT"]
         worlds = state.bodies.shape[1]
-        control_rows = [_worlds_last(x, jnp.float32) for x in (controls.motor, controls.thruster) if x.shape[-1]]
-        control_table = jnp.concatenate(control_rows) if control_rows else jnp.zeros((1, worlds), jnp.float32)
+        control_rows = [_worlds_last(field.get(controls), jnp.float32) for field in fields_of(Controls)]
+        control_table = jnp.concatenate(control_rows)
+        if control_table.shape[0] == 0:  # a table needs a row
+            control_table = jnp.zeros((1, worlds), jnp.float32)
         bodies, impulses, keys, out = self._launch(num_steps)(
             scene.floats,
             scene.ints,

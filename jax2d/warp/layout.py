@@ -7,6 +7,7 @@ numbers into C++ constants. A field of `Scene.joints.anchor_a` stands at SCENE_J
     SCENE    floats of the scene
     INTS     bools over shapes as bit sets; whole numbers of polygons; a packed word for each joint and thruster
     STATE    floats of bodies               IMPULSE  floats kept for warm starting         KEYS  of contacts
+    CONTROLS floats of controls
     OUT      what a call reports
 """
 
@@ -16,7 +17,7 @@ import dataclasses
 import functools
 
 from jax2d.fields import Field, fields_of, num_elements
-from jax2d.scene import Capacity, Scene, State
+from jax2d.scene import Capacity, Controls, Scene, State
 
 WORD_BITS = 31  # of an int32 that stays positive
 
@@ -75,6 +76,7 @@ class Layout:
                 table: _stack({cpp_name(field): num_elements(field, sizes) for field in state_floats(table)})
                 for table in ("STATE", "IMPULSE")
             },
+            "CONTROLS": _stack({cpp_name(field): num_elements(field, sizes) for field in fields_of(Controls)}),
             "OUT": _stack({"AT_END": c.shapes * words, "DURING": c.shapes * words, "OVERFLOW": 1, "LIMITED": 1}),
         }
 

@@ -28,7 +28,7 @@ def table_bytes(capacity: Capacity) -> dict[str, int]:
     heights = {table: rows["ROWS"] for table, rows in Layout(capacity).rows().items()}
     rows = {
         "scene": heights["SCENE"] + heights["INTS"],
-        "controls": max(1, capacity.joints + capacity.thrusters),
+        "controls": max(1, heights["CONTROLS"]),
         "state": heights["STATE"] + heights["IMPULSE"] + capacity.contact_slots,
         "out": heights["OUT"],
     }

@@ -28,6 +28,7 @@ NATIVE_FILES = (
     "manifolds.h",
     "sweep.h",
     "pairs.h",
+    "surfaces.h",
     "contacts.h",
     "joint.h",
     "sliders.h",

@@ -32,11 +32,17 @@ class Bodies(NamedTuple):
     turn: jax.Array  # [n] rad, turned since the start of the step
     inverse_mass: jax.Array  # [n] 1/kg
     inverse_inertia: jax.Array  # [n] 1/(kg m^2)
+    is_kinematic: jax.Array  # [n] bool, moves as it was told
     limited: jax.Array  # [] int32, times a speed limit acted
 
     @property
     def is_dynamic(self) -> jax.Array:
+        """[n] bool, something can push it."""
         return (self.inverse_mass > 0) | (self.inverse_inertia > 0)
+
+    @property
+    def moves(self) -> jax.Array:
+        return self.is_dynamic | self.is_kinematic
 
 
 def load(scene: Scene, state: State) -> Bodies:
@@ -48,6 +54,7 @@ def load(scene: Scene, state: State) -> Bodies:
         turn=jnp.zeros_like(state.angle),
         inverse_mass=scene.shapes.inverse_mass,
         inverse_inertia=scene.shapes.inverse_inertia,
+        is_kinematic=scene.shapes.kinematic & (scene.shapes.inverse_mass == 0) & (scene.shapes.inverse_inertia == 0),
         limited=jnp.zeros((), jnp.int32),
     )
 
@@ -68,15 +75,27 @@ def apply_gravity(bodies: Bodies, gravity: jax.Array, dt: Scalar) -> Bodies:
     return bodies._replace(velocities=Velocities(jnp.where(falls, velocity + gravity * dt, velocity), omega))
 
 
+def apply_damping(bodies: Bodies, scene: Scene, h: Scalar) -> Bodies:
+    """Implicit Euler: v / (1 + h d), which no rate makes unstable."""
+    if scene.shapes.linear_damping.shape[0] == 0:
+        return bodies
+    velocity, omega = bodies.velocities
+    slower, turns_slower = (1 / (1 + h * d) for d in (scene.shapes.linear_damping, scene.shapes.angular_damping))
+    velocity = jnp.where((bodies.inverse_mass > 0)[:, None], velocity * slower[:, None], velocity)
+    return bodies._replace(
+        velocities=Velocities(velocity, jnp.where(bodies.inverse_inertia > 0, omega * turns_slower, omega))
+    )
+
+
 def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies:
     """Speed limits; each time one acts is counted."""
     velocity, omega = bodies.velocities
-    dynamic = bodies.is_dynamic
+    moves = bodies.moves
     speed_squared = vec2.dot(velocity, velocity)
-    too_fast = dynamic & (speed_squared > max_speed * max_speed)
+    too_fast = moves & (speed_squared > max_speed * max_speed)
     slowed = max_speed / jnp.sqrt(jnp.where(too_fast, speed_squared, 1))
     velocity = jnp.where(too_fast[:, None], velocity * slowed[:, None], velocity)
-    spins_too_fast = dynamic & (jnp.abs(omega) > max_omega)
+    spins_too_fast = moves & (jnp.abs(omega) > max_omega)
     omega = jnp.where(spins_too_fast, jnp.sign(omega) * max_omega, omega)
     return bodies._replace(
         velocities=Velocities(velocity, omega),
@@ -87,10 +106,10 @@ def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies
 def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bodies:
     """Semi-implicit Euler: position from the velocity just solved, within the speed limits."""
     bodies = limit_speeds(bodies, max_speed, max_omega)
-    dynamic = bodies.is_dynamic
+    moves = bodies.moves
     return bodies._replace(
-        delta=bodies.delta + jnp.where(dynamic[:, None], bodies.velocities.velocity * dt, 0),
-        turn=bodies.turn + jnp.where(dynamic, bodies.velocities.omega * dt, 0),
+        delta=bodies.delta + jnp.where(moves[:, None], bodies.velocities.velocity * dt, 0),
+        turn=bodies.turn + jnp.where(moves, bodies.velocities.omega * dt, 0),
     )
 
 

@@ -3,7 +3,7 @@ has a part in that.
 
 Once the sub-steps are solved, rounds of passes over joints and contacts go on until every bounce has its speed. They
 change velocities only: impulses remembered for the next step are those of before, since a bounce does not last. Bounces
-give a world no more energy than the step began with, and motors and thrusters have added since.
+give a world no more energy than the step began with, and motors, thrusters and moving surfaces have added since.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from jax2d.xla.contact_solver import (
     push_apart,
     rows_now,
     solve_friction,
+    solve_rolling,
+    surface_work,
     with_impulses,
 )
 from jax2d.xla.contacts import Contacts
@@ -48,6 +50,7 @@ class EnergyLimit(NamedTuple):
     """What bounces must not exceed."""
 
     max_energy: jax.Array  # [] J, see `energy`
+    carried: jax.Array  # [] J, what moving surfaces and kinematic bodies have done
     gravity: jax.Array  # [2] m/s^2
 
 
@@ -86,11 +89,15 @@ def bounce(
             )
             return jax.tree.map(lambda x, y: jnp.where(now.done, x, y), now, after), None
 
-        leaving = BounceTargets(leaving_speed, rows_now(bodies, contacts).mass_normal, contacts.approach)
+        leaving = BounceTargets(
+            leaving_speed, rows_now(bodies, contacts, -0.5 * params.h).mass_normal, contacts.approach
+        )
         no, none_bounces = jnp.array(False), ~jnp.any(leaving_speed > 0)
         start = Round(bodies, joints, contacts, leaving, converged=no, friction_applied=no, done=none_bounces)
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
-        return limit(bodies, end.bodies, energy_limit, params.h)
+        carried = carried_work(end.bodies, end.joints, end.contacts, params.h)
+        by_bounces = energy_limit._replace(carried=carried - energy_limit.carried)
+        return limit(bodies, end.bodies, by_bounces, params.h)
 
     # Worlds are stepped together, and mostly nothing bounces in any of them.
     velocities = jax.lax.cond(in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: bodies.velocities)
@@ -106,14 +113,21 @@ def energy(bodies: Bodies, velocities: Velocities, gravity: jax.Array, h: Scalar
     return jnp.sum(kinetic - mass * vec2.dot(bodies.delta, gravity))
 
 
+def carried_work(bodies: Bodies, joints: Joints, contacts: Contacts, h: Scalar) -> jax.Array:
+    """J, what moving surfaces and kinematic bodies have done in this sub-step."""
+    return surface_work(bodies, contacts, h) + joints_of.kinematic_work(bodies, joints)
+
+
 def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -> Velocities:
     """Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more than
-    there is. Then everything gets the same share of its change of velocity: joints and contacts stay solved."""
-    max_energy, gravity = energy_limit
+    there is. Then everything gets the same share of its change of velocity: joints and contacts stay solved. What
+    moving surfaces have done to what bounced is theirs to give."""
+    max_energy, carried, gravity = energy_limit
     mass, inertia = vec2.inverse_or_zero(before.inverse_mass), vec2.inverse_or_zero(before.inverse_inertia)
     change = jax.tree.map(jnp.subtract, after.velocities, before.velocities)
     midway = before.velocities.velocity + 0.5 * h * gravity
     linear = jnp.sum(mass * vec2.dot(midway, change.velocity) + inertia * before.velocities.omega * change.omega)
+    linear -= carried
     quadratic = 0.5 * jnp.sum(mass * vec2.dot(change.velocity, change.velocity) + inertia * change.omega**2)
     was = energy(before, before.velocities, gravity, h)
     too_much = (was + linear + quadratic > max_energy * (1 + C.energy_rounding)) & (quadratic > 0)
@@ -154,21 +168,26 @@ def solve_bounces(
         impulse = jnp.where(bounces, mass * (bounce.speed - vn), -c.mass_normal * (vn + apart))
         pushed, normal_total = push_apart(of, c, impulse)
         friction_applied, tangent_total = solve_friction(pushed, c, normal_total)
+        friction_applied, rolling_total = solve_rolling(friction_applied, c, normal_total)
         has_friction = with_friction | ~bounces
         of = jax.tree.map(lambda x, y: jnp.where(has_friction, x, y), friction_applied, pushed)
         tangent_total = jnp.where(has_friction, tangent_total, c.impulse_tangent)
+        if rolling_total is not None:
+            rolling_total = jnp.where(has_friction, rolling_total, c.rolling_impulse)
         after = BounceTargets(bounce.speed, mass, vn)
         return scatter_velocities(velocities, c.pair, before, of), (
             normal_total,
             tangent_total,
+            rolling_total,
             after,
             has_converged | ~bounces,
         )
 
-    velocities, (normal, tangent, leaving, converged) = jax.lax.scan(
-        solve, bodies.velocities, (rows_now(bodies, contacts), leaving, apart)
+    velocities, (normal, tangent, rolling, leaving, converged) = jax.lax.scan(
+        solve, bodies.velocities, (rows_now(bodies, contacts, -0.5 * params.h), leaving, apart)
     )
-    return bodies._replace(velocities=velocities), with_impulses(contacts, normal, tangent), leaving, jnp.all(converged)
+    contacts = with_impulses(contacts._replace(rolling_impulse=rolling), normal, tangent)
+    return bodies._replace(velocities=velocities), contacts, leaving, jnp.all(converged)
 
 
 def update_secant_mass(

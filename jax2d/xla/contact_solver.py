@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.solver_numbers import SolverNumbers
+from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.active_set import ActiveSet, marked
 from jax2d.xla.bodies import (
@@ -16,6 +16,7 @@ from jax2d.xla.bodies import (
     Pair,
     PairVelocities,
     Velocities,
+    apply_angular_impulse,
     apply_impulse,
     pair_mass,
     pair_velocities,
@@ -32,12 +33,16 @@ def warm_start(bodies: Bodies, contacts: Contacts) -> tuple[Bodies, Contacts]:
         impulse_normal=jnp.where(contacts.is_blow, 0, contacts.impulse_normal),
         impulse_tangent=jnp.where(contacts.is_blow, 0, contacts.impulse_tangent),
     )
+    if contacts.rolling_impulse is not None:
+        contacts = contacts._replace(rolling_impulse=jnp.where(contacts.is_blow, 0, contacts.rolling_impulse))
     impulse = (
         contacts.normal * contacts.impulse_normal[:, None]
         + vec2.right(contacts.normal) * contacts.impulse_tangent[:, None]
     )
     before = pair_velocities(contacts.pair, bodies.velocities)
     after = apply_impulse(before, contacts.pair, *arms_now(bodies, contacts), impulse)
+    if contacts.rolling_impulse is not None:
+        after = apply_angular_impulse(after, contacts.pair, contacts.rolling_impulse)
     return bodies._replace(velocities=scatter_velocities(bodies.velocities, contacts.pair, before, after)), contacts
 
 
@@ -54,6 +59,37 @@ def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
     apart = jnp.where(contacts.against_fixed[:, None], 0, apart)
     share = contacts.follows_b[:, None]
     return contacts.arm_a + apart * share, contacts.arm_b - apart * (1 - share)
+
+
+def carried_arms(
+    bodies: Bodies, contacts: Contacts, arm_a: jax.Array, arm_b: jax.Array, ahead: Scalar
+) -> tuple[jax.Array, jax.Array]:
+    """`arms_now`, but on a kinematic body to where the other's surface is `ahead` seconds from now: in the middle of a
+    sub-step the velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out
+    nor in."""
+    apart = contacts.normal * jnp.maximum(contacts.separation, 0)[:, None] + moved_apart(bodies, contacts)
+
+    def turned(arm: jax.Array, body: jax.Array) -> jax.Array:
+        return arm + vec2.left(arm) * (pick(body, bodies.velocities.omega) * ahead)[:, None]
+
+    pair = contacts.pair
+    return (
+        jnp.where(contacts.kinematic_a[:, None], turned(arm_a + apart, pair.is_a), arm_a),
+        jnp.where(contacts.kinematic_b[:, None], turned(arm_b - apart, pair.is_b), arm_b),
+    )
+
+
+def surface_work(bodies: Bodies, contacts: Contacts, h: Scalar) -> jax.Array:
+    """J, what moving surfaces have done to the bodies in this sub-step of h."""
+    row = rows_now(bodies, contacts, -0.5 * h)
+    on_b = row.normal * row.impulse_normal[:, None] + vec2.right(row.normal) * row.impulse_tangent[:, None]
+    of = pair_velocities(row.pair, bodies.velocities)
+    by_a = vec2.dot(on_b, of.velocity_a + vec2.left(row.arm_a) * of.omega_a[:, None])
+    by_b = vec2.dot(on_b, of.velocity_b + vec2.left(row.arm_b) * of.omega_b[:, None])
+    work = jnp.where(contacts.kinematic_a, by_a, 0) - jnp.where(contacts.kinematic_b, by_b, 0)
+    if contacts.surface_speed is not None:
+        work += contacts.impulse_tangent * contacts.surface_speed * (contacts.key >= 0)
+    return jnp.sum(work)
 
 
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
@@ -90,21 +126,34 @@ def solve_soft(
     included = active.includes(contacts.pair)
     contacts = contacts._replace(is_blow=contacts.is_blow | (active.again & included))
 
+    ahead = 0.5 * params.h if use_bias else -0.5 * params.h  # with bias the sub-step is to come, without it is past
+
     def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
         c, bias, mass_scale, impulse_scale, is_blow, included = row
         before = pair_velocities(c.pair, velocities)
         impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + bias) - impulse_scale * c.impulse_normal
         of, normal_total = push_apart(before, c, impulse)
-        tangent_total = c.impulse_tangent
+        tangent_total, rolling_total = c.impulse_tangent, c.rolling_impulse
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
         blow, changed = solve_blow(before, c, bias)
-        after = _choose(is_blow, blow, (of, normal_total, tangent_total))
-        of, *totals = _choose(included, after, (before, c.impulse_normal, c.impulse_tangent))
+        of, normal_total, tangent_total = _choose(is_blow, blow, (of, normal_total, tangent_total))
+        if not use_bias:
+            of, rolling_total = solve_rolling(of, c, normal_total)
+        totals, unsolved = (
+            (normal_total, tangent_total, rolling_total),
+            (
+                c.impulse_normal,
+                c.impulse_tangent,
+                c.rolling_impulse,
+            ),
+        )
+        of, totals = _choose(included, (of, totals), (before, unsolved))
         return scatter_velocities(velocities, c.pair, before, of), (*totals, included & is_blow & changed)
 
-    rows = (rows_now(bodies, contacts), bias, mass_scale, impulse_scale, contacts.is_blow, included)
-    velocities, (normal, tangent, changed) = jax.lax.scan(solve, bodies.velocities, rows)
+    rows = (rows_now(bodies, contacts, ahead), bias, mass_scale, impulse_scale, contacts.is_blow, included)
+    velocities, (normal, tangent, rolling, changed) = jax.lax.scan(solve, bodies.velocities, rows)
+    contacts = contacts._replace(rolling_impulse=rolling)
     return (
         bodies._replace(velocities=velocities),
         with_impulses(contacts, normal, tangent),
@@ -124,6 +173,8 @@ def solve_blow(
     tangent = vec2.right(c.normal)
     v = relative_velocity(of, c.arm_a, c.arm_b)
     vn, vt = vec2.dot(c.normal, v) + bias, vec2.dot(tangent, v)
+    if c.surface_speed is not None:
+        vt -= c.surface_speed
     na, nb = vec2.cross(c.arm_a, c.normal), vec2.cross(c.arm_b, c.normal)
     ta, tb = vec2.cross(c.arm_a, tangent), vec2.cross(c.arm_b, tangent)
     mass = c.pair.mass_a + c.pair.mass_b
@@ -169,15 +220,19 @@ class Row(NamedTuple):
     impulse_normal: jax.Array
     impulse_tangent: jax.Array
     friction: jax.Array
+    surface_speed: jax.Array | None  # of extended shapes
+    rolling_arm: jax.Array | None
+    rolling_impulse: jax.Array | None
 
 
 def rows_of(contacts: Contacts) -> Row:
     return Row(*(getattr(contacts, name) for name in Row._fields))
 
 
-def rows_now(bodies: Bodies, contacts: Contacts) -> Row:
-    """As the bodies stand now, which `rows_of` has as they stood when the contacts were found."""
-    arm_a, arm_b = arms_now(bodies, contacts)
+def rows_now(bodies: Bodies, contacts: Contacts, ahead: Scalar) -> Row:
+    """As the bodies stand now, which `rows_of` has as they stood when the contacts were found; `ahead` [] s: see
+    `carried_arms`."""
+    arm_a, arm_b = carried_arms(bodies, contacts, *arms_now(bodies, contacts), ahead)
     return rows_of(contacts)._replace(
         arm_a=arm_a,
         arm_b=arm_b,
@@ -194,7 +249,19 @@ def with_impulses(contacts: Contacts, normal: jax.Array, tangent: jax.Array) -> 
 def solve_friction(of: Any, c: Row, normal_total: jax.Array) -> tuple[Any, jax.Array]:
     tangent = vec2.right(c.normal)
     vt = vec2.dot(tangent, relative_velocity(of, c.arm_a, c.arm_b))
+    if c.surface_speed is not None:
+        vt -= c.surface_speed
     max_friction = c.friction * normal_total
     total = jnp.clip(c.impulse_tangent - c.mass_tangent * vt, -max_friction, max_friction)
     total = jnp.where(c.friction == 0, c.impulse_tangent, total)
     return apply_impulse(of, c.pair, c.arm_a, c.arm_b, tangent * (total - c.impulse_tangent)[..., None]), total
+
+
+def solve_rolling(of: Any, c: Row, normal_total: jax.Array) -> tuple[Any, jax.Array | None]:
+    """A torque against the spin of one on the other, of at most the normal force times `rolling_arm`."""
+    if c.rolling_arm is None or c.rolling_impulse is None:
+        return of, None
+    inertia = vec2.inverse_or_zero(c.pair.inertia_a + c.pair.inertia_b)
+    most = c.rolling_arm * normal_total
+    total = jnp.clip(c.rolling_impulse - inertia * (of.omega_b - of.omega_a), -most, most)
+    return apply_angular_impulse(of, c.pair, total - c.rolling_impulse), total

@@ -33,11 +33,18 @@ class Contacts(NamedTuple):
     mass_tangent: jax.Array
     impulse_normal: jax.Array  # [K] N s
     impulse_tangent: jax.Array
+    surface_speed: (
+        jax.Array | None
+    )  # [K] m/s along the tangent, at which b shall go against a; None: no extended shapes
+    rolling_arm: jax.Array | None  # [K] m, largest torque a normal force
+    rolling_impulse: jax.Array | None  # [K] N m s
     friction: jax.Array  # [K]
     restitution: jax.Array
     approach: jax.Array  # [K] m/s, relative normal speed before solving, negative when approaching
     max_impulse: jax.Array  # [K] N s, largest normal impulse in this step
-    against_fixed: jax.Array  # [K] bool
+    against_fixed: jax.Array  # [K] bool, one of the two cannot be pushed
+    kinematic_a: jax.Array  # [K] bool, a cannot be pushed and moves
+    kinematic_b: jax.Array
     is_blow: jax.Array  # [K] bool, they meet fast, and were apart before
     overflow: jax.Array  # [] int32, points that found no slot
     each_substep: jax.Array  # [] bool, what is found does not hold for the whole step: something turns or hits too fast
@@ -52,12 +59,15 @@ class ContactCache(NamedTuple):
 
     key: jax.Array  # [K] int32
     impulse: jax.Array  # [K, 2] N s
+    rolling: jax.Array | None = None  # [K] N m s, of extended shapes
 
 
 def cache_of(contacts: Contacts, passes: jax.Array | bool = False) -> ContactCache:
     """Impulses for warm starting, none of what does not last, [K]."""
     impulse = jnp.stack([contacts.impulse_normal, contacts.impulse_tangent], -1)
-    return ContactCache(contacts.key, jnp.where(jnp.asarray(passes)[..., None], 0, impulse))
+    rolling = contacts.rolling_impulse
+    rolling = None if rolling is None else jnp.where(passes, 0, rolling)
+    return ContactCache(contacts.key, jnp.where(jnp.asarray(passes)[..., None], 0, impulse), rolling)
 
 
 class Context(NamedTuple):
@@ -83,7 +93,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
     arm_a = points.point - half_gap
     arm_b = points.point + half_gap - (bodies.position[b] - bodies.position[a])
     key = jnp.where(points.exists, (a << C.feature_bits + C.shape_bits) | (b << C.feature_bits) | points.feature, -1)
-    impulse = jnp.where(params.warm_start, _remembered(key, cache), 0)
+    impulse = jnp.where(params.warm_start, _remembered(key, cache, cache.impulse), 0)
     velocity = relative_velocity(pair_velocities(pair, bodies.velocities), arm_a, arm_b)
     dynamic = bodies.is_dynamic
     approach = vec2.dot(points.normal, velocity)
@@ -102,12 +112,15 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         mass_tangent=pair_mass(pair, arm_a, arm_b, vec2.right(points.normal)),
         impulse_normal=impulse[:, 0],
         impulse_tangent=impulse[:, 1],
+        **_of_extended_shapes(scene, a, b, key, cache, params),
         friction=mix_friction(friction_a, friction_b, params, rules),
         restitution=jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b]),
         approach=approach,
         max_impulse=jnp.zeros_like(points.separation),
         against_fixed=~(dynamic[a] & dynamic[b]),
         is_blow=(approach < -C.blow_speed) & (impulse[:, 0] == 0) & rules.is_soft,
+        kinematic_a=bodies.is_kinematic[a] & points.exists,
+        kinematic_b=bodies.is_kinematic[b] & points.exists,
         overflow=overflow,
         each_substep=each_substep,
         predicted=predicted,
@@ -167,10 +180,27 @@ def _hits_hard(
     return -approach * dt > jnp.maximum(points.separation, 0) + params.speculative_distance + thin
 
 
-def _remembered(key: jax.Array, cache: ContactCache) -> jax.Array:
-    """Impulses [K, 2] that the step before stored under these keys, zero for new contacts."""
+def _of_extended_shapes(
+    scene: Scene, a: jax.Array, b: jax.Array, key: jax.Array, cache: ContactCache, params: SolverNumbers
+) -> dict[str, jax.Array | None]:
+    """Fields of `Contacts` that only a capacity with extended shapes has."""
+    shapes = scene.shapes
+    if cache.rolling is None:
+        return dict.fromkeys(("surface_speed", "rolling_arm", "rolling_impulse"))
+    share = jnp.maximum(shapes.rolling_resistance[a], shapes.rolling_resistance[b])
+    radius = jnp.concatenate([jnp.zeros(shapes.num_vertices.shape[0], share.dtype), shapes.radius])  # of what can roll
+    remembered = _remembered(key, cache, cache.rolling[:, None])[:, 0]
+    return {
+        "surface_speed": shapes.surface_speed[a] + shapes.surface_speed[b],
+        "rolling_arm": share * jnp.maximum(radius[a], radius[b]),
+        "rolling_impulse": jnp.where(params.warm_start, remembered, 0),
+    }
+
+
+def _remembered(key: jax.Array, cache: ContactCache, impulses: jax.Array) -> jax.Array:
+    """Those of `impulses` [K, m] that the step before stored under these keys, zero for new contacts."""
     is_same = (key[:, None] == cache.key[None]) & (key[:, None] >= 0)
-    old = cache.impulse[jnp.argmax(is_same, axis=1)]
+    old = impulses[jnp.argmax(is_same, axis=1)]
     return jnp.where(jnp.any(is_same, axis=1)[:, None], old, 0)
 
 

@@ -1,4 +1,4 @@
-"""Thrusters: forces that an agent applies to bodies."""
+"""Forces on bodies from outside: of thrusters, and what callers compute themselves."""
 
 from __future__ import annotations
 
@@ -59,3 +59,25 @@ def _in_world(bodies: Bodies, thrusters: Thrusters) -> tuple[jax.Array, jax.Arra
     angle, turn = pick(thrusters.is_on, bodies.angle), pick(thrusters.is_on, bodies.turn)
     arm = vec2.rotated(vec2.rotated(thrusters.position, angle), turn)
     return arm, vec2.rotated(vec2.rotated(thrusters.force, angle), turn)
+
+
+def apply_external(bodies: Bodies, controls: Controls, dt: Scalar) -> Bodies:
+    """At centres of mass, in the world's frame, constant over a call."""
+    if controls.torque.shape[0] == 0:
+        return bodies
+    velocity, omega = bodies.velocities
+    return bodies._replace(
+        velocities=Velocities(
+            velocity + controls.force * (dt * bodies.inverse_mass)[:, None],
+            omega + controls.torque * (dt * bodies.inverse_inertia),
+        )
+    )
+
+
+def external_work(bodies: Bodies, controls: Controls, dt: Scalar) -> Scalar:
+    """J, what they have added to the bodies' energy in `dt`."""
+    if controls.torque.shape[0] == 0:
+        return 0.0
+    velocity, omega = bodies.velocities
+    power = vec2.dot(controls.force, velocity) + controls.torque * omega
+    return jnp.sum(jnp.where(bodies.is_dynamic, jnp.maximum(power * dt, 0), 0))

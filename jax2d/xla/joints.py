@@ -353,6 +353,24 @@ def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
     return jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
 
 
+def kinematic_work(bodies: Bodies, joints: Joints) -> jax.Array:
+    """J, what kinematic bodies have done through joints in this sub-step."""
+    rows, impulses, pair = constraints(bodies, joints), joints.impulses, joints.pair
+    parts = (
+        (rows.first, impulses.point[:, 0]),
+        (rows.second, impulses.point[:, 1]),
+        (rows.axial, impulses.angular_impulse + impulses.lower - impulses.upper),
+    )
+    on_b = sum(row.direction * impulse[:, None] for row, impulse in parts)
+    angular_a = sum(row.lever_a * impulse for row, impulse in parts)
+    angular_b = sum(row.lever_b * impulse for row, impulse in parts)
+    of = pair_velocities(pair, bodies.velocities)
+    by_a = vec2.dot(on_b, of.velocity_a) + angular_a * of.omega_a
+    by_b = vec2.dot(on_b, of.velocity_b) + angular_b * of.omega_b
+    is_a, is_b = (pick(body, bodies.is_kinematic.astype(on_b.dtype)) > 0 for body in (pair.is_a, pair.is_b))
+    return jnp.sum(jnp.where(is_a, by_a, 0) - jnp.where(is_b, by_b, 0))
+
+
 def held_mass(pair: Pair, rows: Constraints) -> jax.Array:
     """Inverse of K, the 2 x 2 inverse effective mass of the two rows that are held, [J, 2, 2]."""
     k11 = inverse_mass(pair, rows.first, rows.first)

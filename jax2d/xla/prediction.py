@@ -37,7 +37,7 @@ def travel(bodies: Bodies, arm: jax.Array, left: Scalar) -> jax.Array:
     velocity, omega = bodies.velocities
     gone = vec2.length(bodies.delta) + arm * jnp.abs(bodies.turn)
     there = gone + (vec2.length(velocity) + arm * jnp.abs(omega)) * left
-    return jnp.where(bodies.is_dynamic, there, 0)
+    return jnp.where(bodies.moves, there, 0)
 
 
 def margins(predicted: TravelPrediction, reach: Scalar, *, ahead: bool) -> jax.Array:

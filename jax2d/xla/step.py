@@ -60,6 +60,7 @@ def run(
             joint_impulse=joints_of.store(end.joints, state),
             contact_key=end.cache.key,
             contact_impulse=end.cache.impulse,
+            rolling_impulse=state.rolling_impulse if end.cache.rolling is None else end.cache.rolling,
         )
         return after, (end.touch, end.overflow, bodies.limited)
 
@@ -104,6 +105,8 @@ def soft_step(
         found_contacts = find(found, cache, left)
         found_joints = joints_of.prepare(found, scene, joints.impulses, controls, params)
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
+        # Of a sub-step that was stopped, bodies have had the impulses already.
+        found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
         bodies, contacts, joints, max_energy = _choose(
             is_found,
             (found, found_contacts, found_joints, found_energy),
@@ -113,6 +116,8 @@ def soft_step(
 
         driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
         driven = forces.apply(driven, thrusters, h)
+        driven = forces.apply_external(driven, controls, h)
+        driven = bodies_of.apply_damping(driven, scene, h)
         driven = joints_of.warm_start(driven, joints)
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
         bodies, contacts = _choose(interrupted, (bodies, contacts), (driven, warm_contacts))
@@ -127,10 +132,13 @@ def soft_step(
         interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
         bodies, joints, contacts = _solve_passes(bodies, joints, contacts, params, rules, use_bias=False)
         max_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
+        max_energy += forces.external_work(bodies, controls, h)
+        carried = bounces.carried_work(bodies, joints, contacts, h)
+        max_energy += carried
 
         is_end = interrupted | every_substep | (substep == rules.substeps)
         leaving = jnp.where(is_end, bounces.leaving_speed(bodies, contacts, scene.gravity, params), 0)
-        energy_limit = bounces.EnergyLimit(max_energy, scene.gravity)
+        energy_limit = bounces.EnergyLimit(max_energy, carried, scene.gravity)
         bounced = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
         progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy)
@@ -234,7 +242,8 @@ def _begin(
 ) -> tuple[Bodies, Joints, ContactCache]:
     bodies = bodies_of.load(scene, state)
     joints = joints_of.prepare(bodies, scene, joints_of.load(state, params), controls, params)
-    return bodies, joints, ContactCache(state.contact_key, state.contact_impulse)
+    rolling = state.rolling_impulse if state.rolling_impulse.shape[0] else None
+    return bodies, joints, ContactCache(state.contact_key, state.contact_impulse, rolling)
 
 
 def _nothing_recorded(capacity: Capacity, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:

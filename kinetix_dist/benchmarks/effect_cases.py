@@ -59,6 +59,7 @@ def without(scene: Scene, effect: str) -> Scene:
         "motors": {"joints": {"motor_on": zero(scene.joints.motor_on)}},
         "thrusters": {"thrusters": {"active": zero(scene.thrusters.active)}},
         "gravity": {"gravity": zero(scene.gravity)},
+        "kinematic_bodies": {"shapes": {"kinematic": zero(scene.shapes.kinematic)}},
     }
     for kind in JointKind:
         others = scene.joints.active & ~np.asarray(scene.joints.is_kind(kind))
@@ -85,7 +86,7 @@ def cases_of(full: Engine, levels: Level, controls: Controls, seed: int) -> list
         case(AS_THEY_ARE, "full", everything),
         case(AS_THEY_ARE, "specialised", effects_of(levels.scene)),
     ]
-    for effect in EFFECTS:
+    for effect in (name for name in EFFECTS if getattr(everything, name)):
         edited = spread(full.pack_scene(without(levels.scene, effect)))
         if effect != "continuous_collision":
             cases.append(case(effect, "full", everything, edited))

@@ -19,4 +19,5 @@ def start_state(level: Level) -> State:
         joint_impulse=np.zeros((num_joints, 5), np.float32),
         contact_key=np.zeros(0, np.int32),
         contact_impulse=np.zeros((0, 2), np.float32),
+        rolling_impulse=np.zeros(0, np.float32),
     )

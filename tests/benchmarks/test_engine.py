@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jax2d import JointKind
-from jax2d.effects import EFFECTS, effects_of
+from jax2d.effects import EFFECTS, EXTENDED, effects_of
 from kinetix_dist.benchmarks import engine_growth
 from kinetix_dist.benchmarks.effect_cases import without
 from kinetix_dist.benchmarks.growth_fit import exponent
@@ -21,6 +21,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.level.sets import load_level_set
 from tests.helpers import REPOSITORY
 
+EFFECTS_OF_LEVELS = [name for name in EFFECTS if name not in EXTENDED]
 FIELDS = {"engine", "backend", "preset", "size", "worlds", "device", "physics_steps_per_second"}
 
 
@@ -67,7 +68,7 @@ def test_worlds_of_growth_have_as_many_shapes_as_asked_for(scene: str, shapes: i
     assert world.scene.shapes.active.all() and world.scene.shapes.active.size == shapes
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", EFFECTS_OF_LEVELS)
 def test_levels_edited_to_do_without_an_effect_do_not_call_for_it(effect: str) -> None:
     scene = load_level_set("designed_l")[0].scene
     everything_meets = np.broadcast_to(
@@ -78,14 +79,14 @@ def test_levels_edited_to_do_without_an_effect_do_not_call_for_it(effect: str) -
     kinds = np.array(scene.joints.kind)
     kinds[a_motor] = JointKind.PRISMATIC  # with motor and limits: no designed level has a slider
     scene = scene.replace(
-        shapes={"can_touch": everything_meets, "restitution": bounces},
+        shapes={"can_touch": everything_meets, "restitution": bounces, "kinematic": scene.shapes.inverse_mass == 0},
         joints={"kind": kinds},
     )
     before, after = effects_of(scene), effects_of(without(scene, effect))
     # All that may touch calls for continuous collision.
     gone = set() if effect == "continuous_collision" else {effect}
-    assert all(getattr(before, name) for name in EFFECTS)
-    assert {name for name in EFFECTS if not getattr(after, name)} == gone
+    assert all(getattr(before, name) for name in EFFECTS_OF_LEVELS)
+    assert {name for name in EFFECTS_OF_LEVELS if not getattr(after, name)} == gone
 
 
 @pytest.mark.slow
@@ -95,9 +96,9 @@ def test_every_effect_is_measured_with_and_without_its_code(tmp_path: Path) -> N
     assert all(set(record) == fields for record in records)
     measured = [(record["effect"], record["engine"]) for record in records]
     assert len(set(measured)) == len(measured)
-    assert {effect for effect, engine in measured if engine == "without"} == set(EFFECTS)
+    assert {effect for effect, engine in measured if engine == "without"} == set(EFFECTS_OF_LEVELS)
     assert {effect for effect, engine in measured if engine == "full"} == {
-        "all", "bouncing everywhere", "empty scene", "one falling box", *EFFECTS
+        "all", "bouncing everywhere", "empty scene", "one falling box", *EFFECTS_OF_LEVELS
     } - {"continuous_collision"}  # fmt: skip
     assert ("all", "specialised") in measured
     assert records[0]["relative_to_full"] == 1.0

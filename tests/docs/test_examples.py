@@ -12,14 +12,29 @@ from PIL import Image
 from tests.helpers import REPOSITORY
 
 
-def test_catapult_draws_the_best_throw_and_the_map(tmp_path: Path) -> None:
-    picture = tmp_path / "throw.png"
-    command = [sys.executable, str(REPOSITORY / "docs/examples/catapult.py"), "--to", str(picture), "--per-axis", "6"]
+def run_example(name: str, *arguments: str) -> str:
+    """What it prints."""
+    command = [sys.executable, str(REPOSITORY / "docs/examples" / name), *arguments]
     done = subprocess.run(
         command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(REPOSITORY)}, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert "36 variations" in done.stdout
-    for path in (picture, tmp_path / "throw_map.png"):
+    return done.stdout
+
+
+def assert_drawn(*pictures: Path) -> None:
+    for path in pictures:
         with Image.open(path) as image:
-            assert len(image.convert("RGB").getcolors(1 << 20) or []) > 5  # something is drawn
+            assert len(image.convert("RGB").getcolors(1 << 20) or []) > 5
+
+
+def test_catapult_draws_the_best_throw_and_the_map(tmp_path: Path) -> None:
+    picture = tmp_path / "throw.png"
+    assert "36 variations" in run_example("catapult.py", "--to", str(picture), "--per-axis", "6")
+    assert_drawn(picture, tmp_path / "throw_map.png")
+
+
+def test_belt_lift_and_platform_carry_both_boxes_away(tmp_path: Path) -> None:
+    picture = tmp_path / "platforms.png"
+    assert "2 boxes ride on the platform at 0.70 m/s" in run_example("platforms.py", "--to", str(picture))
+    assert_drawn(picture)

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from jax2d import Capacity, SceneBuilder, SceneError, SceneFullError
-from tests.engine.worlds import builder
+from jax2d import Capacity, SceneBuilder, SceneError, SceneFullError, preset
+from tests.engine.worlds import builder, run
 
 
 def test_triangle_has_the_mass_centroid_and_inertia_of_the_textbook_wherever_it_is_authored():
@@ -149,3 +149,55 @@ def test_a_refused_call_adds_nothing():
 def test_numbers_that_make_no_body_are_refused(options, message):
     with pytest.raises(SceneError, match=message):
         builder().add_circle(**{"radius": 1.0} | options)
+
+
+# Who may touch whom, and friction
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "touch"),
+    [
+        ({}, {}, True),
+        ({"category": 2}, {"mask": 1}, False),
+        ({"category": 2, "mask": 4}, {"category": 4, "mask": 2}, True),
+        ({"category": 2, "mask": 4}, {"category": 4, "mask": 1}, False),  # both ways
+        ({"category": 6}, {"mask": 4}, True),  # one bit is enough
+        ({"category": 0}, {}, False),
+        ({"category": 2**15}, {"mask": 2**15}, True),
+    ],
+)
+def test_categories_and_masks_say_who_may_touch_whom(one: dict, other: dict, touch: bool):
+    b = builder()
+    pair = b.add_box(width=1, height=1, **one), b.add_circle(radius=1, **other)
+    b.add_circle(radius=1)
+    can_touch = b.build().scene.shapes.can_touch
+    assert can_touch[pair] == can_touch[pair[::-1]] == touch
+    np.testing.assert_array_equal(can_touch, can_touch.T)
+
+
+@pytest.mark.parametrize("name", ["standard", "paper"])
+def test_friction_coefficient_is_what_two_like_shapes_have(name: str):
+    """A box slides to a stop after v^2 / (2 mu g)."""
+    b, mu, speed = builder(), 0.3, 2.0
+    b.add_box(width=20, height=1, position=(0, -0.5), fixed=True, friction_coefficient=mu)
+    box = b.add_box(width=1, height=0.5, position=(0, 0.25), velocity=(speed, 0), friction_coefficient=mu)
+    end = run(b.build(), 1.5, settings=preset(name))
+    assert end.position[box, 0] == pytest.approx(speed**2 / (2 * mu * 9.81), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"category": 65536}, "category is 65536; it has 16 bits: give 0 to 65535"),
+        ({"mask": -1}, "mask is -1; it has 16 bits"),
+        ({"category": 1.0}, "category is 1.0; it must be a whole number"),
+        (
+            {"friction": 1.0, "friction_coefficient": 0.5},
+            "friction 1.0 and friction_coefficient 0.5 are the same in two",
+        ),
+        ({"friction_coefficient": -0.1}, "friction_coefficient is -0.1; it must be 0 or more"),
+    ],
+)
+def test_filters_and_coefficients_that_are_none_are_refused(options: dict, message: str):
+    with pytest.raises(SceneError, match=message):
+        builder().add_circle(radius=1.0, **options)

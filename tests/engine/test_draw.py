@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from jax2d.draw import BACKGROUND, ROLE_PALETTE, draw
+from jax2d import Capacity, SceneBuilder
+from jax2d.draw import BACKGROUND, ROLE_PALETTE, belt_arrows, draw, shape_colours
 from jax2d.images import film_strip, write_gif, write_png
 from tests.telemetry.worlds import CAPACITY, START, rectangle, scene
 
@@ -126,3 +127,19 @@ def test_rectangles_of_the_test_world_are_counter_clockwise() -> None:
     corners = np.array(rectangle(2, 1))
     following = np.roll(corners, -1, axis=0)
     assert (corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum() / 2 == pytest.approx(2.0)
+
+
+def test_belts_have_arrows_where_they_go_and_kinematic_shapes_a_shade_of_their_own():
+    capacity = Capacity(polygons=3, circles=1, joints=0, thrusters=0, extended_shapes=True)
+    b = SceneBuilder(capacity)
+    shades = [b.add_box(width=1, height=0.4, **state) for state in ({}, {"kinematic": True}, {"fixed": True})]
+    belt = b.add_circle(radius=0.5, fixed=True, surface_speed=-2.0)
+    scene = b.build().scene
+    free, kinematic, fixed = shape_colours(scene)[shades, 0]
+    assert free > kinematic > fixed
+    for arrow in belt_arrows(scene, belt):
+        tip, *base = arrow
+        ahead = tip - np.mean(base, axis=0)
+        middle = arrow.mean(0)
+        assert middle[0] * ahead[1] - middle[1] * ahead[0] > 0  # counter-clockwise: the speed is negative
+        assert np.linalg.norm(arrow, axis=1).max() < 0.5

@@ -101,7 +101,7 @@ DART = UNIT_BOX * [[1, 1], [1, 1], [-0.4, -0.4], [1, 1]]
             "shapes.inverse_mass",
             1,
             -1.0,
-            r"shapes\.inverse_mass\[1\] is -1\.0; it must be 0 or more \(0: does not move\)",
+            r"shapes\.inverse_mass\[1\] is -1\.0; it must be 0 or more \(0: nothing pushes it\)",
         ),
         ("shapes.inverse_inertia", 1, -1.0, r"shapes\.inverse_inertia\[1\] is -1\.0; it must be 0"),
         ("joints.motor_power", 0, -1.0, r"joints\.motor_power\[0\] is -1\.0; it must be 0 or more"),
@@ -323,6 +323,14 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
         ({"substeps": 2.5}, "substeps is 2.5; it must be a whole number"),
         ({"substeps": 0}, "substeps is 0; at least 1 is needed"),
         ({"solver": "sequential_impulses", "solver_batch_size": 16.0}, "solver_batch_size is 16.0; it must be a whole"),
+        (
+            {"substeps": 1},
+            "max_angular_speed is 50: a body could turn by 0.83 rad a sub-step .*; lower it to 30, lower dt",
+        ),
+        (
+            {"dt": 1 / 20, "substeps": 16},
+            "max_angular_speed is 50: .* and 2.5 rad a step, .*; lower it to 40, lower dt",
+        ),
         ({"warm_start": 1}, "warm_start is 1; it must be True or False"),
         (
             {"solver": "sequential_impulses", "published_details": ["last_pair"]},

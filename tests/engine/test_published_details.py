@@ -44,7 +44,15 @@ def at_rest(position: np.ndarray, angle: np.ndarray) -> Bodies:
     ones = jnp.ones_like(angle)
     still = jnp.zeros_like(position)
     return Bodies(
-        jnp.asarray(position), jnp.asarray(angle), Velocities(still, zeros), still, zeros, ones, ones, zeros[0]
+        jnp.asarray(position),
+        jnp.asarray(angle),
+        Velocities(still, zeros),
+        still,
+        zeros,
+        ones,
+        ones,
+        zeros > 0,
+        zeros[0],
     )
 
 

@@ -246,6 +246,7 @@ def test_measures_are_those_of_the_states(batch: Trajectory):
                 joint_impulse=None,
                 contact_key=None,
                 contact_impulse=None,
+                rolling_impulse=None,
             )
             assert energy[k, i] == pytest.approx(float(measure.energy(one, state)), rel=1e-5)
             assert momentum[k, i] == pytest.approx(np.asarray(measure.momentum(one, state)), rel=1e-5)

@@ -35,6 +35,7 @@ def scene() -> Scene:
             inverse_mass=inverse_mass,
             inverse_inertia=inverse_mass,
             density=np.ones(n, np.float32),
+            kinematic=np.zeros(n, bool),
             friction=np.ones(n, np.float32),
             restitution=np.zeros(n, np.float32),
             vertices=np.array(
@@ -43,6 +44,9 @@ def scene() -> Scene:
             num_vertices=np.array([4, 4, 4, 3, 4], np.int32),
             radius=np.array([0.35, 0, 0], np.float32),
             can_touch=~np.eye(n, dtype=bool),
+            **dict.fromkeys(
+                ("surface_speed", "linear_damping", "angular_damping", "rolling_resistance"), np.zeros(0, np.float32)
+            ),
         ),
         joints=Joints(
             active=np.array([True, False]),

@@ -6,7 +6,7 @@ struct Bodies {
   real angle[NUM_SHAPES];
   Rotation rotation[NUM_SHAPES];
   unsigned int present[SHAPE_WORDS];  // a bit a shape that is active
-  unsigned int moving[SHAPE_WORDS];   // a bit a shape that can move; most work is for these alone
+  unsigned int moving[SHAPE_WORDS];   // a bit a shape that moves; most work is for these alone
   int limited;                        // times a speed limit acted
 
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
@@ -57,7 +57,12 @@ struct Bodies {
 
   KFN static bool has(const unsigned int* shapes, int i) { return (shapes[i / 32] >> (i % 32) & 1u) != 0u; }
   KFN bool is_active(int i) const { return has(present, i); }
-  KFN bool is_dynamic(int i) const { return has(moving, i); }
+  KFN bool moves(int i) const { return has(moving, i); }
+  // Something can push it: kinematic bodies move as they were told.
+  KFN bool is_dynamic(int i) const {
+    return HAS_KINEMATIC_BODIES ? inverse_mass(i) > real(0) || inverse_inertia(i) > real(0) : moves(i);
+  }
+  KFN bool is_kinematic(int i) const { return HAS_KINEMATIC_BODIES && moves(i) && !is_dynamic(i); }
 
   KFN void load(const Column& scene, const IntColumn& ints, const Column& state) {
     limited = 0;
@@ -77,7 +82,10 @@ struct Bodies {
       at(i, INVERSE_MASS) = scene.get(SCENE_SHAPES_INVERSE_MASS + slot);
       at(i, INVERSE_INERTIA) = scene.get(SCENE_SHAPES_INVERSE_INERTIA + slot);
       present[i / 32] |= 1u << (i % 32);
-      if (inverse_mass(i) > real(0) || inverse_inertia(i) > real(0)) moving[i / 32] |= 1u << (i % 32);
+      bool moves = inverse_mass(i) > real(0) || inverse_inertia(i) > real(0);
+      if (HAS_KINEMATIC_BODIES)
+        moves |= ((unsigned int)(ints.get(INTS_SHAPES_KINEMATIC + slot / 32)) >> (slot % 32) & 1u) != 0u;
+      if (moves) moving[i / 32] |= 1u << (i % 32);
     }
   }
 
@@ -95,7 +103,7 @@ struct Bodies {
   // `fixed_too`: in the first step of a call; what cannot move stays as it was made then.
   KFN void begin_step(bool fixed_too) {
     for (int i = 0; i < NUM_SHAPES; ++i) {
-      if (!is_active(i) || (!fixed_too && !is_dynamic(i))) continue;
+      if (!is_active(i) || (!fixed_too && !moves(i))) continue;
       set_delta(i, {real(0), real(0)});
       at(i, TURN) = real(0);
       rotation[i] = {cosf(angle[i]), sinf(angle[i])};
@@ -116,6 +124,19 @@ struct Bodies {
     for (Each each = Each::of(moving); each.next();) {
       int i = each.shape;
       if (inverse_mass(i) > real(0)) set_velocity(i, velocity(i) + gravity * dt);
+    }
+  }
+
+  // Implicit Euler: v / (1 + h d), which no rate makes unstable.
+  KFN void apply_damping(const Column& scene, real h) {
+    if (!HAS_DAMPING) return;
+    for (Each each = Each::of(moving); each.next();) {
+      int i = each.shape, slot = Slot::of(i);
+      real one = real(1);
+      if (inverse_mass(i) > real(0))
+        set_velocity(i, velocity(i) * (one / (one + h * scene.get(SCENE_SHAPES_LINEAR_DAMPING + slot))));
+      if (inverse_inertia(i) > real(0))
+        set_omega(i, omega(i) * (one / (one + h * scene.get(SCENE_SHAPES_ANGULAR_DAMPING + slot))));
     }
   }
 

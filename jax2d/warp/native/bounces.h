@@ -1,4 +1,5 @@
-// What bounces may not give a world: more energy than the step began with, and motors and thrusters have added since.
+// What bounces may not give a world: more energy than the step began with, and motors, thrusters and moving surfaces
+// have added since.
 // Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more; then
 // everything that bounces gets the same share of its change of velocity, so that joints and contacts stay solved.
 //
@@ -27,8 +28,9 @@ struct Bounces {
     }
   }
 
-  KFN void limit(Bodies& bodies, Vec2 gravity, real h) const {
-    // With a share s of the change: before + linear s + quadratic s^2.
+  // `carried`: J, what moving surfaces have done to what bounced, which is theirs to give.
+  KFN void limit(Bodies& bodies, Vec2 gravity, real h, real carried) const {
+    // With a share s of the change: before + linear s + quadratic s^2, of which the surfaces give their share.
     real before = real(0), linear = real(0), quadratic = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
@@ -40,6 +42,7 @@ struct Bounces {
       linear += mass * v.dot(dv) + inertia * omega[i] * dw;
       quadratic += real(0.5) * (mass * dv.dot(dv) + inertia * dw * dw);
     }
+    linear -= carried;
     real after = before + linear + quadratic;
     if (after <= max_energy * (real(1) + ENERGY_ROUNDING)) return;
     real room = Math::max(max_energy - before, real(0));

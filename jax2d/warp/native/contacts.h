@@ -15,12 +15,14 @@ struct Contact {
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
   real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
   real max_impulse;         // largest normal impulse in this step
-  bool against_fixed;
-  bool is_blow;              // they meet fast, and were apart before
+  bool against_fixed;      // one of the two cannot be pushed
+  bool against_kinematic;  // and moves
+  bool is_blow;            // they meet fast, and were apart before
 };
 
 struct Contacts {
   Contact list[NUM_CONTACTS + 1];
+  Surfaces surfaces;
   int count, overflow;
   Pairs pairs;
   bool each_substep;  // what is found does not hold for the whole step: something turns too far or hits too hard
@@ -69,6 +71,7 @@ struct Contacts {
           ++overflow;
           continue;
         }
+        surfaces.load(count, scene, geometry, a, b);
         Contact& c = list[count++];
         c.a = a;
         c.b = b;
@@ -83,6 +86,7 @@ struct Contacts {
         c.friction = friction;
         c.restitution = restitution;
         c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
+        if (HAS_KINEMATIC_BODIES) c.against_kinematic = bodies.is_kinematic(a) || bodies.is_kinematic(b);
         c.mass_normal = pair_mass(bodies, c, m.normal);
         c.mass_tangent = pair_mass(bodies, c, m.normal.right());
         c.impulse_normal = real(0);
@@ -95,6 +99,7 @@ struct Contacts {
           if (key == c.key) {
             c.impulse_normal = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s);
             c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s + 1);
+            surfaces.remember(count - 1, old_impulses, s);
             break;
           }
         }
@@ -128,7 +133,7 @@ struct Contacts {
     for (Bodies::Each one = Bodies::Each::of(far_shapes); one.next();) {
       for (Bodies::Each other = Bodies::Each::of(bodies.present); other.next();) {
         int a = Math::min_int(one.shape, other.shape), b = Math::max_int(one.shape, other.shape);
-        real both = (bodies.is_dynamic(a) ? travel[a] : real(0)) + (bodies.is_dynamic(b) ? travel[b] : real(0));
+        real both = (bodies.moves(a) ? travel[a] : real(0)) + (bodies.moves(b) ? travel[b] : real(0));
         if (both - geometry.predicted_travel[a] - geometry.predicted_travel[b] <= reach) continue;
         Vec2 d = bodies.position[b] - bodies.position[a];
         if (geometry.bounds_overlap(a, b, d, both) && can_touch(ints, a, b) && !has_contact(a, b)) return true;
@@ -184,17 +189,46 @@ struct Contacts {
   }
 
   // Whether the same impulse is to be expected again: not that of a blow or bounce.
-  KFN static bool lasts(const Contact& c) {
-    return c.bounce == real(0) && !c.is_blow;
+  KFN static bool lasts(const Contact& c) { return c.bounce == real(0) && !c.is_blow; }
+
+  // On a kinematic body the place where the other's surface is, `ahead` seconds from now: in the middle of a sub-step the
+  // velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out nor in.
+  KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Vec2 moved, real ahead) {
+    Vec2 apart = c.normal * Math::max(c.separation, real(0)) + moved;
+    bool is_a = bodies.is_kinematic(c.a);
+    Vec2 arm = is_a ? c.arm_a + apart : c.arm_b - apart;
+    arm = arm + arm.left() * (bodies.omega(is_a ? c.a : c.b) * ahead);
+    return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
+  }
+
+  // J, what moving surfaces have done to the bodies in this sub-step of h.
+  KFN real surface_work(const Bodies& bodies, real h) const {
+    real work = real(0);
+    for (int i = 0; i < count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++i) {
+      const Contact& c = list[i];
+      if (HAS_SURFACE_SPEED) work += c.impulse_tangent * surfaces.speed_of(i);
+      if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) continue;
+      bool is_a = bodies.is_kinematic(c.a);
+      int k = is_a ? c.a : c.b;
+      Arms arms = carried_arms(bodies, c, moved(bodies, c), real(-0.5) * h);
+      Vec2 impulse_on_b = c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent;
+      real done = impulse_on_b.dot(bodies.velocity(k) + (is_a ? arms.a : arms.b).left() * bodies.omega(k));
+      work += is_a ? done : -done;
+    }
+    return work;
   }
 
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
-      if (!lasts(c)) c.impulse_normal = c.impulse_tangent = real(0);
+      if (!lasts(c)) {
+        c.impulse_normal = c.impulse_tangent = real(0);
+        surfaces.forget(i);
+      }
       Pair pair = Pair::of(bodies, c.a, c.b);
       Arms arms = arms_now(c, moved(bodies, c));
       pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+      surfaces.warm_start(pair, i);
       pair.write_back(bodies);
     }
   }
@@ -228,6 +262,9 @@ struct Contacts {
       Vec2 moved = Contacts::moved(bodies, c);
       real separation = current_separation(bodies, c, moved);
       Arms arms = arms_now(c, moved);
+      // With bias the sub-step is to come, in the relax pass it is past.
+      if (HAS_KINEMATIC_BODIES && c.against_kinematic)
+        arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
       if (separation > real(0)) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more
@@ -251,7 +288,8 @@ struct Contacts {
       }
       c.is_blow |= active.again;
       if (c.is_blow && round == 0) {
-        if (solve_block(pair, c, arms, bias) > SETTLED_SPEED) active.mark(bodies, c.a, c.b);
+        if (solve_block(pair, c, arms, bias, surfaces.speed_of(i)) > SETTLED_SPEED) active.mark(bodies, c.a, c.b);
+        if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
         pair.write_back(bodies);
         continue;
@@ -262,17 +300,20 @@ struct Contacts {
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(arms.a, arms.b, c.normal * impulse);
-      if (!use_bias && (with_friction || !bounces)) solve_friction(pair, c, arms, mass_tangent);
+      if (!use_bias && (with_friction || !bounces)) {
+        solve_friction(pair, c, arms, mass_tangent, surfaces.speed_of(i));
+        surfaces.solve_rolling(pair, i, c.impulse_normal);
+      }
       pair.write_back(bodies);
     }
   }
 
   // Normal and friction of a blow together, as each changes the other's speed: it sticks, or slides at Coulomb's limit.
   // Returns by how much (m/s) it changed a speed.
-  KFN static real solve_block(Pair& pair, Contact& c, Arms arms, real bias) {
+  KFN static real solve_block(Pair& pair, Contact& c, Arms arms, real bias, real wanted) {
     Vec2 tangent = c.normal.right();
     Vec2 v = pair.relative(arms.a, arms.b);
-    real vn = c.normal.dot(v) + bias, vt = tangent.dot(v);
+    real vn = c.normal.dot(v) + bias, vt = tangent.dot(v) - wanted;
     real na = arms.a.cross(c.normal), nb = arms.b.cross(c.normal), ta = arms.a.cross(tangent), tb = arms.b.cross(tangent);
     real mass = pair.inverse_mass_a + pair.inverse_mass_b;
     real knn = mass + pair.inverse_inertia_a * na * na + pair.inverse_inertia_b * nb * nb;
@@ -294,10 +335,11 @@ struct Contacts {
     return change;
   }
 
-  KFN static void solve_friction(Pair& pair, Contact& c, Arms arms, real mass_tangent) {
+  // Towards the `wanted` speed of b against a along the tangent.
+  KFN static void solve_friction(Pair& pair, Contact& c, Arms arms, real mass_tangent, real wanted) {
     if (!HAS_FRICTION || c.friction == real(0)) return;
     Vec2 tangent = c.normal.right();
-    real vt = tangent.dot(pair.relative(arms.a, arms.b));
+    real vt = tangent.dot(pair.relative(arms.a, arms.b)) - wanted;
     real max_friction = c.friction * c.impulse_normal;
     real total = Math::clamp(c.impulse_tangent - mass_tangent * vt, -max_friction, max_friction);
     real impulse = total - c.impulse_tangent;
@@ -363,7 +405,7 @@ struct Contacts {
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
-      solve_friction(pair, c, {c.arm_a, c.arm_b}, c.mass_tangent);
+      solve_friction(pair, c, {c.arm_a, c.arm_b}, c.mass_tangent, real(0));
       pair.write_back(bodies);
     }
   }
@@ -376,10 +418,12 @@ struct Contacts {
         bool lasts = Contacts::lasts(list[s]);
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, lasts ? list[s].impulse_normal : real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
+        surfaces.store(s, lasts, impulses);
       } else if (keys.get(s) >= 0) {
         keys.set(s, -1);
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, real(0));
+        surfaces.store(s, false, impulses);
       } else {
         break;  // used slots are always the first ones
       }

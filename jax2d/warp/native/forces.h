@@ -1,4 +1,4 @@
-// Thrusters: forces that an agent applies to bodies.
+// Forces on bodies from outside: of thrusters, and what callers compute themselves.
 
 struct Thrusters {
   Vec2 local_position[NUM_THRUSTERS + 1], local_force[NUM_THRUSTERS + 1];
@@ -8,7 +8,7 @@ struct Thrusters {
   KFN void load(const Column& scene, const IntColumn& ints, const Column& controls, const Column& params) {
     count = 0;
     for (int t = 0; t < NUM_THRUSTERS; ++t) {
-      real control = controls.get(CAPACITY_JOINTS + t);
+      real control = controls.get(CONTROLS_THRUSTER + t);
       int word = ints.get(INTS_THRUSTERS + t), owner = word >> THRUSTERS_BODY_SHIFT & THRUSTERS_BODY_MASK;
       if ((word >> THRUSTERS_ACTIVE_SHIFT & 1) == 0 || control == real(0) || !Slot::in_use(owner)) continue;
       body[count] = Slot::shape(owner);
@@ -35,6 +35,31 @@ struct Thrusters {
       Rotation q = bodies.rotation[i];
       Vec2 at = bodies.velocity(i) + q.apply(local_position[k]).left() * bodies.omega(i);
       sum += Math::max(q.apply(local_force[k]).dot(at) * dt, real(0));
+    }
+    return sum;
+  }
+};
+
+// At centres of mass, in the world's frame, constant over a call.
+struct ExternalForces {
+  KFN static void apply(Bodies& bodies, const Column& controls, real dt) {
+    if (!HAS_EXTERNAL_FORCES) return;
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape, slot = Slot::of(i);
+      bodies.set_velocity(i, bodies.velocity(i) + controls.get2(CONTROLS_FORCE + 2 * slot) * (dt * bodies.inverse_mass(i)));
+      bodies.set_omega(i, bodies.omega(i) + controls.get(CONTROLS_TORQUE + slot) * (dt * bodies.inverse_inertia(i)));
+    }
+  }
+
+  // J, what they have added to the bodies' energy in `dt`.
+  KFN static real work(const Bodies& bodies, const Column& controls, real dt) {
+    real sum = real(0);
+    if (!HAS_EXTERNAL_FORCES) return sum;
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape, slot = Slot::of(i);
+      if (!bodies.is_dynamic(i)) continue;
+      real push = controls.get2(CONTROLS_FORCE + 2 * slot).dot(bodies.velocity(i));
+      sum += Math::max((push + controls.get(CONTROLS_TORQUE + slot) * bodies.omega(i)) * dt, real(0));
     }
     return sum;
   }

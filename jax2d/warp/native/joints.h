@@ -79,7 +79,7 @@ struct Joints {
         base_speed = params.get(PARAM_BASE_SLIDER_SPEED);
         base_power = params.get(PARAM_BASE_SLIDER_POWER);
       }
-      real control = controls.get(joint.index);
+      real control = controls.get(CONTROLS_MOTOR + joint.index);
       bool driven = joint.is_driven() && !joint.is_fixed() && control != real(0);
       if (!driven) joint.flags &= ~Joint::MOTOR_BIT;
       joint.motor_target = control * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index) * base_speed;
@@ -91,17 +91,22 @@ struct Joints {
 
   KFN void warm_start(Bodies& bodies) {
     for (int k = 0; k < count; ++k) {
-      Joint& joint = list[k];
-      joint.turn_arms(bodies);
-      Pair pair = Pair::of(bodies, joint.a, joint.b);
-      if (joint.is_prismatic()) {
-        Slider::of(bodies, joint, local_axis[k]).warm_start(pair, joint);
-      } else {
-        Arms arms = joint.common_arms(pair, joint.gap(bodies));
-        pair.apply_impulse(arms.a, arms.b, joint.impulse);
-        pair.apply_angular_impulse(joint.angular_impulse + joint.impulse_lower - joint.impulse_upper);
-      }
+      list[k].turn_arms(bodies);
+      Pair pair = Pair::of(bodies, list[k].a, list[k].b);
+      apply_impulses(bodies, pair, k);
       pair.write_back(bodies);
+    }
+  }
+
+  // All that joint k exerts, with its arms as they are.
+  KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
+    const Joint& joint = list[k];
+    if (joint.is_prismatic()) {
+      Slider::of(bodies, joint, local_axis[k]).warm_start(pair, joint);
+    } else {
+      Arms arms = joint.common_arms(pair, joint.gap(bodies));
+      pair.apply_impulse(arms.a, arms.b, joint.impulse);
+      pair.apply_angular_impulse(joint.angular_impulse + joint.impulse_lower - joint.impulse_upper);
     }
   }
 
@@ -147,6 +152,23 @@ struct Joints {
       if (joint.is_prismatic())
         speed = Slider::of(bodies, joint, local_axis[k]).axial_speed(Pair::of(bodies, joint.a, joint.b));
       work += Math::max(joint.angular_impulse * speed, real(0));
+    }
+    return work;
+  }
+
+  // J, what kinematic bodies have done through joints in this sub-step: they took the opposite of what they gave.
+  KFN real kinematic_work(const Bodies& bodies) const {
+    real work = real(0);
+    for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) {
+      bool is_a = bodies.is_kinematic(list[k].a);
+      int body = is_a ? list[k].a : list[k].b;
+      if (!bodies.is_kinematic(body)) continue;
+      real one = real(1), none = real(0), of_a = is_a ? one : none, of_b = is_a ? none : one;
+      Vec2 still = {none, none};
+      Pair taken = {list[k].a, list[k].b, still, still, none, none, of_a, of_b, of_a, of_b};  // impulses, by masses of 1
+      apply_impulses(bodies, taken, k);
+      work -= bodies.velocity(body).dot(is_a ? taken.velocity_a : taken.velocity_b) +
+              bodies.omega(body) * (is_a ? taken.omega_a : taken.omega_b);
     }
     return work;
   }

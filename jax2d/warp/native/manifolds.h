@@ -37,7 +37,7 @@ struct Geometry {
   // `fixed_too`: as in Bodies::begin_step.
   KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies, bool fixed_too) {
     for (int p = 0; p < NUM_POLYGONS; ++p) {
-      if (!bodies.is_active(p) || (!fixed_too && !bodies.is_dynamic(p))) continue;
+      if (!bodies.is_active(p) || (!fixed_too && !bodies.moves(p))) continue;
       corners[p] = ints.get(INTS_SHAPES_NUM_VERTICES + p);
       Rotation q = bodies.rotation[p];
       Vec2 lo = {FAR_DISTANCE, FAR_DISTANCE}, hi = {-FAR_DISTANCE, -FAR_DISTANCE};
@@ -74,6 +74,9 @@ struct Geometry {
       predicted_travel[NUM_POLYGONS + c] = real(0);
     }
   }
+
+  // m, of what can roll: only circles.
+  KFN real rolling_radius(int i) const { return i < NUM_POLYGONS ? real(0) : radius[i - NUM_POLYGONS]; }
 
   KFN void predict_travel(const Bodies& bodies, real seconds) {
     ahead = seconds;

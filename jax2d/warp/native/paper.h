@@ -15,7 +15,7 @@ struct PaperJoints {
       if (joint.is_limited()) {
         real fade = params.get(PARAM_MOTOR_FADE_ANGLE);
         real beyond = joint.start_angle - Math::clamp(joint.start_angle, joint.lower + fade, joint.upper - fade);
-        bool into_limit = beyond * controls.get(joint.index) > real(0);
+        bool into_limit = beyond * controls.get(CONTROLS_MOTOR + joint.index) > real(0);
         if (into_limit) power *= Math::max(real(0), real(1) - fabsf(beyond) / fade);
       }
       real excess = bodies.omega(joint.b) - bodies.omega(joint.a) - joint.motor_target;

@@ -70,11 +70,16 @@ struct World {
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true);
         joints.prepare(bodies, scene, controls, params, h);
         if (substep == 0 && !interrupted) every_substep = contacts.each_substep;
-        if (contacts.may_bounce) bounces.begin(bodies, gravity, h);
+        if (contacts.may_bounce) {
+          bounces.begin(bodies, gravity, h);
+          if (interrupted) bounces.max_energy -= carried_work(h);  // bodies have had these impulses already
+        }
       }
       if (!interrupted) {
         bodies.apply_gravity(gravity, h);
         thrusters.apply(bodies, h);
+        ExternalForces::apply(bodies, controls, h);
+        bodies.apply_damping(scene, h);
         joints.warm_start(bodies);
         contacts.warm_start(bodies);
       }
@@ -120,6 +125,7 @@ struct World {
     bool bouncing = false, friction_applied = false;
     int repeats = 0;
     contacts.active.begin();
+    real carried = real(0);
     for (int round = 0; round <= rounds; ++round) {
       int joint_passes = round == 0 ? 1 : JOINT_PASSES_OF_BOUNCE;
       bool with_friction = round > 0 && !friction_applied && (contacts.converged || round == rounds);
@@ -137,7 +143,12 @@ struct World {
         friction_applied |= with_friction;
         continue;
       }
-      if (contacts.may_bounce) bounces.max_energy += joints.motor_work(bodies) + thrusters.work(bodies, h);
+      if (contacts.may_bounce) {
+        bounces.max_energy += joints.motor_work(bodies) + thrusters.work(bodies, h);
+        bounces.max_energy += ExternalForces::work(bodies, controls, h);
+        carried = carried_work(h);
+        bounces.max_energy += carried;
+      }
       if (!is_last) break;
       if (contacts.may_bounce) bouncing = contacts.begin_bounces(bodies, params, gravity, h);
       finish_contacts();
@@ -147,8 +158,13 @@ struct World {
       joints.store(impulses);
     }
     if (!bouncing) return;
-    bounces.limit(bodies, gravity, h);
+    bounces.limit(bodies, gravity, h, carried_work(h) - carried);
     joints.load_impulses(impulses);
+  }
+
+  // J, what moving surfaces and kinematic bodies have done in this sub-step.
+  KFN real carried_work(real h) const {
+    return contacts.surface_work(bodies, h) + joints.kinematic_work(bodies);
   }
 
   // Notes who touched, and keeps the impulses for the contacts found next.
