@@ -97,7 +97,8 @@ def test_ball_bounces_from_a_moving_platform_as_in_its_frame(speed: float, resti
     floor = platform(b, (0.0, speed), restitution=1.0)
     ball = b.add_circle(radius=0.2, position=(0, 0.2 + gap), restitution=restitution)
     above = heights_above(b.build(), ball, floor)
-    hit = int(np.argmax(np.diff(above) > 0))  # the first time that it rises
+    rises = np.diff(above) > 0
+    hit = int(np.argmax(rises & (np.cumsum(~rises) > 0)))  # the first time that it turns to rise
     falls_again = np.flatnonzero(np.diff(above[hit:]) < 0)
     apex = above[hit : hit + 1 + (int(falls_again[0]) if len(falls_again) else len(above))].max()
     energy = gap + (speed + G * H / 2) ** 2 / (2 * G)  # m, in the platform's frame, as semi-implicit Euler keeps it
