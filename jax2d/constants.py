@@ -71,6 +71,15 @@ class Constants:
         "what meets faster than this gets normal impulse and friction together",
         "0.3: a house of cards falls; larger: boxes that land on a corner rebound",
     )
+    point_rounds: int = _constant(
+        8, "a pass", "both points of a blow are solved in turn", "0: a box that lands flat tips"
+    )
+    shared_speed: float = _constant(
+        0.12,
+        "m/s",
+        "a contact that a blow changes by more hands it on to what else its bodies touch",
+        "0.03: time only",
+    )
     settled_speed: float = _constant(
         0.03, "m/s", "a blow is shared out when no contact changes by more", "0: time only"
     )

@@ -45,6 +45,7 @@ class SolverNumbers(NamedTuple):
     speculative_distance: Scalar
     restitution_threshold: Scalar
     bounce_rounds: Scalar
+    blow_passes: Scalar
     slop: Scalar
     collision_correction: Scalar
     joint_velocity_correction: Scalar

@@ -76,6 +76,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "SWEEP": int(sweep),
         "SWEEP_SHAPES": polygons + circles if sweep else 1,
         "SOFT_STEP": int(variant.is_soft),
+        "SHARES_BLOWS": int(variant.shares_blows),
         "FRICTION_ROOT_SUM_SQUARE": int(variant.friction_mixing == "root_sum_square"),
     }
     values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}

@@ -60,6 +60,7 @@ class KernelVariant:
     effects: Effects
     solver: Solver
     friction_mixing: str
+    shares_blows: bool = False  # passes are repeated until a blow is shared out
     shared_record: int = 0  # numbers of a body in a GPU's shared memory
     options: CompileOptions = CompileOptions()
 
@@ -72,6 +73,7 @@ class KernelVariant:
             effects=effects,
             solver=settings.solver,
             friction_mixing=settings.friction_mixing,
+            shares_blows=settings.solver == "soft_step" and settings.blow_passes > 0,
             shared_record=(options.shared_record or 0) if options is not None else 0,
             options=options if options is not None else CompileOptions(),
         )

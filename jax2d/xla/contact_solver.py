@@ -24,6 +24,7 @@ from jax2d.xla.bodies import (
     relative_velocity,
     scatter_velocities,
 )
+from jax2d.xla.branching import in_any_world
 from jax2d.xla.contacts import Contacts
 
 
@@ -124,35 +125,42 @@ def solve_soft(
         mass_scale = jnp.where(is_apart, mass_scale, soft.mass_scale)
         impulse_scale = jnp.where(is_apart, impulse_scale, soft.impulse_scale)
     included = active.includes(contacts.pair)
+    large = jnp.where(active.again, C.settled_speed, C.shared_speed)
     contacts = contacts._replace(is_blow=contacts.is_blow | (active.again & included))
 
     ahead = 0.5 * params.h if use_bias else -0.5 * params.h  # with bias the sub-step is to come, without it is past
 
-    def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
-        c, bias, mass_scale, impulse_scale, is_blow, included = row
+    def solve(carry: tuple[Velocities, Blow], row: tuple) -> tuple[tuple[Velocities, Blow], tuple]:
+        velocities, first = carry
+        c, bias, mass_scale, impulse_scale, is_blow, is_second, included = row
         before = pair_velocities(c.pair, velocities)
         impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + bias) - impulse_scale * c.impulse_normal
         of, normal_total = push_apart(before, c, impulse)
         tangent_total, rolling_total = c.impulse_tangent, c.rolling_impulse
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
-        blow, changed = solve_blow(before, c, bias)
+        own = solve_blow(before, Blow(c, bias, jnp.zeros_like(bias)))
+        agreed, first, own = solve_both_points(own[0], first, own[1], is_second & is_blow & included)
+        blow = (agreed, own.contact.impulse_normal, own.contact.impulse_tangent)
         of, normal_total, tangent_total = _choose(is_blow, blow, (of, normal_total, tangent_total))
         if not use_bias:
             of, rolling_total = solve_rolling(of, c, normal_total)
-        totals, unsolved = (
-            (normal_total, tangent_total, rolling_total),
-            (
-                c.impulse_normal,
-                c.impulse_tangent,
-                c.rolling_impulse,
-            ),
-        )
-        of, totals = _choose(included, (of, totals), (before, unsolved))
-        return scatter_velocities(velocities, c.pair, before, of), (*totals, included & is_blow & changed)
+        totals = (normal_total, tangent_total, rolling_total)
+        of, totals = _choose(included, (of, totals), (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse)))
+        velocities = scatter_velocities(velocities, c.pair, before, of)
+        of_first = (first.contact.impulse_normal, first.contact.impulse_tangent)
+        return (velocities, own), (*totals, *of_first, included & is_blow & (own.change > large))
 
-    rows = (rows_now(bodies, contacts, ahead), bias, mass_scale, impulse_scale, contacts.is_blow, included)
-    velocities, (normal, tangent, rolling, changed) = jax.lax.scan(solve, bodies.velocities, rows)
+    rows = rows_now(bodies, contacts, ahead)
+    none = Blow(jax.tree.map(lambda x: jnp.zeros_like(x[0]), rows), jnp.zeros_like(bias[0]), jnp.zeros_like(bias[0]))
+    xs = (rows, bias, mass_scale, impulse_scale, contacts.is_blow, contacts.is_second, included)
+    (velocities, _), (normal, tangent, rolling, first_normal, first_tangent, changed) = jax.lax.scan(
+        solve, (bodies.velocities, none), xs
+    )
+    # The second of two points has changed the first's as well.
+    both = jnp.roll(contacts.is_second & contacts.is_blow & included, -1)
+    normal = jnp.where(both, jnp.roll(first_normal, -1), normal)
+    tangent = jnp.where(both, jnp.roll(first_tangent, -1), tangent)
     contacts = contacts._replace(rolling_impulse=rolling)
     return (
         bodies._replace(velocities=velocities),
@@ -161,15 +169,41 @@ def solve_soft(
     )
 
 
+class Blow(NamedTuple):
+    """A contact whose normal impulse and friction are solved together."""
+
+    contact: Row
+    bias: jax.Array
+    change: jax.Array  # m/s, largest by which solving it changed a speed
+
+
+def solve_both_points(
+    of: PairVelocities, first: Blow, second: Blow, are_both: jax.Array
+) -> tuple[PairVelocities, Blow, Blow]:
+    """Both points of a pair in turn, until they agree; each has been solved once."""
+
+    def one_round(now: tuple, _: None) -> tuple[tuple, None]:
+        of, first, second = now
+        unsettled = are_both & (jnp.maximum(first.change, second.change) > C.settled_speed)
+        after, first_after = solve_blow(of, first)
+        after, second_after = solve_blow(after, second)
+        return _choose(unsettled, (after, first_after, second_after), now), None
+
+    def rounds() -> tuple:
+        return jax.lax.scan(one_round, (of, first, second), length=C.point_rounds)[0]
+
+    worst = jnp.maximum(first.change, second.change)
+    return jax.lax.cond(in_any_world(are_both & (worst > C.settled_speed)), rounds, lambda: (of, first, second))
+
+
 def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
 
 
-def solve_blow(
-    of: PairVelocities, c: Row, bias: jax.Array
-) -> tuple[tuple[PairVelocities, jax.Array, jax.Array], jax.Array]:
+def solve_blow(of: PairVelocities, blow: Blow) -> tuple[PairVelocities, Blow]:
     """Normal and friction of a blow together, as each changes the other's speed: it sticks, or slides at Coulomb's
-    limit. Velocities and the new totals; and whether a speed was changed by much."""
+    limit."""
+    c, bias, _ = blow
     tangent = vec2.right(c.normal)
     v = relative_velocity(of, c.arm_a, c.arm_b)
     vn, vt = vec2.dot(c.normal, v) + bias, vec2.dot(tangent, v)
@@ -194,8 +228,8 @@ def solve_blow(
     n, t = jnp.where(slides, sliding, n), jnp.where(slides, side * sliding, t)
     added_n, added_t = n - c.impulse_normal, t - c.impulse_tangent
     of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * added_n[..., None] + tangent * added_t[..., None])
-    changed = jnp.maximum(jnp.abs(added_n) * knn, jnp.abs(added_t) * ktt) > C.settled_speed
-    return (of, n, t), changed
+    change = jnp.maximum(jnp.abs(added_n) * knn, jnp.abs(added_t) * ktt)
+    return of, Blow(c._replace(impulse_normal=n, impulse_tangent=t), bias, change)
 
 
 def normal_speed(of: PairVelocities, c: Row) -> jax.Array:

@@ -46,6 +46,7 @@ class Contacts(NamedTuple):
     kinematic_a: jax.Array  # [K] bool, a cannot be pushed and moves
     kinematic_b: jax.Array
     is_blow: jax.Array  # [K] bool, they meet fast, and were apart before
+    is_second: jax.Array  # [K] bool, of two points of one pair
     overflow: jax.Array  # [] int32, points that found no slot
     each_substep: jax.Array  # [] bool, what is found does not hold for the whole step: something turns or hits too fast
     predicted: TravelPrediction
@@ -97,6 +98,10 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
     velocity = relative_velocity(pair_velocities(pair, bodies.velocities), arm_a, arm_b)
     dynamic = bodies.is_dynamic
     approach = vec2.dot(points.normal, velocity)
+    pair_key = key >> C.feature_bits
+    is_second = points.exists & (pair_key == jnp.roll(pair_key, 1)) & (jnp.arange(len(key)) > 0) & rules.is_soft
+    is_blow = (approach < -C.blow_speed) & (impulse[:, 0] == 0) & points.exists & rules.is_soft
+    is_blow |= (is_second & jnp.roll(is_blow, 1)) | jnp.roll(is_second & is_blow, -1)  # both points or none
     if rules.is_soft:
         hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)
         each_substep |= jnp.any(points.exists & hard)
@@ -118,7 +123,8 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         approach=approach,
         max_impulse=jnp.zeros_like(points.separation),
         against_fixed=~(dynamic[a] & dynamic[b]),
-        is_blow=(approach < -C.blow_speed) & (impulse[:, 0] == 0) & rules.is_soft,
+        is_blow=is_blow,
+        is_second=is_second,
         kinematic_a=bodies.is_kinematic[a] & points.exists,
         kinematic_b=bodies.is_kinematic[b] & points.exists,
         overflow=overflow,

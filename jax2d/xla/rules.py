@@ -14,6 +14,7 @@ class Rules(NamedTuple):
     friction_mixing: str
     substeps: int
     bounce_rounds: int
+    blow_passes: int
     solver_batch_size: int
     published_details: frozenset[str]  # of jax2d/published_details.py
 
@@ -28,6 +29,7 @@ def rules_of(settings: Settings) -> Rules:
         settings.friction_mixing,
         settings.substeps,
         settings.bounce_rounds,
+        settings.blow_passes,
         settings.solver_batch_size,
         frozenset(settings.published_details),
     )

@@ -87,9 +87,11 @@ def error_of_landing(start: dict, m: Trajectory) -> tuple[float, float] | None:
     return off / float(np.linalg.norm(velocity)), rises / closing
 
 
+# Parts that share a blow are the business of `fine` (`Settings.blow_passes`): it costs a fifth of the speed.
 @pytest.mark.also_gpu
-@pytest.mark.parametrize("name", ["standard", "fine"])
-@pytest.mark.parametrize(("parts", "worst"), [(1, 0.04), (2, 0.04), (3, 0.2)])
+@pytest.mark.parametrize(
+    ("name", "parts", "worst"), [("standard", 1, 0.04), ("fine", 1, 0.04), ("fine", 2, 0.04), ("fine", 3, 0.1)]
+)
 def test_box_that_lands_on_a_corner_turns_about_it(name: str, parts: int, worst: float):
     rng = np.random.default_rng(0)
     worlds, starts = zip(*(landing(rng, parts) for _ in range(96)))
@@ -131,21 +133,27 @@ def velocities_of(name: str, mirror: int, backwards: bool, tilted: bool, boxes: 
     return np.stack([np.asarray(m.velocity)[:, ids] * [mirror, 1] for m, ids in zip(records, shapes)])
 
 
-# What falls on one another at different moments of a step is resolved by rounds of passes, at most `bounce_rounds`.
 @pytest.mark.also_gpu
 @pytest.mark.parametrize(
-    ("tilted", "boxes", "middle", "most"), [(False, 1, 2e-3, 0.03), (True, 3, 1e-3, 0.05), (False, 3, 0.1, 0.4)]
+    ("name", "tilted", "boxes", "middle", "most"),
+    [
+        ("standard", False, 1, 3e-3, 0.03),
+        ("standard", True, 1, 1e-3, 0.03),
+        ("fine", False, 1, 3e-3, 0.03),
+        ("fine", True, 3, 1e-3, 0.03),
+        ("fine", False, 3, 0.1, 0.3),
+    ],
 )
-def test_scene_and_its_mirror_image_land_alike(tilted: bool, boxes: int, middle: float, most: float):
-    here, there = (velocities_of("standard", mirror, False, tilted, boxes) for mirror in (1, -1))
+def test_scene_and_its_mirror_image_land_alike(name: str, tilted: bool, boxes: int, middle: float, most: float):
+    here, there = (velocities_of(name, mirror, False, tilted, boxes) for mirror in (1, -1))
     difference = np.abs(here - there).max((1, 2, 3))
     assert np.median(difference) < middle and np.quantile(difference, 0.9) < most, np.sort(difference)
 
 
 @pytest.mark.also_gpu
-@pytest.mark.parametrize(("tilted", "middle", "most"), [(True, 1e-3, 0.02), (False, 0.05, 0.25)])
+@pytest.mark.parametrize(("tilted", "middle", "most"), [(True, 1e-3, 0.02), (False, 0.05, 0.2)])
 def test_landing_does_not_depend_on_the_order_of_slots(tilted: bool, middle: float, most: float):
-    here, there = (velocities_of("standard", 1, backwards, tilted, 3) for backwards in (False, True))
+    here, there = (velocities_of("fine", 1, backwards, tilted, 3) for backwards in (False, True))
     difference = np.abs(here - there).max((1, 2, 3))
     assert np.median(difference) < middle and np.quantile(difference, 0.9) < most, np.sort(difference)
 

@@ -7,12 +7,13 @@ struct ActiveSet {
 
   KFN void begin() {
     again = false;
-    for (int word = 0; word < SHAPE_WORDS; ++word) next[word] = 0u;
+    for (int word = 0; word < SHAPE_WORDS && SHARES_BLOWS; ++word) next[word] = 0u;
   }
 
-  KFN bool leaves_out(int a, int b) const { return again && !Bodies::has(now, a) && !Bodies::has(now, b); }
+  KFN bool leaves_out(int a, int b) const { return SHARES_BLOWS && again && !Bodies::has(now, a) && !Bodies::has(now, b); }
 
   KFN void mark(const Bodies& bodies, int a, int b) {
+    if (!SHARES_BLOWS) return;
     if (bodies.is_dynamic(a)) next[a / 32] |= 1u << (a % 32);
     if (bodies.is_dynamic(b)) next[b / 32] |= 1u << (b % 32);
   }
@@ -20,6 +21,7 @@ struct ActiveSet {
   // Whether another pass is called for; it is one over what was marked.
   KFN bool repeat() {
     again = false;
+    if (!SHARES_BLOWS) return false;
     for (int word = 0; word < SHAPE_WORDS; ++word) {
       again |= next[word] != 0u;
       now[word] = next[word];

@@ -18,6 +18,7 @@ struct Contact {
   bool against_fixed;      // one of the two cannot be pushed
   bool against_kinematic;  // and moves
   bool is_blow;            // they meet fast, and were apart before
+  bool is_second;          // of two points of one pair
 };
 
 struct Contacts {
@@ -105,6 +106,8 @@ struct Contacts {
         }
         c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
         c.is_blow = SOFT_STEP && c.approach < -BLOW_SPEED && c.impulse_normal == real(0);
+        c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
+        if (c.is_second) c.is_blow = list[count - 2].is_blow = c.is_blow || list[count - 2].is_blow;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
         if (ahead) each_substep |= hits_hard(geometry, c, reach, dt);
       }
@@ -255,6 +258,8 @@ struct Contacts {
   // in one of them.
   KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round, bool with_friction) {
     converged = true;
+    int repeats = 0;
+    real first_change = real(0);
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
@@ -286,12 +291,21 @@ struct Contacts {
         converged &= update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
         mass = c.mass_normal;
       }
-      c.is_blow |= active.again;
+      if (SHARES_BLOWS && active.again) c.is_blow = true;
       if (c.is_blow && round == 0) {
-        if (solve_block(pair, c, arms, bias, surfaces.speed_of(i)) > SETTLED_SPEED) active.mark(bodies, c.a, c.b);
+        real change = solve_block(pair, c, arms, bias, surfaces.speed_of(i));
+        if (change > (active.again ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
         pair.write_back(bodies);
+        // Both points of a pair in turn, until they agree.
+        if (c.is_second && Math::max(first_change, change) > SETTLED_SPEED && repeats < POINT_ROUNDS) {
+          ++repeats;
+          i -= 2;
+        } else if (c.is_second) {
+          repeats = 0;
+        }
+        first_change = change;
         continue;
       }
       real impulse = -mass * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;

@@ -125,13 +125,15 @@ struct Joints {
         solve_point(bodies, pair, joint, soft, use_bias);
       } else {
         bool motor_last = joint.is_motor_last(use_bias);
-        if (motors && joint.is_driven() && !motor_last) solve_motor(pair, joint);
-        if (joint.is_limited()) solve_limits(pair, joint, joint.current_angle(bodies), soft, use_bias);
-        solve_point(bodies, pair, joint, soft, use_bias);
-        if (motors && joint.is_driven() && motor_last) solve_motor(pair, joint);
+        for (int turn = 0; turn < 2; ++turn) {  // one copy of the code
+          if (motors && joint.is_driven() && motor_last == (turn == 1)) solve_motor(pair, joint);
+          if (turn == 1) break;
+          if (joint.is_limited()) solve_limits(pair, joint, joint.current_angle(bodies), soft, use_bias);
+          solve_point(bodies, pair, joint, soft, use_bias);
+        }
       }
       Vec2 change = pair.velocity_b - pair.velocity_a - before;
-      if (active.again && change.dot(change) > SETTLED_SPEED * SETTLED_SPEED) active.mark(bodies, joint.a, joint.b);
+      if (SHARES_BLOWS && active.again && change.dot(change) > SETTLED_SPEED * SETTLED_SPEED) active.mark(bodies, joint.a, joint.b);
       pair.write_back(bodies);
     }
   }

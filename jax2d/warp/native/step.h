@@ -58,7 +58,7 @@ struct World {
 
     bool every_substep = false;  // contacts are found in each, where those found once would not hold
     bool find = true, interrupted = false;
-    int interruptions = 0, rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
+    int interruptions = 0, max_passes = (int)(params.get(PARAM_BLOW_PASSES));
     for (int substep = 0; substep < substeps;) {
       // Each function is called once: what is inlined twice is twice the code.
       real left = every_substep ? h : h * (real)(substeps - substep);
@@ -96,7 +96,7 @@ struct World {
         bool is_limited = bodies.limited != before && contacts.count > 0 && pass < LIMITED_PASSES;
         if (was_limited) bodies.limited = before;
         was_limited |= is_limited;
-        bool is_shared_out = !contacts.active.repeat() || pass >= rounds;
+        bool is_shared_out = !contacts.active.repeat() || pass >= max_passes;
         if (is_shared_out && !is_limited) break;
         if (is_limited) contacts.active.begin();
       }
@@ -132,7 +132,7 @@ struct World {
       for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0, contacts.active);
       contacts.solve_soft(bodies, soft, false, round, with_friction);
       if (round == 0) {  // joints and other contacts share in a blow
-        if (contacts.active.repeat() && repeats++ < rounds) {
+        if (contacts.active.repeat() && repeats++ < (int)(params.get(PARAM_BLOW_PASSES))) {
           --round;
           continue;
         }
