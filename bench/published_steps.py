@@ -111,6 +111,7 @@ def load(file: Path) -> Steps:
             rest_angle=d["joint.rotation"],
             axis_angle=np.zeros_like(d["joint.rotation"]),
             motor_on=d["joint.motor_on"],
+            drive=np.zeros_like(d["joint.a_index"]),
             motor_speed=d["joint.motor_speed"],
             motor_power=d["joint.motor_power"],
             has_limits=d["joint.motor_has_joint_limits"],

@@ -6,6 +6,7 @@ from jax2d.engine import Engine
 from jax2d.scene import (
     Capacity,
     Controls,
+    JointDrive,
     JointKind,
     Joints,
     Scene,
@@ -29,6 +30,7 @@ __all__ = [
     "EffectTable",
     "Effects",
     "Engine",
+    "JointDrive",
     "JointKind",
     "Joints",
     "MissingEffectError",

@@ -15,28 +15,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from jax2d.builder_numbers import LARGEST, Point, SceneError, SceneFullError, finite, number, one_of, positive
+from jax2d.drives import MotorOptions, motor_units
 from jax2d.fields import empty
+from jax2d.polygon_rules import SMALLEST_AREA_M2, check_polygon
 from jax2d.scene import Capacity, JointKind, Scene
+from jax2d.settings import Settings, preset
 from jax2d.shapes import polygon_integrals
 from jax2d.whole_numbers import whole_number
 
-Point = Sequence[float]
-SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
 SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
-LARGEST = 1e18  # any number given, masses and inertias and their inverses too: the square must fit float32
-
-
-class SceneError(ValueError):
-    """A scene that cannot be built; the message says what is wrong and what to do."""
-
-
-class SceneFullError(SceneError):
-    """The capacity has no slot left for what is added."""
 
 
 class BuiltWorld(NamedTuple):
@@ -61,9 +54,12 @@ class _Body(NamedTuple):
 class SceneBuilder:
     """Adds shapes, joints and thrusters to an empty world of the given capacity. A refused call adds nothing."""
 
-    def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81)):
+    def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81), settings: Settings | None = None):
+        """`settings`: those of the engine, whose base_* numbers turn torques, forces and speeds into the units of a
+        scene; by default those that all presets have."""
         self.capacity = capacity
-        self._gravity = np.asarray(_finite("gravity", gravity, 2), np.float32)
+        self.settings = settings if settings is not None else preset("standard")
+        self._gravity = np.asarray(finite("gravity", gravity, 2), np.float32)
         n = capacity.shapes
         self._polygons = self._circles = self._joints = self._thrusters = 0
         self._apart: set[tuple[int, int]] = set()
@@ -93,7 +89,7 @@ class SceneBuilder:
         corners = check_polygon(vertices, self.capacity.vertices)
         area, centroid, inertia = polygon_integrals(corners)
         body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
-        at = np.asarray(_finite("position", position, 2)) + _rotate(centroid, body.angle)
+        at = np.asarray(finite("position", position, 2)) + _rotate(centroid, body.angle)
         index = self._take("polygons", self._polygons)
         self._polygons += 1
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
@@ -104,7 +100,7 @@ class SceneBuilder:
 
     def add_box(self, *, width: float, height: float, **options: object) -> int:
         """A rectangle centred on `position`; options as for add_polygon."""
-        x, y = _positive("width", width) / 2, _positive("height", height) / 2
+        x, y = positive("width", width) / 2, positive("height", height) / 2
         return self.add_polygon([(-x, -y), (x, -y), (x, y), (-x, y)], **options)  # type: ignore[arg-type]
 
     def add_circle(
@@ -121,13 +117,13 @@ class SceneBuilder:
         angular_velocity: float = 0.0,
     ) -> int:
         """A disc."""
-        radius = _positive("radius", radius)
+        radius = positive("radius", radius)
         if radius < SMALLEST_RADIUS_M:
             raise SceneError(f"radius is {radius:g}; it must be at least {SMALLEST_RADIUS_M:.2g} m")
         area = math.pi * radius**2
         inertia = 0.5 * area * radius**2
         body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
-        at = np.asarray(_finite("position", position, 2))
+        at = np.asarray(finite("position", position, 2))
         slot = self._take("circles", self._circles)
         self._circles += 1
         self._scene.shapes.radius[slot] = radius
@@ -151,13 +147,26 @@ class SceneBuilder:
         *,
         at: Point,
         motor_speed: float | None = None,
-        motor_power: float = 1.0,
+        motor_power: float | None = None,
+        speed: float | None = None,
+        max_torque: float | None = None,
+        drive: str = "velocity",
         limits: tuple[float, float] | None = None,
     ) -> int:
-        """Holds a and b together at the world point `at`. With `motor_speed` (in units of
-        settings.base_motor_speed) a control drives b relative to a; `limits` bound angle_b - angle_a, counted
-        from how they stand now, in rad."""
-        return self._add_joint(a, b, at, _drive(motor_speed, motor_power, limits))
+        """Holds a and b together at the world point `at`. `limits` bound angle_b - angle_a, counted from how they stand
+        now, in rad. With a speed a control drives b relative to a: `speed` in rad/s, or `motor_speed` in units of
+        settings.base_motor_speed; `max_torque` in N m, or `motor_power` (1 by default) as in drives.py. `drive`:
+        "velocity", "brake" (control 0 holds still) or "servo" (control -1 to 1 is a position between the limits)."""
+        motor = MotorOptions(
+            motor_speed=motor_speed,
+            motor_power=motor_power,
+            speed=speed,
+            strength=max_torque,
+            strength_name="max_torque",
+            drive=drive,
+            limits=limits,
+        )
+        return self._add_joint(a, b, at, JointKind.REVOLUTE, motor)
 
     def add_prismatic_joint(
         self,
@@ -167,28 +176,45 @@ class SceneBuilder:
         at: Point,
         axis_angle: float,
         motor_speed: float | None = None,
-        motor_power: float = 1.0,
+        motor_power: float | None = None,
+        speed: float | None = None,
+        max_force: float | None = None,
+        drive: str = "velocity",
         limits: tuple[float, float] | None = None,
     ) -> int:
-        """Lets b slide along the world angle `axis_angle` (rad), which turns with a, without turning against a. With
-        `motor_speed` (in units of settings.base_slider_speed) a control drives b along the axis; `limits` bound how
-        far it has slid from where it stands now, in m."""
-        a = self._shape("a", a)
-        local_axis = _number("axis_angle", axis_angle) - float(self._angle[a])
-        values = {"kind": JointKind.PRISMATIC, "axis_angle": local_axis}
-        return self._add_joint(a, b, at, values | _drive(motor_speed, motor_power, limits))
+        """Lets b slide along the world angle `axis_angle` (rad), which turns with a, not turning against a. `limits`
+        bound how far it has slid from where it stands now, in m. With a speed a control drives b along the axis:
+        `speed` in m/s, or `motor_speed` in units of settings.base_slider_speed; `max_force` in N, with the bodies as
+        they stand now, or `motor_power` (1 by default). `drive` as in add_revolute_joint."""
+        motor = MotorOptions(
+            motor_speed=motor_speed,
+            motor_power=motor_power,
+            speed=speed,
+            strength=max_force,
+            strength_name="max_force",
+            drive=drive,
+            limits=limits,
+        )
+        return self._add_joint(a, b, at, JointKind.PRISMATIC, motor, number("axis_angle", axis_angle))
 
     def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
         """Welds a and b together as they stand."""
-        return self._add_joint(a, b, at, {"kind": JointKind.FIXED})
+        return self._add_joint(a, b, at, JointKind.FIXED)
 
-    def add_thruster(self, body: int, *, at: Point, angle: float, power: float = 1.0) -> int:
-        """A thruster at the world point `at` that pushes its body towards the world angle `angle`."""
+    def add_thruster(
+        self, body: int, *, at: Point, angle: float, power: float | None = None, force: float | None = None
+    ) -> int:
+        """A thruster at the world point `at` that pushes its body towards the world angle `angle`, with `force` in N or
+        `power` (1 by default) in units of settings.base_thruster_power."""
         body = self._shape("body", body)
         if self._is_fixed(body):
             raise SceneError(f"thruster on shape {body}, which is fixed and would not move; put it on one that can")
+        one_of(("power", power), ("force", force))
+        if force is not None:
+            power = positive("force", force) / self.settings.base_thruster_power
         position = self._to_local(body, at)
-        local_angle, power = _number("angle", angle) - self._angle[body], _positive("power", power)
+        local_angle = number("angle", angle) - self._angle[body]
+        power = positive("power", 1.0 if power is None else power)
         index = self._take("thrusters", self._thrusters)
         self._thrusters += 1
         thrusters = self._scene.thrusters
@@ -229,23 +255,37 @@ class SceneBuilder:
         self._velocity[index] = body.velocity
         self._angular_velocity[index] = body.angular_velocity
 
-    def _add_joint(self, a: int, b: int, at: Point, values: dict[str, float]) -> int:
+    def _add_joint(
+        self, a: int, b: int, at: Point, kind: JointKind, motor: MotorOptions | None = None, world_axis: float = 0.0
+    ) -> int:
         a, b = self._shape("a", a), self._shape("b", b)
         if a == b:
             raise SceneError(f"joint from shape {a} to itself; name two different shapes")
         if self._is_fixed(a) and self._is_fixed(b):
             raise SceneError(f"joint of shapes {a} and {b}, which are both fixed and would not move; leave it out")
-        anchors = self._to_local(a, at), self._to_local(b, at)
+        values: dict[str, Any] = {"active": True, "kind": kind, "a": a, "b": b}
+        values |= {"anchor_a": self._to_local(a, at), "anchor_b": self._to_local(b, at)}
+        values["rest_angle"] = self._angle[b] - self._angle[a]
+        if kind == JointKind.PRISMATIC:
+            values["axis_angle"] = world_axis - float(self._angle[a])
+        if motor is not None:
+            inverse = sum(self._inverse_moved(body, at, kind, world_axis) for body in (a, b))
+            values |= motor.fields(motor_units(self.settings, kind), 1 / inverse)
         index = self._take("joints", self._joints)
         self._joints += 1
-        joints = self._scene.joints
-        joints.active[index] = True
-        joints.a[index], joints.b[index] = a, b
-        joints.anchor_a[index], joints.anchor_b[index] = anchors
-        joints.rest_angle[index] = self._angle[b] - self._angle[a]
         for name, value in values.items():
-            getattr(joints, name)[index] = value
+            getattr(self._scene.joints, name)[index] = value
         return index
+
+    def _inverse_moved(self, body: int, at: Point, kind: JointKind, world_axis: float) -> float:
+        """What a unit of a motor's impulse gives to one of its bodies: 1/(kg m^2), of a slider 1/kg."""
+        shapes = self._scene.shapes
+        mass, inertia = float(shapes.inverse_mass[body]), float(shapes.inverse_inertia[body])
+        if kind != JointKind.PRISMATIC:
+            return inertia
+        x, y = np.asarray(finite("at", at, 2)) - self._position[body]
+        lever = x * math.sin(world_axis) - y * math.cos(world_axis)
+        return mass + inertia * lever**2
 
     def _is_fixed(self, shape: int) -> bool:
         return self._scene.shapes.inverse_mass[shape] == 0
@@ -262,26 +302,7 @@ class SceneBuilder:
         )
 
     def _to_local(self, body: int, at: Point) -> np.ndarray:
-        return _rotate(np.asarray(_finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
-
-
-def _drive(motor_speed: float | None, motor_power: float, limits: tuple[float, float] | None) -> dict[str, float]:
-    """Fields of `Joints` for a motor and limits."""
-    values: dict[str, float] = {}
-    if motor_speed is not None:
-        values |= {"motor_on": True, "motor_speed": _number("motor_speed", motor_speed)}
-        values |= {"motor_power": _positive("motor_power", motor_power)}
-    if limits is not None:
-        lower, upper = _finite("limits", limits, 2)
-        if lower > upper:
-            raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller number first")
-        if not lower <= 0 <= upper:
-            raise SceneError(
-                f"limits {lower:g} to {upper:g} leave out 0, which is how the shapes stand now; limits count from "
-                "there: add the shapes where they are within the limits"
-            )
-        values |= {"has_limits": True, "lower_limit": lower, "upper_limit": upper}
-    return values
+        return _rotate(np.asarray(finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
 
 
 def _body(
@@ -296,13 +317,13 @@ def _body(
     angular_velocity: float,
 ) -> _Body:
     """`second_moment`: of area about the centre of mass, m^4."""
-    density = _positive("density", density)
-    friction, restitution = _number("friction", friction), _number("restitution", restitution)
+    density = positive("density", density)
+    friction, restitution = number("friction", friction), number("restitution", restitution)
     if friction < 0:
         raise SceneError(f"friction is {friction:g}; it must be 0 or more")
     if not 0 <= restitution <= 1:
         raise SceneError(f"restitution is {restitution:g}; it must be from 0 to 1")
-    speed, spin = _finite("velocity", velocity, 2), _number("angular_velocity", angular_velocity)
+    speed, spin = finite("velocity", velocity, 2), number("angular_velocity", angular_velocity)
     if fixed and (any(speed) or spin):
         raise SceneError("a fixed shape cannot move: drop its velocity, or fixed=True")
     mass, inertia = density * area, density * second_moment
@@ -318,81 +339,9 @@ def _body(
         "friction": friction,
         "restitution": restitution,
     }
-    return _Body(shape, _number("angle", angle), speed, spin)
-
-
-def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
-    """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
-    try:
-        corners = np.asarray(vertices, np.float64)
-    except (TypeError, ValueError):
-        raise SceneError("vertices are no list of (x, y) points; give numbers in metres, two for each") from None
-    if corners.ndim != 2 or corners.shape[1] != 2:
-        raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
-    if not (np.abs(corners) <= LARGEST).all():
-        raise SceneError(f"vertices hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
-    if not 3 <= len(corners) <= max_vertices:
-        raise SceneError(
-            f"{len(corners)} vertices; this capacity takes 3 to {max_vertices}, so split the shape or raise "
-            "Capacity.vertices"
-        )
-    edges = np.roll(corners, -1, 0) - corners
-    lengths = np.hypot(edges[:, 0], edges[:, 1])
-    for i, length in enumerate(lengths):
-        if length <= 1e-6 * max(lengths.max(), 1e-30):
-            raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
-    area, _, _ = polygon_integrals(corners)
-    turns = _cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
-    if abs(area) < SMALLEST_AREA_M2:
-        raise SceneError(f"the polygon has an area of {area:g} m^2; it needs at least {SMALLEST_AREA_M2:g}")
-    if area < 0 and (turns <= 1e-9).all():
-        raise SceneError("vertices run clockwise; list them counter-clockwise (reverse the list)")
-    if (turns < -1e-6).any() or area < 0 or _winding(edges) != 1:
-        bad = int(np.argmin(turns)) + 1
-        raise SceneError(
-            f"the polygon is not convex at vertex {bad % len(corners)}; split it into convex parts and weld them"
-        )
-    return corners
-
-
-def _winding(edges: np.ndarray) -> int:
-    """How often the outline turns around: 1 for a simple convex polygon, 2 for a pentagram."""
-    headings = np.arctan2(edges[:, 1], edges[:, 0])
-    turns = (np.diff(np.append(headings, headings[0])) + math.pi) % (2 * math.pi) - math.pi
-    return round(float(turns.sum()) / (2 * math.pi))
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return _Body(shape, number("angle", angle), speed, spin)
 
 
 def _rotate(v: np.ndarray, angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])
-
-
-def _finite(name: str, values: Sequence[float], count: int) -> list[float]:
-    try:
-        numbers = [_number(name, value) for value in values]
-    except (TypeError, SceneError):
-        numbers = []
-    if len(numbers) != count:
-        raise SceneError(f"{name} is {values!r}; give {count} finite numbers")
-    return numbers
-
-
-def _number(name: str, value: float) -> float:
-    try:
-        number = math.nan if isinstance(value, (str, bytes, bool)) else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not abs(number) <= LARGEST:
-        raise SceneError(f"{name} is {value!r}; give a finite number (of at most {LARGEST:g})")
-    return number
-
-
-def _positive(name: str, value: float) -> float:
-    number = _number(name, value)
-    if number <= 0:
-        raise SceneError(f"{name} is {number:g}; it must be positive and finite")
-    return number

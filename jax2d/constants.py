@@ -87,6 +87,13 @@ class Constants:
         "sixteen times the rounding of one float32 operation",
         "0: sweep and pair test differ",
     )
+    # Servos
+    servo_braking_share: float = _constant(
+        0.5,
+        "of what the motor gives the two bodies alone",
+        "slows down a servo before its position; the rest is for loads",
+        "1: it overshoots with any load",
+    )
     # Bounces
     joint_passes_of_bounce: int = _constant(2, "a round", "along a chain a bounce goes joint by joint")
     bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")

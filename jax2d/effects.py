@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointKind, Scene, capacity_of, only_what_acts
+from jax2d.scene import Capacity, JointDrive, JointKind, Scene, capacity_of, only_what_acts
 
 # Bit i of `Touching.missing` is EFFECTS[i], bit len(EFFECTS) + j is a slot of SLOTS[j] beyond those compiled for.
 EFFECTS = (
@@ -33,9 +33,11 @@ EFFECTS = (
     "prismatic_joints",
     "joint_limits",
     "motors",
+    "brakes_and_servos",
     "thrusters",
     "gravity",
 )
+NOT_IN_THE_PAPER = ("prismatic_joints", "brakes_and_servos")  # nor in the solver of preset `paper`
 SLOTS = ("polygon_slots", "circle_slots", "joint_slots", "thruster_slots", "contact_slots")
 
 
@@ -58,6 +60,7 @@ class Effects:
     prismatic_joints: bool = False
     joint_limits: bool = False  # of joints that are not fixed
     motors: bool = False  # of joints that are not fixed
+    brakes_and_servos: bool = False  # motors that hold still or move to a position
     thrusters: bool = False
     gravity: bool = False  # that acts on a mass
     # Number of slots, from the first, in which anything is active
@@ -80,8 +83,8 @@ class Effects:
         )
 
     def known_to(self, solver: str) -> Effects:
-        """These effects as far as a solver has them: the paper's appendix knows no prismatic joints."""
-        return self if solver == "soft_step" else self.without("prismatic_joints")
+        """These effects as far as a solver has them: those of the paper's appendix for preset `paper`."""
+        return self if solver == "soft_step" else self.without(*NOT_IN_THE_PAPER)
 
     def missing(self, other: Effects) -> tuple[str, ...]:
         """Names of what `other` calls for and this has not, in the order of EFFECTS and SLOTS."""
@@ -155,7 +158,9 @@ def called_for(scenes: Scene) -> EffectTable:
     flags["continuous_collision"] = meets.any((-2, -1))
     flags |= {f"{kind.name.lower()}_joints": joints.any(-1) for kind, joints in has_kind.items()}
     flags["joint_limits"] = (is_driven & scenes.joints.has_limits).any(-1)
-    flags["motors"] = (is_driven & scenes.joints.motor_on).any(-1)
+    has_motor = is_driven & scenes.joints.motor_on
+    flags["motors"] = has_motor.any(-1)
+    flags["brakes_and_servos"] = (has_motor & ~scenes.joints.is_drive(JointDrive.VELOCITY)).any(-1)
     flags["thrusters"] = jnp.asarray(scenes.thrusters.active).any(-1)
     has_gravity = (jnp.asarray(scenes.gravity) != 0).any(-1)
     flags["gravity"] = has_gravity & (scenes.shapes.inverse_mass > 0).any(-1)

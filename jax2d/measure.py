@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import Controls, JointKind, Scene, State
+from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
 from jax2d.settings import Settings
 
 
@@ -70,7 +70,8 @@ def max_work(
     base_power = jnp.where(slides, settings.base_slider_power, settings.base_motor_power)
     base_speed = jnp.where(slides, settings.base_slider_speed, settings.base_motor_speed)
     force = base_power * jnp.asarray(joints.motor_power) * mass
-    target = base_speed * jnp.abs(controls.motor * joints.motor_speed)
+    share = jnp.where(joints.is_drive(JointDrive.SERVO), 1.0, jnp.abs(controls.motor))  # of its speed
+    target = base_speed * jnp.abs(joints.motor_speed) * share
     motors = jnp.where(driven, force * target * seconds, 0.0)
 
     body = scene.thrusters.body

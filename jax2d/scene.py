@@ -37,6 +37,14 @@ class JointKind(enum.IntEnum):
     PRISMATIC = 2  # sliding along an axis of a; may have a motor and limits
 
 
+class JointDrive(enum.IntEnum):
+    """What a motor makes of its control, -1 to 1."""
+
+    VELOCITY = 0  # a share of its speed; 0: it exerts nothing
+    BRAKE = 1  # a share of its speed; 0: it holds still with its whole strength
+    SERVO = 2  # a position, from the lower limit at -1 to the upper one at 1, approached at its speed at most
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Capacity:
     """How many of each thing a world has room for. Compile-time: engines are built for one capacity."""
@@ -130,7 +138,14 @@ class Joints:
     )
     axis_angle: Array = array("J", float, "frame of a: along which b slides, of prismatic joints", unit="rad")
     motor_on: Array = array("J", bool, "it has a motor", empty=False, bits=1)
-    motor_speed: Array = array("J", float, "target", unit="settings.base_motor_speed or base_slider_speed", empty=1)
+    drive: Array = array("J", int, "JointDrive of the motor", bits=2, at_least=0, at_most=max(JointDrive))
+    motor_speed: Array = array(
+        "J",
+        float,
+        "at control 1; a servo's largest, which turns its direction round if negative",
+        unit="settings.base_motor_speed or base_slider_speed",
+        empty=1,
+    )
     motor_power: Array = array(
         "J",
         float,
@@ -147,6 +162,10 @@ class Joints:
     def is_kind(self, kind: JointKind) -> Array:
         """[..., J] bool, joints of this kind, active or not."""
         return self.kind == kind
+
+    def is_drive(self, drive: JointDrive) -> Array:
+        """[..., J] bool, joints whose motor, if they have one, is driven this way."""
+        return self.drive == drive
 
 
 @jax.tree_util.register_dataclass
@@ -201,7 +220,7 @@ class Controls:
     """What an agent does in one step."""
 
     motor: Array = array(
-        "J", float, "share of the motor's target speed (0: motor exerts nothing)", at_least=-1, at_most=1
+        "J", float, "share of the motor's target speed, or a servo's position: see JointDrive", at_least=-1, at_most=1
     )
     thruster: Array = array("T", float, "share of the thruster's power", at_least=0, at_most=1)
 

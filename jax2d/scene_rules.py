@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jax2d.fields import Field, field_of, fields_of
-from jax2d.scene import Scene
+from jax2d.scene import JointDrive, JointKind, Scene
 
 # Of a polygon's extent: what vertices may be off by, from rounding and from the public levels' own centres of mass.
 OFF_CENTRE = 1e-3
@@ -91,6 +91,12 @@ def _differs(b: np.ndarray, a: np.ndarray, is_on: np.ndarray) -> np.ndarray:
 
 def _in_order(lower: np.ndarray, upper: np.ndarray, has_limits: np.ndarray, is_on: np.ndarray) -> np.ndarray:
     return ~(is_on & has_limits) | (lower <= upper)
+
+
+def _bounds_servo(
+    has_limits: np.ndarray, drive: np.ndarray, motor_on: np.ndarray, kind: np.ndarray, is_on: np.ndarray
+) -> np.ndarray:
+    return has_limits | ~(is_on & motor_on & (drive == JointDrive.SERVO) & (kind != JointKind.FIXED))
 
 
 def _polygons(shape_active: np.ndarray, num_vertices: np.ndarray) -> np.ndarray:
@@ -170,4 +176,9 @@ SCENE_RULES = (
     _rule("shapes.can_touch", _same_both_ways, "be the same for [i, j] and [j, i]"),
     _rule("joints.b joints.a joints.active", _differs, "be another shape than joints.a"),
     _rule("joints.lower_limit joints.upper_limit joints.has_limits joints.active", _in_order, "be at most upper_limit"),
+    _rule(
+        "joints.has_limits joints.drive joints.motor_on joints.kind joints.active",
+        _bounds_servo,
+        "be True: a servo without limits has no positions to move between",
+    ),
 )

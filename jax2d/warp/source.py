@@ -11,7 +11,7 @@ from pathlib import Path
 
 from jax2d.constants import cpp_macros
 from jax2d.effects import EFFECTS
-from jax2d.scene import JointKind
+from jax2d.scene import JointDrive, JointKind
 from jax2d.settings import Settings
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.layout import Layout, word_constants
@@ -29,6 +29,7 @@ NATIVE_FILES = (
     "pairs.h",
     "contacts.h",
     "joint.h",
+    "drives.h",
     "sliders.h",
     "joints.h",
     "forces.h",
@@ -79,6 +80,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
     values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}
     values |= {f"PARAM_{name.upper()}": i for i, name in enumerate(PARAMETERS)}
     values |= {f"KIND_{kind.name}": int(kind) for kind in JointKind}
+    values |= {f"DRIVE_{drive.name}": int(drive) for drive in JointDrive}
     values |= word_constants()
     for table, rows in Layout(capacity).rows().items():
         values |= {f"{table}_{name}": row for name, row in rows.items()}

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Controls, JointKind, Scene, State
-from jax2d.solver_numbers import Softness, SolverNumbers
+from jax2d.constants import CONSTANTS as C
+from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
+from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.bodies import (
     Bodies,
@@ -39,13 +40,23 @@ class JointImpulses(NamedTuple):
     upper: jax.Array
 
 
+class Servo(NamedTuple):
+    """Where servos go, and how."""
+
+    position: jax.Array  # [J] rad or m, that it moves to
+    max_speed: jax.Array  # [J] rad/s or m/s
+    deceleration: jax.Array  # [J] rad/s^2 or m/s^2, with which it comes to rest
+
+
 class Joints(NamedTuple):
     """`J` joints in one step; what holds nothing (`is_held` False) is masked out."""
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
     is_prismatic: jax.Array  # [J] bool
-    is_driven: jax.Array  # [J] bool, a motor with a control
+    is_driven: jax.Array  # [J] bool, a motor with a control, a brake or a servo
+    is_servo: jax.Array  # [J] bool
+    is_exact: jax.Array  # [J] bool, brakes and servos
     is_limited: jax.Array  # [J] bool
     pair: Pair  # of [J]
     axis_angle: jax.Array  # [J] rad, frame of a
@@ -59,6 +70,8 @@ class Joints(NamedTuple):
     control: jax.Array  # [J]
     motor_target: jax.Array  # [J] rad/s, of a slider m/s
     max_motor_impulse: jax.Array  # [J] N m s, largest impulse of one sub-step; of a slider N s
+    motor_mass: jax.Array  # [J] kg m^2, of a slider kg, that a motor aims with
+    servo: Servo
     lower: jax.Array  # [J] rad, of a slider m
     upper: jax.Array
     impulses: JointImpulses
@@ -74,14 +87,18 @@ def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Con
     is_held = scene.joints.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
     is_fixed, is_prismatic = (scene.joints.is_kind(kind) for kind in (JointKind.FIXED, JointKind.PRISMATIC))
-    is_driven = scene.joints.motor_on & ~is_fixed & (controls.motor != 0)
+    is_velocity, is_servo = (scene.joints.is_drive(drive) for drive in (JointDrive.VELOCITY, JointDrive.SERVO))
+    is_driven = scene.joints.motor_on & ~is_fixed & ((controls.motor != 0) | ~is_velocity)
     angular_impulse = jnp.where(is_driven | is_fixed, impulses.angular_impulse, 0)
-    speed = jnp.where(is_prismatic, params.base_slider_speed, params.base_motor_speed)
+    base_speed = jnp.where(is_prismatic, params.base_slider_speed, params.base_motor_speed)
+    speed, zero = scene.joints.motor_speed * base_speed, jnp.zeros_like(controls.motor)
     joints = Joints(
         is_held=is_held,
         is_fixed=is_fixed,
         is_prismatic=is_prismatic,
         is_driven=is_driven,
+        is_servo=is_servo,
+        is_exact=~is_velocity,
         is_limited=scene.joints.has_limits,
         pair=pair,
         axis_angle=scene.joints.axis_angle,
@@ -91,19 +108,60 @@ def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Con
         angle_b=bodies.angle[b],
         centre_gap=bodies.position[b] - bodies.position[a],
         start_angle=bodies.angle[b] - bodies.angle[a] - scene.joints.rest_angle,
-        axial_mass=jnp.zeros_like(controls.motor),
+        axial_mass=zero,
         control=controls.motor,
-        motor_target=controls.motor * scene.joints.motor_speed * speed,
-        max_motor_impulse=jnp.zeros_like(controls.motor),
+        motor_target=controls.motor * scene.joints.motor_speed * base_speed,
+        max_motor_impulse=zero,
+        motor_mass=zero,
+        servo=Servo(zero, zero, zero),
         lower=scene.joints.lower_limit,
         upper=scene.joints.upper_limit,
         impulses=impulses._replace(angular_impulse=angular_impulse),
     )
-    axial = constraints(bodies, joints).axial
-    axial_mass = vec2.inverse_or_zero(inverse_mass(pair, axial, axial))
+    rows = constraints(bodies, joints)
+    axial_mass = vec2.inverse_or_zero(inverse_mass(pair, rows.axial, rows.axial))
     # The power is the acceleration that the motor can give to the pair of bodies alone.
     power = scene.joints.motor_power * jnp.where(is_prismatic, params.base_slider_power, params.base_motor_power)
-    return joints._replace(axial_mass=axial_mass, max_motor_impulse=params.h * power * axial_mass)
+    max_impulse = params.h * power * axial_mass
+    driven = inverse_driven_mass(pair, rows)
+    middle, reach = 0.5 * (joints.lower + joints.upper), 0.5 * (joints.upper - joints.lower)
+    return joints._replace(
+        axial_mass=axial_mass,
+        max_motor_impulse=max_impulse,
+        motor_mass=jnp.where(is_velocity, axial_mass, vec2.inverse_or_zero(driven)),
+        servo=Servo(
+            position=middle + jnp.where(speed < 0, -controls.motor, controls.motor) * reach,
+            max_speed=jnp.abs(speed),
+            deceleration=C.servo_braking_share * max_impulse * driven / params.h,
+        ),
+    )
+
+
+def inverse_driven_mass(pair: Pair, rows: Constraints) -> jax.Array:
+    """[J] 1/(kg m^2), of a slider 1/kg: how fast the bodies go along the axial row after a unit of impulse along it,
+    with what the joint holds against it. Brakes and servos aim with this mass: an arm hung up beside its centre would
+    take hundreds of passes to follow one that knows the axis alone."""
+    held = vec2.dot(wrong_of_drive(pair, rows), held_answer(pair, rows))
+    return jnp.maximum(inverse_mass(pair, rows.axial, rows.axial) - held, 0)
+
+
+def wrong_of_drive(pair: Pair, rows: Constraints) -> jax.Array:
+    """[J, 2] speeds along what is held that a unit of impulse along the axial row makes."""
+    return jnp.stack([inverse_mass(pair, rows.axial, row) for row in (rows.first, rows.second)], -1)
+
+
+def held_answer(pair: Pair, rows: Constraints) -> jax.Array:
+    """[J, 2] impulses along what is held that undo those speeds if taken away."""
+    wrong, mass = wrong_of_drive(pair, rows), held_mass(pair, rows)
+    return jnp.stack([vec2.dot(mass[:, 0], wrong), vec2.dot(mass[:, 1], wrong)], -1)
+
+
+def speed_towards(servo: Servo, way: jax.Array, h: Scalar) -> jax.Array:
+    """Speed to have for the next h seconds, [J]: the largest from which, losing deceleration x h in each, a servo
+    stands still where it is to be. At the end that is the whole way within h."""
+    distance, lost = jnp.abs(way), 0.5 * servo.deceleration * h
+    braking = vec2.sqrt_or_zero(lost * lost + 2 * servo.deceleration * distance) - lost
+    return jnp.sign(way) * jnp.minimum(servo.max_speed, jnp.minimum(braking, distance / h))
 
 
 def store(joints: Joints, state: State) -> jax.Array:
@@ -230,6 +288,8 @@ class Row(NamedTuple):
     axial_mass: jax.Array
     held_mass: jax.Array  # [2, 2], of the two rows that are held
     motor_target: jax.Array
+    motor_mass: jax.Array
+    motor_answer: jax.Array  # [2], of what is held to a unit of a motor's impulse
     max_motor_impulse: jax.Array
     return_speed: jax.Array  # rad/s or m/s at which a weld's angle and what is beyond a limit is brought back
     angle: jax.Array  # rad
@@ -255,7 +315,13 @@ def solve_soft(
         second=now.second,
         axial_mass=joints.axial_mass,
         held_mass=held_mass(joints.pair, now),
-        motor_target=joints.motor_target,
+        motor_target=jnp.where(
+            joints.is_servo,
+            speed_towards(joints.servo, joints.servo.position - now.position, params.h),
+            joints.motor_target,
+        ),
+        motor_mass=joints.motor_mass,
+        motor_answer=-jnp.where(joints.is_exact[:, None], held_answer(joints.pair, now), 0),
         max_motor_impulse=joints.max_motor_impulse,
         return_speed=jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed),
         angle=current_angle(bodies, joints),
@@ -288,12 +354,16 @@ def solve_motor_or_angle(
 ) -> tuple[PairVelocities, JointImpulses]:
     """A motor is a velocity constraint with a bounded impulse: dt changes neither its target nor its strength."""
     speed, before = speed_along(row.axial, of), impulses.angular_impulse
-    driven = before - row.axial_mass * (speed - row.motor_target)
+    driven = before - row.motor_mass * (speed - row.motor_target)
     driven = jnp.clip(driven, -row.max_motor_impulse, row.max_motor_impulse)
     turn_back = jnp.clip(soft.bias_rate * row.angle, -row.return_speed, row.return_speed)
     held = before - row.axial_mass * soft.mass_scale * (speed + turn_back) - soft.impulse_scale * before
     total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, before))
-    return push(of, row.pair, row.axial, total - before), impulses._replace(angular_impulse=total)
+    of = push(of, row.pair, row.axial, total - before)
+    # What is held answers a brake or servo at once, so that limits see the speed that stays.
+    answer = jnp.where(row.is_driven, row.motor_answer * (total - before), 0)
+    of = push(push(of, row.pair, row.first, answer[0]), row.pair, row.second, answer[1])
+    return of, impulses._replace(angular_impulse=total, point=impulses.point + answer)
 
 
 def solve_limits(

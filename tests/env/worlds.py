@@ -61,6 +61,7 @@ def small_level(
         "joints.rest_angle": np.zeros(1, np.float32),
         "joints.axis_angle": np.zeros(1, np.float32),
         "joints.motor_on": np.zeros(1, bool),
+        "joints.drive": np.zeros(1, np.int32),
         "joints.motor_speed": np.zeros(1, np.float32),
         "joints.motor_power": np.zeros(1, np.float32),
         "joints.has_limits": np.zeros(1, bool),

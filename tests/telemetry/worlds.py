@@ -54,6 +54,7 @@ def scene() -> Scene:
             rest_angle=np.zeros(joints, np.float32),
             axis_angle=np.zeros(joints, np.float32),
             motor_on=np.array([True, False]),
+            drive=np.zeros(joints, np.int32),
             motor_speed=np.ones(joints, np.float32),
             motor_power=np.ones(joints, np.float32),
             has_limits=np.zeros(joints, bool),

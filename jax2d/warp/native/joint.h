@@ -26,6 +26,7 @@ struct Joint {
     return HAS_PRISMATIC_JOINTS && ((!HAS_REVOLUTE_JOINTS && !HAS_FIXED_JOINTS) || kind_of(flags) == KIND_PRISMATIC);
   }
   KFN bool is_driven() const { return HAS_MOTORS && (flags & MOTOR_BIT) != 0; }
+  KFN int drive() const { return HAS_BRAKES_AND_SERVOS ? flags >> JOINTS_DRIVE_SHIFT & JOINTS_DRIVE_MASK : DRIVE_VELOCITY; }
   KFN bool is_limited() const { return HAS_JOINT_LIMITS && (flags >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0; }
 
   KFN static bool is_compiled_in(int word) {
@@ -51,10 +52,10 @@ struct Joint {
 
   KFN real current_angle(const Bodies& bodies) const { return start_angle + bodies.turn(b) - bodies.turn(a); }
 
-  // Of a motor that shall bring `speed` to its target: what it adds to its bounded impulse. dt changes neither its target
-  // nor its strength.
-  KFN real motor_impulse(real speed) {
-    real total = Math::clamp(angular_impulse - axial_mass * (speed - motor_target), -max_motor_impulse, max_motor_impulse);
+  // Of a motor that shall bring `mass` from `speed` to its target: what it adds to its bounded impulse. dt changes neither
+  // its target nor its strength.
+  KFN real motor_impulse(real speed, real mass) {
+    real total = Math::clamp(angular_impulse - mass * (speed - motor_target), -max_motor_impulse, max_motor_impulse);
     real added = total - angular_impulse;
     angular_impulse = total;
     return added;

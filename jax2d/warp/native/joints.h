@@ -6,6 +6,7 @@
 struct Joints {
   Joint list[NUM_JOINTS + 1];
   Vec2 local_axis[HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1];  // frame of a, of sliders
+  Drive drives[HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1];
   int count;
 
   KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
@@ -80,13 +81,44 @@ struct Joints {
         base_power = params.get(PARAM_BASE_SLIDER_POWER);
       }
       real control = controls.get(joint.index);
-      bool driven = joint.is_driven() && !joint.is_fixed() && control != real(0);
+      bool driven = joint.is_driven() && !joint.is_fixed() && (control != real(0) || joint.drive() != DRIVE_VELOCITY);
       if (!driven) joint.flags &= ~Joint::MOTOR_BIT;
       joint.motor_target = control * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index) * base_speed;
       // The power is the acceleration that the motor can give to the pair of bodies alone.
       joint.max_motor_impulse = h * base_power * scene.get(SCENE_JOINTS_MOTOR_POWER + joint.index) * joint.axial_mass;
       if (!driven && !joint.is_fixed()) joint.angular_impulse = real(0);
+      if (driven && joint.drive() != DRIVE_VELOCITY) {
+        real speed = base_speed * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index);
+        drives[k] = Drive::of(joint, inverse_driven_mass(bodies, k), control, speed, h);
+      }
     }
+  }
+
+  // How fast the bodies go along or about the axis after a unit of impulse, with what their joint holds against it.
+  KFN real inverse_driven_mass(const Bodies& bodies, int k) const {
+    const Joint& joint = list[k];
+    Pair pair = Pair::of(bodies, joint.a, joint.b);
+    if (joint.is_prismatic()) return Slider::of(bodies, joint, local_axis[k]).inverse_driven_mass(pair);
+    Arms arms = joint.common_arms(pair, joint.gap(bodies));
+    Vec2 wrong = wrong_of_turn(pair, arms);
+    real free = pair.inverse_inertia_a + pair.inverse_inertia_b;
+    return Math::max(free - wrong.dot(point_mass_times(pair, arms, wrong)), real(0));
+  }
+
+  // Speed of b's point from a's that a unit of angular impulse makes.
+  KFN static Vec2 wrong_of_turn(const Pair& pair, Arms arms) {
+    return arms.a.left() * pair.inverse_inertia_a + arms.b.left() * pair.inverse_inertia_b;
+  }
+
+  // Where a servo aims for the next sub-step, by how far it has come: rad or m.
+  KFN void aim(int k, real position, const Soft& soft) {
+    Joint& joint = list[k];
+    if (joint.drive() == DRIVE_SERVO)
+      joint.motor_target = drives[k].speed_towards(drives[k].position - position, soft.inverse_h);
+  }
+
+  KFN real motor_mass(int k) const {
+    return list[k].drive() == DRIVE_VELOCITY ? list[k].axial_mass : drives[k].mass;
   }
 
   KFN void warm_start(Bodies& bodies) {
@@ -112,12 +144,17 @@ struct Joints {
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       if (joint.is_prismatic()) {
         joint.turn_arms(bodies);
-        Slider::of(bodies, joint, local_axis[k]).solve(bodies, pair, joint, soft, use_bias, motors);
+        Slider slider = Slider::of(bodies, joint, local_axis[k]);
+        if (motors && joint.is_driven()) aim(k, slider.translation(), soft);
+        slider.solve(bodies, pair, joint, motor_mass(k), soft, use_bias, motors);
       } else if (joint.is_fixed()) {
         solve_angle(pair, joint, joint.current_angle(bodies), soft, use_bias);
         solve_point(bodies, pair, joint, soft, use_bias);
       } else {
-        if (motors && joint.is_driven()) solve_motor(pair, joint);
+        if (motors && joint.is_driven()) {
+          aim(k, joint.current_angle(bodies), soft);
+          solve_motor(bodies, pair, joint, motor_mass(k));
+        }
         if (joint.is_limited()) solve_limits(pair, joint, joint.current_angle(bodies), soft, use_bias);
         solve_point(bodies, pair, joint, soft, use_bias);
       }
@@ -126,9 +163,16 @@ struct Joints {
   }
 
   // Velocity constraint with a bounded torque: dt changes neither its target nor its strength.
-  KFN static void solve_motor(Pair& pair, Joint& joint) {
+  KFN static void solve_motor(const Bodies& bodies, Pair& pair, Joint& joint, real mass) {
     real speed = pair.omega_b - pair.omega_a;
-    pair.apply_angular_impulse(joint.motor_impulse(speed));
+    real added = joint.motor_impulse(speed, mass);
+    pair.apply_angular_impulse(added);
+    if (joint.drive() == DRIVE_VELOCITY) return;
+    joint.turn_arms(bodies);
+    Arms arms = joint.common_arms(pair, joint.gap(bodies));
+    Vec2 answer = point_mass_times(pair, arms, wrong_of_turn(pair, arms)) * -added;
+    joint.impulse = joint.impulse + answer;
+    pair.apply_impulse(arms.a, arms.b, answer);
   }
 
   // J, what motors have added to the bodies' energy in this sub-step.

@@ -51,10 +51,46 @@ struct Slider {
     push_across(pair, joint.impulse);
   }
 
-  KFN void solve(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias, bool motors) const {
-    if (motors && joint.is_driven()) push_along(pair, joint.motor_impulse(axial_speed(pair)));
+  // 1/kg: speed along the axis after a unit of impulse along it, with what the joint holds against it.
+  KFN real inverse_driven_mass(const Pair& pair) const {
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    real free = pair.inverse_mass_a + pair.inverse_mass_b + ia * axis_a * axis_a + ib * axis_b * axis_b;
+    Vec2 wrong = wrong_of_push(pair);
+    return Math::max(free - wrong.dot(held_mass_times(pair, wrong)), real(0));
+  }
+
+  // Speeds across the axis and about it that a unit of impulse along it makes.
+  KFN Vec2 wrong_of_push(const Pair& pair) const {
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    return {across_a * ia * axis_a + across_b * ib * axis_b, ia * axis_a + ib * axis_b};
+  }
+
+  KFN void drive(Pair& pair, Joint& joint, real mass) const {
+    real added = joint.motor_impulse(axial_speed(pair), mass);
+    push_along(pair, added);
+    if (joint.drive() == DRIVE_VELOCITY) return;
+    Vec2 answer = held_mass_times(pair, wrong_of_push(pair)) * -added;
+    joint.impulse = joint.impulse + answer;
+    push_across(pair, answer);
+  }
+
+  // Solves K x = v with K the 2 x 2 inverse effective mass across the axis and about it.
+  KFN Vec2 held_mass_times(const Pair& pair, Vec2 v) const {
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    real k11 = pair.inverse_mass_a + pair.inverse_mass_b + ia * across_a * across_a + ib * across_b * across_b;
+    real k12 = ia * across_a + ib * across_b;
+    real k22 = ia + ib > real(0) ? ia + ib : real(1);  // two bodies that cannot turn keep their angle anyway
+    return Symmetric::solve(k11, k12, k22, v);
+  }
+
+  KFN real translation() const { return axis.dot(gap); }
+
+  // `motor_mass`: kg that the motor aims with.
+  KFN void solve(const Bodies& bodies, Pair& pair, Joint& joint, real motor_mass, const Soft& soft, bool use_bias,
+                 bool motors) const {
+    if (motors && joint.is_driven()) drive(pair, joint, motor_mass);
     if (joint.is_limited()) {
-      real translation = axis.dot(gap);
+      real translation = this->translation();
       real lower = joint.lower_impulse(translation - joint.lower, axial_speed(pair), soft, use_bias, soft.pull_speed);
       push_along(pair, lower);
       real upper = joint.upper_impulse(joint.upper - translation, -axial_speed(pair), soft, use_bias, soft.pull_speed);
@@ -69,11 +105,7 @@ struct Slider {
       mass_scale = soft.joint.mass_scale;
       impulse_scale = soft.joint.impulse_scale;
     }
-    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
-    real k11 = pair.inverse_mass_a + pair.inverse_mass_b + ia * across_a * across_a + ib * across_b * across_b;
-    real k12 = ia * across_a + ib * across_b;
-    real k22 = ia + ib > real(0) ? ia + ib : real(1);  // two bodies that cannot turn keep their angle anyway
-    Vec2 impulse = -(Symmetric::solve(k11, k12, k22, wrong) * mass_scale) - joint.impulse * impulse_scale;
+    Vec2 impulse = -(held_mass_times(pair, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
     push_across(pair, impulse);
   }
