@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from bench.program import parser_of
-from jax2d import Capacity, Controls, JointKind, Joints, Scene, Shapes, State, Thrusters
+from jax2d import Capacity, Controls, JointKind, Joints, Scene, Shapes, Springs, State, Thrusters
+from jax2d.fields import broadcast, empty
 from jax2d.scene import JOINT_IMPULSES
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -125,6 +126,7 @@ def load(file: Path) -> Steps:
             angle=d["thruster.rotation"],
             power=d["thruster.power"],
         ),
+        springs=broadcast(empty(Springs, capacity.sizes), (len(d["gravity"]),)),
         gravity=d["gravity"],
     )
     joint_impulse = np.zeros((*d["joint.active"].shape, JOINT_IMPULSES), np.float32)
@@ -137,6 +139,7 @@ def load(file: Path) -> Steps:
         velocity=shapes("velocity"),
         angular_velocity=shapes("angular_velocity"),
         joint_impulse=joint_impulse,
+        spring_impulse=np.zeros((count, 0, 3), np.float32),
         contact_key=np.full((count, slots), -1, np.int32),
         contact_impulse=np.zeros((count, slots, 2), np.float32),
     )

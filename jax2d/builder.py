@@ -20,7 +20,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jax2d.builder_numbers import LARGEST, Point, SceneError, SceneFullError, finite, number, one_of, positive
+from jax2d.builder_bodies import Body, body_of
+from jax2d.builder_numbers import Point, SceneError, SceneFullError, finite, number, one_of, positive
+from jax2d.distances import SpringOptions
 from jax2d.drives import MotorOptions, motor_units
 from jax2d.fields import empty
 from jax2d.polygon_rules import SMALLEST_AREA_M2, check_polygon
@@ -42,17 +44,8 @@ class BuiltWorld(NamedTuple):
     angular_velocity: np.ndarray  # [n] rad/s
 
 
-class _Body(NamedTuple):
-    """What shapes of both kinds have, checked."""
-
-    shape: dict[str, float]  # fields of `Shapes`
-    angle: float
-    velocity: list[float]
-    angular_velocity: float
-
-
 class SceneBuilder:
-    """Adds shapes, joints and thrusters to an empty world of the given capacity. A refused call adds nothing."""
+    """Adds shapes and what acts on them to an empty world of the given capacity. A refused call adds nothing."""
 
     def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81), settings: Settings | None = None):
         """`settings`: those of the engine, whose base_* numbers turn torques, forces and speeds into the units of a
@@ -61,7 +54,7 @@ class SceneBuilder:
         self.settings = settings if settings is not None else preset("standard")
         self._gravity = np.asarray(finite("gravity", gravity, 2), np.float32)
         n = capacity.shapes
-        self._polygons = self._circles = self._joints = self._thrusters = 0
+        self._polygons = self._circles = self._joints = self._springs = self._thrusters = 0
         self._apart: set[tuple[int, int]] = set()
         self._position = np.zeros((n, 2), np.float32)
         self._angle = np.zeros(n, np.float32)
@@ -88,7 +81,7 @@ class SceneBuilder:
         the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
         area, centroid, inertia = polygon_integrals(corners)
-        body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
+        body = body_of(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
         at = np.asarray(finite("position", position, 2)) + _rotate(centroid, body.angle)
         index = self._take("polygons", self._polygons)
         self._polygons += 1
@@ -122,7 +115,7 @@ class SceneBuilder:
             raise SceneError(f"radius is {radius:g}; it must be at least {SMALLEST_RADIUS_M:.2g} m")
         area = math.pi * radius**2
         inertia = 0.5 * area * radius**2
-        body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
+        body = body_of(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
         at = np.asarray(finite("position", position, 2))
         slot = self._take("circles", self._circles)
         self._circles += 1
@@ -138,7 +131,7 @@ class SceneBuilder:
             raise SceneError(f"shape {a} kept apart from itself; name two different shapes")
         self._apart.add((a, b))
 
-    # Joints and thrusters
+    # Joints, springs and thrusters
 
     def add_revolute_joint(
         self,
@@ -201,6 +194,40 @@ class SceneBuilder:
         """Welds a and b together as they stand."""
         return self._add_joint(a, b, at, JointKind.FIXED)
 
+    def add_spring(
+        self,
+        a: int,
+        b: int,
+        *,
+        at_a: Point,
+        at_b: Point,
+        rest_length: float | None = None,
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        min_length: float = 0.0,
+        max_length: float | None = None,
+    ) -> int:
+        """A spring and damper from the world point `at_a` on a to `at_b` on b: `stiffness` in N/m about `rest_length`
+        (m, as now by default), `damping` in N s/m, limits of the length in m. The two shapes may still touch."""
+        options = SpringOptions(
+            rest_length=rest_length,
+            stiffness=stiffness,
+            damping=damping,
+            min_length=min_length,
+            max_length=max_length,
+        )
+        return self._add_spring(a, b, at_a, at_b, options)
+
+    def add_rope(self, a: int, b: int, *, at_a: Point, at_b: Point, length: float | None = None) -> int:
+        """Keeps two points at most `length` m apart, by default as far as now."""
+        longest = self._apart_now(at_a, at_b) if length is None else length
+        return self._add_spring(a, b, at_a, at_b, SpringOptions(max_length=longest))
+
+    def add_rod(self, a: int, b: int, *, at_a: Point, at_b: Point) -> int:
+        """Keeps two points as far apart as they are now."""
+        length = self._apart_now(at_a, at_b)
+        return self._add_spring(a, b, at_a, at_b, SpringOptions(min_length=length, max_length=length))
+
     def add_thruster(
         self, body: int, *, at: Point, angle: float, power: float | None = None, force: float | None = None
     ) -> int:
@@ -245,7 +272,7 @@ class SceneBuilder:
             raise SceneFullError(f"{used} of {room} {kind} used; build with Capacity({kind}={room + 1}) or more")
         return used
 
-    def _set_shape(self, index: int, position: np.ndarray, body: _Body) -> None:
+    def _set_shape(self, index: int, position: np.ndarray, body: Body) -> None:
         shapes = self._scene.shapes
         shapes.active[index] = True
         for name, value in body.shape.items():
@@ -258,11 +285,7 @@ class SceneBuilder:
     def _add_joint(
         self, a: int, b: int, at: Point, kind: JointKind, motor: MotorOptions | None = None, world_axis: float = 0.0
     ) -> int:
-        a, b = self._shape("a", a), self._shape("b", b)
-        if a == b:
-            raise SceneError(f"joint from shape {a} to itself; name two different shapes")
-        if self._is_fixed(a) and self._is_fixed(b):
-            raise SceneError(f"joint of shapes {a} and {b}, which are both fixed and would not move; leave it out")
+        a, b = self._two_shapes("joint", a, b)
         values: dict[str, Any] = {"active": True, "kind": kind, "a": a, "b": b}
         values |= {"anchor_a": self._to_local(a, at), "anchor_b": self._to_local(b, at)}
         values["rest_angle"] = self._angle[b] - self._angle[a]
@@ -276,6 +299,28 @@ class SceneBuilder:
         for name, value in values.items():
             getattr(self._scene.joints, name)[index] = value
         return index
+
+    def _add_spring(self, a: int, b: int, at_a: Point, at_b: Point, options: SpringOptions) -> int:
+        a, b = self._two_shapes("spring", a, b)
+        values = {"active": True, "a": a, "b": b, **options.fields(self._apart_now(at_a, at_b))}
+        values |= {"anchor_a": self._to_local(a, at_a, "at_a"), "anchor_b": self._to_local(b, at_b, "at_b")}
+        index = self._take("springs", self._springs)
+        self._springs += 1
+        for name, value in values.items():
+            getattr(self._scene.springs, name)[index] = value
+        return index
+
+    @staticmethod
+    def _apart_now(at_a: Point, at_b: Point) -> float:
+        return math.dist(finite("at_a", at_a, 2), finite("at_b", at_b, 2))
+
+    def _two_shapes(self, what: str, a: int, b: int) -> tuple[int, int]:
+        a, b = self._shape("a", a), self._shape("b", b)
+        if a == b:
+            raise SceneError(f"{what} from shape {a} to itself; name two different shapes")
+        if self._is_fixed(a) and self._is_fixed(b):
+            raise SceneError(f"{what} of shapes {a} and {b}, which are both fixed and would not move; leave it out")
+        return a, b
 
     def _inverse_moved(self, body: int, at: Point, kind: JointKind, world_axis: float) -> float:
         """What a unit of a motor's impulse gives to one of its bodies: 1/(kg m^2), of a slider 1/kg."""
@@ -301,45 +346,8 @@ class SceneBuilder:
             f"{name} is {index!r}, which is no shape of this scene; use what add_polygon or add_circle gave"
         )
 
-    def _to_local(self, body: int, at: Point) -> np.ndarray:
-        return _rotate(np.asarray(finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
-
-
-def _body(
-    area: float,
-    second_moment: float,
-    angle: float,
-    density: float,
-    friction: float,
-    restitution: float,
-    fixed: bool,
-    velocity: Point,
-    angular_velocity: float,
-) -> _Body:
-    """`second_moment`: of area about the centre of mass, m^4."""
-    density = positive("density", density)
-    friction, restitution = number("friction", friction), number("restitution", restitution)
-    if friction < 0:
-        raise SceneError(f"friction is {friction:g}; it must be 0 or more")
-    if not 0 <= restitution <= 1:
-        raise SceneError(f"restitution is {restitution:g}; it must be from 0 to 1")
-    speed, spin = finite("velocity", velocity, 2), number("angular_velocity", angular_velocity)
-    if fixed and (any(speed) or spin):
-        raise SceneError("a fixed shape cannot move: drop its velocity, or fixed=True")
-    mass, inertia = density * area, density * second_moment
-    if not fixed and not all(1 / LARGEST <= x <= LARGEST for x in (mass, inertia)):
-        raise SceneError(
-            f"the shape has a mass of {mass:g} kg and an inertia of {inertia:g} kg m^2; both must be from "
-            f"{1 / LARGEST:g} to {LARGEST:g}: change its size or density"
-        )
-    shape = {
-        "inverse_mass": 0.0 if fixed else 1.0 / mass,
-        "inverse_inertia": 0.0 if fixed else 1.0 / inertia,
-        "density": density,
-        "friction": friction,
-        "restitution": restitution,
-    }
-    return _Body(shape, number("angle", angle), speed, spin)
+    def _to_local(self, body: int, at: Point, name: str = "at") -> np.ndarray:
+        return _rotate(np.asarray(finite(name, at, 2)) - self._position[body], -float(self._angle[body]))
 
 
 def _rotate(v: np.ndarray, angle: float) -> np.ndarray:

@@ -23,6 +23,7 @@ class Constants:
     far_distance: float = _constant(
         1e30, "m", "a distance of what does not exist", "float32 overflows when squared: compared only"
     )
+    no_maximum: float = _constant(1e18, "m", "the longest length of a spring that may be of any", "smaller: it acts")
     coincident_distance: float = _constant(
         1e-9,
         "m",

@@ -34,10 +34,11 @@ EFFECTS = (
     "joint_limits",
     "motors",
     "brakes_and_servos",
+    "springs",
     "thrusters",
     "gravity",
 )
-NOT_IN_THE_PAPER = ("prismatic_joints", "brakes_and_servos")  # nor in the solver of preset `paper`
+NOT_IN_THE_PAPER = ("prismatic_joints", "brakes_and_servos", "springs")  # nor in the solver of preset `paper`
 SLOTS = ("polygon_slots", "circle_slots", "joint_slots", "thruster_slots", "contact_slots")
 
 
@@ -61,6 +62,7 @@ class Effects:
     joint_limits: bool = False  # of joints that are not fixed
     motors: bool = False  # of joints that are not fixed
     brakes_and_servos: bool = False  # motors that hold still or move to a position
+    springs: bool = False  # and dampers, ropes, rods
     thrusters: bool = False
     gravity: bool = False  # that acts on a mass
     # Number of slots, from the first, in which anything is active
@@ -161,6 +163,7 @@ def called_for(scenes: Scene) -> EffectTable:
     has_motor = is_driven & scenes.joints.motor_on
     flags["motors"] = has_motor.any(-1)
     flags["brakes_and_servos"] = (has_motor & ~scenes.joints.is_drive(JointDrive.VELOCITY)).any(-1)
+    flags["springs"] = jnp.asarray(scenes.springs.active).any(-1)
     flags["thrusters"] = jnp.asarray(scenes.thrusters.active).any(-1)
     has_gravity = (jnp.asarray(scenes.gravity) != 0).any(-1)
     flags["gravity"] = has_gravity & (scenes.shapes.inverse_mass > 0).any(-1)

@@ -84,9 +84,9 @@ class Engine:
         dtype: Any = jnp.float32,
     ):
         """`effects`: what the kernel is compiled for, `effects_of(scenes)`; by default everything that the solver has
-        (the paper's has no prismatic joints, brakes or servos). `backend`: "warp", the fused kernel, or "xla", the
-        reference in plain JAX (slow, differentiable, also in float64), or what makes another. `dtype` is that of states
-        and of the arithmetic."""
+        (the paper's has no prismatic joints, brakes, servos or springs). `backend`: "warp", the fused kernel, or "xla",
+        the reference in plain JAX (slow, differentiable, also in float64), or what makes another. `dtype` is that of
+        states and of the arithmetic."""
         if isinstance(backend, str) and backend not in BACKENDS:
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity

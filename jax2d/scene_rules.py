@@ -93,6 +93,10 @@ def _in_order(lower: np.ndarray, upper: np.ndarray, has_limits: np.ndarray, is_o
     return ~(is_on & has_limits) | (lower <= upper)
 
 
+def _is_at_most(shortest: np.ndarray, longest: np.ndarray, is_on: np.ndarray) -> np.ndarray:
+    return ~is_on | (shortest <= longest)
+
+
 def _bounds_servo(
     has_limits: np.ndarray, drive: np.ndarray, motor_on: np.ndarray, kind: np.ndarray, is_on: np.ndarray
 ) -> np.ndarray:
@@ -176,6 +180,8 @@ SCENE_RULES = (
     _rule("shapes.can_touch", _same_both_ways, "be the same for [i, j] and [j, i]"),
     _rule("joints.b joints.a joints.active", _differs, "be another shape than joints.a"),
     _rule("joints.lower_limit joints.upper_limit joints.has_limits joints.active", _in_order, "be at most upper_limit"),
+    _rule("springs.b springs.a springs.active", _differs, "be another shape than springs.a"),
+    _rule("springs.min_length springs.max_length springs.active", _is_at_most, "be at most max_length"),
     _rule(
         "joints.has_limits joints.drive joints.motor_on joints.kind joints.active",
         _bounds_servo,

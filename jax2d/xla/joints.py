@@ -1,4 +1,5 @@
-"""Joints of one world: motor, limits, the relative angle of welds, and what holds the two bodies together.
+"""What connects bodies of one world: springs, and joints by motor, limits, the relative angle of welds, and what holds
+the two bodies together.
 
 Body b is held to body a. Angles are angle_b - angle_a - rest angle. Solved one after another, in slot order. Every
 constraint is a row of a Jacobian, so that all kinds of joints are one code path:
@@ -15,9 +16,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
-from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
+from jax2d.solver_numbers import Softness, SolverNumbers
+from jax2d.xla import springs as springs_of
 from jax2d.xla import vec2
 from jax2d.xla.bodies import (
     Bodies,
@@ -29,6 +30,9 @@ from jax2d.xla.bodies import (
     pick,
     scatter_velocities,
 )
+from jax2d.xla.drives import Servo, servo_of, speed_towards
+from jax2d.xla.rows import Jacobian, inverse_mass, push, speed_along
+from jax2d.xla.springs import SpringImpulses, Springs
 
 
 class JointImpulses(NamedTuple):
@@ -40,16 +44,15 @@ class JointImpulses(NamedTuple):
     upper: jax.Array
 
 
-class Servo(NamedTuple):
-    """Where servos go, and how."""
+class Remembered(NamedTuple):
+    """What a step begins with."""
 
-    position: jax.Array  # [J] rad or m, that it moves to
-    max_speed: jax.Array  # [J] rad/s or m/s
-    deceleration: jax.Array  # [J] rad/s^2 or m/s^2, with which it comes to rest
+    joints: JointImpulses
+    springs: SpringImpulses
 
 
 class Joints(NamedTuple):
-    """`J` joints in one step; what holds nothing (`is_held` False) is masked out."""
+    """`J` joints in one step, and the springs; what holds nothing (`is_held` False) is masked out."""
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
@@ -75,21 +78,26 @@ class Joints(NamedTuple):
     lower: jax.Array  # [J] rad, of a slider m
     upper: jax.Array
     impulses: JointImpulses
+    springs: Springs
+
+    def remembered(self) -> Remembered:
+        return Remembered(self.impulses, self.springs.impulses)
 
 
-def load(state: State, params: SolverNumbers) -> JointImpulses:
+def load(state: State, params: SolverNumbers) -> Remembered:
     impulse = jnp.where(params.warm_start, state.joint_impulse, 0)
-    return JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
+    joints = JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
+    return Remembered(joints, springs_of.load(state, params))
 
 
-def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Controls, params: SolverNumbers) -> Joints:
+def prepare(bodies: Bodies, scene: Scene, before: Remembered, controls: Controls, params: SolverNumbers) -> Joints:
     a, b = scene.joints.a, scene.joints.b
     is_held = scene.joints.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
     is_fixed, is_prismatic = (scene.joints.is_kind(kind) for kind in (JointKind.FIXED, JointKind.PRISMATIC))
     is_velocity, is_servo = (scene.joints.is_drive(drive) for drive in (JointDrive.VELOCITY, JointDrive.SERVO))
     is_driven = scene.joints.motor_on & ~is_fixed & ((controls.motor != 0) | ~is_velocity)
-    angular_impulse = jnp.where(is_driven | is_fixed, impulses.angular_impulse, 0)
+    angular_impulse = jnp.where(is_driven | is_fixed, before.joints.angular_impulse, 0)
     base_speed = jnp.where(is_prismatic, params.base_slider_speed, params.base_motor_speed)
     speed, zero = scene.joints.motor_speed * base_speed, jnp.zeros_like(controls.motor)
     joints = Joints(
@@ -116,7 +124,8 @@ def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Con
         servo=Servo(zero, zero, zero),
         lower=scene.joints.lower_limit,
         upper=scene.joints.upper_limit,
-        impulses=impulses._replace(angular_impulse=angular_impulse),
+        impulses=before.joints._replace(angular_impulse=angular_impulse),
+        springs=springs_of.prepare(bodies, scene, before.springs),
     )
     rows = constraints(bodies, joints)
     axial_mass = vec2.inverse_or_zero(inverse_mass(pair, rows.axial, rows.axial))
@@ -124,16 +133,11 @@ def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Con
     power = scene.joints.motor_power * jnp.where(is_prismatic, params.base_slider_power, params.base_motor_power)
     max_impulse = params.h * power * axial_mass
     driven = inverse_driven_mass(pair, rows)
-    middle, reach = 0.5 * (joints.lower + joints.upper), 0.5 * (joints.upper - joints.lower)
     return joints._replace(
         axial_mass=axial_mass,
         max_motor_impulse=max_impulse,
         motor_mass=jnp.where(is_velocity, axial_mass, vec2.inverse_or_zero(driven)),
-        servo=Servo(
-            position=middle + jnp.where(speed < 0, -controls.motor, controls.motor) * reach,
-            max_speed=jnp.abs(speed),
-            deceleration=C.servo_braking_share * max_impulse * driven / params.h,
-        ),
+        servo=servo_of(controls.motor, speed, joints.lower, joints.upper, strength=max_impulse * driven / params.h),
     )
 
 
@@ -154,14 +158,6 @@ def held_answer(pair: Pair, rows: Constraints) -> jax.Array:
     """[J, 2] impulses along what is held that undo those speeds if taken away."""
     wrong, mass = wrong_of_drive(pair, rows), held_mass(pair, rows)
     return jnp.stack([vec2.dot(mass[:, 0], wrong), vec2.dot(mass[:, 1], wrong)], -1)
-
-
-def speed_towards(servo: Servo, way: jax.Array, h: Scalar) -> jax.Array:
-    """Speed to have for the next h seconds, [J]: the largest from which, losing deceleration x h in each, a servo
-    stands still where it is to be. At the end that is the whole way within h."""
-    distance, lost = jnp.abs(way), 0.5 * servo.deceleration * h
-    braking = vec2.sqrt_or_zero(lost * lost + 2 * servo.deceleration * distance) - lost
-    return jnp.sign(way) * jnp.minimum(servo.max_speed, jnp.minimum(braking, distance / h))
 
 
 def store(joints: Joints, state: State) -> jax.Array:
@@ -187,36 +183,6 @@ def current_gap(bodies: Bodies, joints: Joints, arm_a: jax.Array, arm_b: jax.Arr
     """Anchor of b from anchor of a, [J, 2] m."""
     moved = pick(joints.pair.is_b, bodies.delta) - pick(joints.pair.is_a, bodies.delta)
     return joints.centre_gap + moved + (arm_b - arm_a)
-
-
-class Jacobian(NamedTuple):
-    """One row of each joint: speed = direction . (v_b - v_a) + lever_b omega_b - lever_a omega_a."""
-
-    direction: jax.Array  # [..., 2], zero for an angle
-    lever_a: jax.Array  # [...] m, 1 for an angle
-    lever_b: jax.Array
-
-
-def speed_along(row: Jacobian, of: PairVelocities) -> jax.Array:
-    angular = row.lever_b * of.omega_b - row.lever_a * of.omega_a
-    return vec2.dot(row.direction, of.velocity_b - of.velocity_a) + angular
-
-
-def push(of: PairVelocities, pair: Pair, row: Jacobian, impulse: jax.Array) -> PairVelocities:
-    """Velocities after an impulse [...] on b, and its opposite on a."""
-    linear = row.direction * impulse[..., None]
-    return PairVelocities(
-        velocity_a=of.velocity_a - linear * pair.mass_a[..., None],
-        velocity_b=of.velocity_b + linear * pair.mass_b[..., None],
-        omega_a=of.omega_a - pair.inertia_a * row.lever_a * impulse,
-        omega_b=of.omega_b + pair.inertia_b * row.lever_b * impulse,
-    )
-
-
-def inverse_mass(pair: Pair, row: Jacobian, other: Jacobian) -> jax.Array:
-    """What an impulse along one row does to the speed along another."""
-    linear = vec2.dot(row.direction, other.direction) * (pair.mass_a + pair.mass_b)
-    return linear + pair.inertia_a * row.lever_a * other.lever_a + pair.inertia_b * row.lever_b * other.lever_b
 
 
 class Constraints(NamedTuple):
@@ -267,6 +233,7 @@ def _like(mask: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
+    bodies = springs_of.warm_start(bodies, joints.springs)
     rows, impulses = constraints(bodies, joints), joints.impulses
     before = pair_velocities(joints.pair, bodies.velocities)
     after = push(before, joints.pair, rows.first, impulses.point[:, 0])
@@ -301,9 +268,10 @@ class Row(NamedTuple):
 def solve_soft(
     bodies: Bodies, joints: Joints, params: SolverNumbers, *, use_bias: bool, motors: bool = True
 ) -> tuple[Bodies, Joints]:
-    """One pass over all joints: motor and limits, or the angle of a fixed joint; then what is held. No `motors` in a
-    bounce: a force or torque does nothing in an instant."""
+    """One pass over springs and all joints: motor and limits, or the angle of a fixed joint; then what is held. No
+    `motors` in a bounce: a force or torque does nothing in an instant."""
     soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
+    bodies, springs = springs_of.solve(bodies, joints.springs, params, use_bias=use_bias, forces=motors)
     now = constraints(bodies, joints)
     rows = Row(
         pair=joints.pair,
@@ -339,7 +307,7 @@ def solve_soft(
         return scatter_velocities(velocities, row.pair, before, of), impulses
 
     velocities, impulses = jax.lax.scan(solve, bodies.velocities, (rows, joints.impulses))
-    return bodies._replace(velocities=velocities), joints._replace(impulses=impulses)
+    return bodies._replace(velocities=velocities), joints._replace(impulses=impulses, springs=springs)
 
 
 def correction_speed(wanted: jax.Array, is_prismatic: jax.Array, params: SolverNumbers) -> jax.Array:
@@ -394,10 +362,11 @@ def solve_held(
 
 
 def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
-    """J, what motors have added to the bodies' energy in this sub-step."""
+    """J, what motors and springs have added to the bodies' energy in this sub-step."""
     speed = speed_along(constraints(bodies, joints).axial, pair_velocities(joints.pair, bodies.velocities))
     work = jnp.maximum(joints.impulses.angular_impulse * speed, 0)
-    return jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
+    motors = jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
+    return motors + springs_of.work(bodies, joints.springs)
 
 
 def held_mass(pair: Pair, rows: Constraints) -> jax.Array:

@@ -14,6 +14,7 @@ from jax2d.xla import bodies as bodies_of
 from jax2d.xla import bounces, contact_solver, forces, geometry, paper, paper_contacts, published
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
+from jax2d.xla import springs as springs_of
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.branching import in_any_world
 from jax2d.xla.contacts import ContactCache, Contacts
@@ -57,6 +58,7 @@ def run(
             velocity=bodies.velocities.velocity,
             angular_velocity=bodies.velocities.omega,
             joint_impulse=joints_of.store(end.joints, state),
+            spring_impulse=springs_of.store(end.joints.springs, state),
             contact_key=end.cache.key,
             contact_impulse=end.cache.impulse,
         )
@@ -101,7 +103,7 @@ def soft_step(
         left = h * jnp.where(every_substep, 1, rules.substeps - substep)
         found = bodies_of.end_step(bodies)
         found_contacts = find(found, cache, left)
-        found_joints = joints_of.prepare(found, scene, joints.impulses, controls, params)
+        found_joints = joints_of.prepare(found, scene, joints.remembered(), controls, params)
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
         bodies, contacts, joints, max_energy = _choose(
             is_found,

@@ -1,4 +1,5 @@
-// Joints of one world: motor, limits, the relative angle of fixed joints, and the common point.
+// What connects bodies of one world: springs, and joints by motor, limits, the relative angle of fixed joints, and the
+// common point.
 //
 // Body b is held to body a. Angles are angle_b - angle_a - rest angle. Soft joints follow the soft-step
 // solver, hard joints the appendix of the Kinetix paper; see docs/engine.md.
@@ -7,10 +8,12 @@ struct Joints {
   Joint list[NUM_JOINTS + 1];
   Vec2 local_axis[HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1];  // frame of a, of sliders
   Drive drives[HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1];
+  Springs springs;
   int count;
 
   KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
                 const Column& impulses) {
+    springs.load(bodies, scene, ints, params, impulses);
     count = 0;
     bool warm = params.get(PARAM_WARM_START) != real(0);
     for (int j = 0; j < NUM_JOINTS; ++j) {
@@ -47,6 +50,7 @@ struct Joints {
 
   // The impulses as they were last stored.
   KFN void load_impulses(const Column& impulses) {
+    springs.load_impulses(impulses);
     for (int k = 0; k < count; ++k) load_impulses(list[k], impulses);
   }
 
@@ -59,6 +63,7 @@ struct Joints {
   }
 
   KFN void store(const Column& impulses) const {
+    springs.store(impulses);
     for (int k = 0; k < count; ++k) {
       const Joint& joint = list[k];
       impulses.set2(IMPULSE_JOINT_IMPULSE + 5 * joint.index, joint.impulse);
@@ -69,6 +74,7 @@ struct Joints {
   }
 
   KFN void prepare(const Bodies& bodies, const Column& scene, const Column& controls, const Column& params, real h) {
+    springs.prepare(bodies);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       joint.centre_gap = bodies.position[joint.b] - bodies.position[joint.a];
@@ -122,6 +128,7 @@ struct Joints {
   }
 
   KFN void warm_start(Bodies& bodies) {
+    springs.warm_start(bodies);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       joint.turn_arms(bodies);
@@ -139,6 +146,7 @@ struct Joints {
 
   // Without `motors` in a bounce: a force or torque does nothing in an instant.
   KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool motors) {
+    springs.solve(bodies, soft, use_bias, motors);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       Pair pair = Pair::of(bodies, joint.a, joint.b);
@@ -175,9 +183,9 @@ struct Joints {
     pair.apply_impulse(arms.a, arms.b, answer);
   }
 
-  // J, what motors have added to the bodies' energy in this sub-step.
+  // J, what motors and springs have added to the bodies' energy in this sub-step.
   KFN real motor_work(const Bodies& bodies) const {
-    real work = real(0);
+    real work = springs.work(bodies);
     for (int k = 0; k < count && HAS_MOTORS; ++k) {
       const Joint& joint = list[k];
       if (!joint.is_driven()) continue;
