@@ -223,7 +223,9 @@ class State:
     """How it moves. `K` is the number of contact slots an engine keeps for warm starting."""
 
     position: Array = array("n 2", float, "world frame, centre of mass", unit="m")
-    angle: Array = array("n", float, "not wrapped", unit="rad")
+    angle: Array = array(
+        "n", float, "-pi to pi after a step; of joints with limits of over 3/4 of a turn turns are counted", unit="rad"
+    )
     velocity: Array = array("n 2", float, "of the centre of mass", unit="m/s")
     angular_velocity: Array = array("n", float, "counter-clockwise", unit="rad/s")
     joint_impulse: Array = array(

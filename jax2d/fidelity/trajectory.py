@@ -42,7 +42,7 @@ class Trajectory:
     scene: Scene  # numpy, [W, ...] on every field for a batch; its precision is that of `masses`
     interval: float  # s between samples
     position: np.ndarray  # [T, n, 2] m, world frame, centre of mass
-    angle: np.ndarray  # [T, n] rad, not wrapped
+    angle: np.ndarray  # [T, n] rad, turns counted from the first sample on
     velocity: np.ndarray  # [T, n, 2] m/s
     angular_velocity: np.ndarray  # [T, n] rad/s
     joint_force: np.ndarray | None = None  # [T, J, 2] N, in the last sub-step, 0 at the start; None: not recorded
@@ -249,13 +249,23 @@ def trajectory_of(samples: Samples, scene: Scene, settings: Settings, every: int
         scene=scene,
         interval=settings.dt * every,
         position=_in_float64(samples.position),
-        angle=_in_float64(samples.angle),
+        angle=_counting_turns(samples, settings, settings.dt * every),
         velocity=_in_float64(samples.velocity),
         angular_velocity=_in_float64(samples.angular_velocity),
         joint_force=None if impulse is None else _in_float64(impulse[..., :2]) / settings.substep_seconds,
         overflow=np.asarray(samples.overflow),
         limited=np.asarray(samples.limited),
     )
+
+
+def _counting_turns(samples: Samples, settings: Settings, interval: float) -> np.ndarray:
+    """[T, ...] rad: of angles within half a turn those nearest to what the speeds at both ends of an interval give."""
+    angle, speed = _in_float64(samples.angle), _in_float64(samples.angular_velocity)
+    if settings.solver != "soft_step":  # it counts them itself
+        return angle
+    expected = 0.5 * (speed[1:] + speed[:-1]) * interval
+    turns = np.cumsum(np.round((expected - np.diff(angle, axis=0)) / math.tau), axis=0)
+    return np.concatenate([angle[:1], angle[1:] + math.tau * turns])
 
 
 def _bytes_per_sample(engine: Engine, batch: tuple[int, ...], joint_impulse: bool) -> int:

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 
 from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
 from jax2d.solver_numbers import Softness, SolverNumbers
+from jax2d.xla import angles, vec2
 from jax2d.xla import springs as springs_of
-from jax2d.xla import vec2
 from jax2d.xla.bodies import (
     Bodies,
     Pair,
@@ -115,7 +115,7 @@ def prepare(bodies: Bodies, scene: Scene, before: Remembered, controls: Controls
         angle_a=bodies.angle[a],
         angle_b=bodies.angle[b],
         centre_gap=bodies.position[b] - bodies.position[a],
-        start_angle=bodies.angle[b] - bodies.angle[a] - scene.joints.rest_angle,
+        start_angle=angles.wanted(counted_angle(bodies, scene), scene.joints),
         axial_mass=zero,
         control=controls.motor,
         motor_target=controls.motor * scene.joints.motor_speed * base_speed,
@@ -158,6 +158,11 @@ def held_answer(pair: Pair, rows: Constraints) -> jax.Array:
     """[J, 2] impulses along what is held that undo those speeds if taken away."""
     wrong, mass = wrong_of_drive(pair, rows), held_mass(pair, rows)
     return jnp.stack([vec2.dot(mass[:, 0], wrong), vec2.dot(mass[:, 1], wrong)], -1)
+
+
+def counted_angle(bodies: Bodies, scene: Scene) -> jax.Array:
+    """angle_b - angle_a - rest angle, [J] rad, turns counted as far as the bodies' angles count them."""
+    return bodies.angle[scene.joints.b] - bodies.angle[scene.joints.a] - scene.joints.rest_angle
 
 
 def store(joints: Joints, state: State) -> jax.Array:

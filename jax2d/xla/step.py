@@ -188,6 +188,9 @@ def paper_step(
 ) -> Progress:
     """The main loop of the paper's appendix (algorithm 1)."""
     bodies, joints, cache = _begin(scene, state, controls, params)
+    # The appendix counts turns.
+    joints = joints._replace(start_angle=joints_of.counted_angle(bodies, scene))
+    bodies = bodies._replace(wraps=jnp.zeros_like(bodies.wraps))
     bodies = bodies_of.apply_gravity(bodies, scene.gravity, params.dt)
     context = contacts_of.Context(scene, params, rules, capacity)
     contacts = contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, params.dt)

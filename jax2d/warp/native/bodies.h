@@ -7,6 +7,7 @@ struct Bodies {
   Rotation rotation[NUM_SHAPES];
   unsigned int present[SHAPE_WORDS];  // a bit a shape that is active
   unsigned int moving[SHAPE_WORDS];   // a bit a shape that can move; most work is for these alone
+  unsigned int counts_turns[SHAPE_WORDS];  // a bit a shape whose angle is not wrapped
   int limited;                        // times a speed limit acted
 
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
@@ -61,7 +62,7 @@ struct Bodies {
 
   KFN void load(const Column& scene, const IntColumn& ints, const Column& state) {
     limited = 0;
-    for (int word = 0; word < SHAPE_WORDS; ++word) present[word] = moving[word] = 0u;
+    for (int word = 0; word < SHAPE_WORDS; ++word) present[word] = moving[word] = counts_turns[word] = 0u;
     unsigned int active[TOUCH_WORDS];  // a bit a slot
     for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_SHAPES_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
@@ -107,6 +108,7 @@ struct Bodies {
       int i = each.shape;
       position[i] = position[i] + delta(i);
       angle[i] += turn(i);
+      if (SOFT_STEP && !has(counts_turns, i)) angle[i] = Angle::near(angle[i], real(0));
     }
   }
 

@@ -29,6 +29,18 @@ struct Joint {
   KFN int drive() const { return HAS_BRAKES_AND_SERVOS ? flags >> JOINTS_DRIVE_SHIFT & JOINTS_DRIVE_MASK : DRIVE_VELOCITY; }
   KFN bool is_limited() const { return HAS_JOINT_LIMITS && (flags >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0; }
 
+  // Limits that say how often a body has turned against the other.
+  KFN bool is_wide() const {
+    return is_limited() && !is_fixed() && !is_prismatic() && upper - lower > WIDE_LIMITS;
+  }
+
+  // Of an angle known up to full turns the one nearest to where the joint wants it.
+  KFN real wanted_angle(real angle) const {
+    if (!SOFT_STEP || is_wide()) return angle;
+    bool is_bounded = is_limited() && !is_fixed() && !is_prismatic();
+    return Angle::near(angle, is_bounded ? real(0.5) * (lower + upper) : real(0));
+  }
+
   KFN static bool is_compiled_in(int word) {
     int kind = kind_of(word);
     return kind == KIND_FIXED ? HAS_FIXED_JOINTS : kind == KIND_PRISMATIC ? HAS_PRISMATIC_JOINTS : HAS_REVOLUTE_JOINTS;

@@ -11,7 +11,7 @@ struct Joints {
   Springs springs;
   int count;
 
-  KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
+  KFN void load(Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
                 const Column& impulses) {
     springs.load(bodies, scene, ints, params, impulses);
     count = 0;
@@ -37,6 +37,10 @@ struct Joints {
       joint.local_b = scene.get2(SCENE_JOINTS_ANCHOR_B + 2 * j);
       joint.lower = scene.get(SCENE_JOINTS_LOWER_LIMIT + j);
       joint.upper = scene.get(SCENE_JOINTS_UPPER_LIMIT + j);
+      if (SOFT_STEP && joint.is_wide()) {
+        bodies.counts_turns[joint.a / 32] |= 1u << (joint.a % 32);
+        bodies.counts_turns[joint.b / 32] |= 1u << (joint.b % 32);
+      }
       if (warm) {
         load_impulses(joint, impulses);
       } else {
@@ -78,7 +82,8 @@ struct Joints {
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       joint.centre_gap = bodies.position[joint.b] - bodies.position[joint.a];
-      joint.start_angle = bodies.angle[joint.b] - bodies.angle[joint.a] - scene.get(SCENE_JOINTS_REST_ANGLE + joint.index);
+      joint.start_angle = joint.wanted_angle(bodies.angle[joint.b] - bodies.angle[joint.a] -
+                                             scene.get(SCENE_JOINTS_REST_ANGLE + joint.index));
       joint.turn_arms(bodies);
       real base_speed = params.get(PARAM_BASE_MOTOR_SPEED), base_power = params.get(PARAM_BASE_MOTOR_POWER);
       if (joint.is_prismatic()) {
