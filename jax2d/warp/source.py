@@ -108,4 +108,6 @@ keys.take(keys_before.data + world, CAPACITY_CONTACTS);
 World one = {scene, ints, controls, params, state, impulses, keys};
 one.run(num_steps, out);
 """
-    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n" + "\n".join(_read(name) for name in NATIVE_FILES) + call
+    has_springs = constants(variant)["NUM_SPRINGS"] > 0
+    files = [name if name != "springs.h" or has_springs else "no_springs.h" for name in NATIVE_FILES]
+    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n" + "\n".join(map(_read, files)) + call

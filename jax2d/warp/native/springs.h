@@ -82,10 +82,8 @@ struct Spring {
 };
 
 struct Springs {
-  Spring list[NUM_SPRINGS + 1];
+  Spring list[NUM_SPRINGS];
   int count;
-
-  KFN int size() const { return NUM_SPRINGS > 0 ? count : 0; }  // known where there are none
 
   KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
                 const Column& impulses) {
@@ -114,7 +112,7 @@ struct Springs {
 
   // The impulses as they were last stored.
   KFN void load_impulses(const Column& impulses) {
-    for (int k = 0; k < size(); ++k) {
+    for (int k = 0; k < count; ++k) {
       int row = IMPULSE_SPRING_IMPULSE + 3 * list[k].index;
       list[k].impulse = impulses.get(row);
       list[k].impulse_min = impulses.get(row + 1);
@@ -123,7 +121,7 @@ struct Springs {
   }
 
   KFN void store(const Column& impulses) const {
-    for (int k = 0; k < size(); ++k) {
+    for (int k = 0; k < count; ++k) {
       int row = IMPULSE_SPRING_IMPULSE + 3 * list[k].index;
       impulses.set(row, list[k].impulse);
       impulses.set(row + 1, list[k].impulse_min);
@@ -132,12 +130,12 @@ struct Springs {
   }
 
   KFN void prepare(const Bodies& bodies) {
-    for (int k = 0; k < size(); ++k)
+    for (int k = 0; k < count; ++k)
       list[k].centre_gap = bodies.position[list[k].b] - bodies.position[list[k].a];
   }
 
   KFN void warm_start(Bodies& bodies) {
-    for (int k = 0; k < size(); ++k) {
+    for (int k = 0; k < count; ++k) {
       Spring& spring = list[k];
       Pair pair = Pair::of(bodies, spring.a, spring.b);
       spring.line(bodies).push(pair, spring.impulse + spring.impulse_min - spring.impulse_max);
@@ -147,7 +145,7 @@ struct Springs {
 
   // Without `forces` in a bounce: they do nothing in an instant.
   KFN void solve(Bodies& bodies, const Soft& soft, bool use_bias, bool forces) {
-    for (int k = 0; k < size(); ++k) {
+    for (int k = 0; k < count; ++k) {
       Spring& spring = list[k];
       Pair pair = Pair::of(bodies, spring.a, spring.b);
       Spring::Line line = spring.line(bodies);
@@ -160,7 +158,7 @@ struct Springs {
   // J, what they have added to the bodies' energy in this sub-step.
   KFN real work(const Bodies& bodies) const {
     real sum = real(0);
-    for (int k = 0; k < size(); ++k) {
+    for (int k = 0; k < count; ++k) {
       real speed = list[k].line(bodies).speed(Pair::of(bodies, list[k].a, list[k].b));
       sum += Math::max(list[k].impulse * speed, real(0));
     }
