@@ -23,7 +23,7 @@ from jax2d.engine import Engine
 from jax2d.fidelity.engine_argument import FixedEngine
 from jax2d.fidelity.sampling import Run, Samples, Sampling, take_samples
 from jax2d.measure import overlaps
-from jax2d.scene import Controls, JointKind, Scene, State, index_worlds, stack_worlds
+from jax2d.scene import Controls, JointKind, Joints, Scene, Springs, State, index_worlds, stack_worlds
 from jax2d.settings import Settings
 from jax2d.whole_numbers import whole_number
 
@@ -42,7 +42,7 @@ class Trajectory:
     scene: Scene  # numpy, [W, ...] on every field for a batch; its precision is that of `masses`
     interval: float  # s between samples
     position: np.ndarray  # [T, n, 2] m, world frame, centre of mass
-    angle: np.ndarray  # [T, n] rad, not wrapped
+    angle: np.ndarray  # [T, n] rad, turns counted from the first sample on
     velocity: np.ndarray  # [T, n, 2] m/s
     angular_velocity: np.ndarray  # [T, n] rad/s
     joint_force: np.ndarray | None = None  # [T, J, 2] N, in the last sub-step, 0 at the start; None: not recorded
@@ -106,11 +106,23 @@ class Trajectory:
         return 0.5 * np.sum(mass * np.sum(self.velocity**2, -1) + inertia * self.angular_velocity**2, -1)
 
     def energy(self, *, zero_at: np.ndarray | float = 0.0) -> np.ndarray:
-        """Kinetic and potential, [T] J. `zero_at`: where bodies have no potential energy, [n, 2] m (for example
-        `position[0]`, which keeps digits of scenes far away), the origin by default."""
+        """Kinetic, potential and elastic, [T] J. `zero_at`: where bodies have no potential energy, [n, 2] m (for
+        example `position[0]`, which keeps digits of scenes far away), the origin by default."""
         mass, _ = self.masses()
         gravity = np.asarray(self.scene.gravity, np.float64)[..., None, :]
-        return self.kinetic_energy() - np.sum(mass * np.sum((self.position - zero_at) * gravity, -1), -1)
+        moving = self.kinetic_energy() - np.sum(mass * np.sum((self.position - zero_at) * gravity, -1), -1)
+        return moving + self.elastic_energy() if self.scene.springs.active.shape[-1] else moving
+
+    def elastic_energy(self) -> np.ndarray:
+        """[T] J, in springs."""
+        springs = self.scene.springs
+        energy = 0.5 * springs.stiffness * (self.spring_lengths() - springs.rest_length) ** 2
+        return np.where(springs.active, energy, 0.0).sum(-1)
+
+    def spring_lengths(self) -> np.ndarray:
+        """[T, S] m between the two anchors of each spring."""
+        (centre_a, arm_a), (centre_b, arm_b) = self._arms(self.scene.springs)
+        return np.linalg.norm(centre_b - centre_a + (arm_b - arm_a), axis=-1)
 
     def momentum(self) -> np.ndarray:
         """[T, 2] kg m/s."""
@@ -125,13 +137,13 @@ class Trajectory:
 
     def anchors(self) -> tuple[np.ndarray, np.ndarray]:
         """Where each joint is on its body a and on its body b, [T, J, 2] m each, world frame."""
-        (centre_a, arm_a), (centre_b, arm_b) = self._joint_arms()
+        (centre_a, arm_a), (centre_b, arm_b) = self._arms(self.scene.joints)
         return centre_a + arm_a, centre_b + arm_b
 
     def joint_gaps(self) -> np.ndarray:
         """[T, J] m between the two anchors of each joint, of a slider across its axis; zero for inactive joints. From
         centre to centre, so that scenes far from the origin lose no digits."""
-        (centre_a, arm_a), (centre_b, arm_b) = self._joint_arms()
+        (centre_a, arm_a), (centre_b, arm_b) = self._arms(self.scene.joints)
         gap = centre_b - centre_a + (arm_b - arm_a)
         joints = self.scene.joints
         axis_angle = np.asarray(joints.axis_angle) + np.take_along_axis(self.angle, np.asarray(joints.a)[None], axis=-1)
@@ -159,11 +171,10 @@ class Trajectory:
         }
         return dataclasses.replace(self, **(arrays | others))
 
-    def _joint_arms(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For a and b of each joint: (centre of mass [T, J, 2], from there to the anchor [T, J, 2]) m, world frame."""
-        joints = self.scene.joints
+    def _arms(self, ends: Joints | Springs) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For a and b of each: (centre of mass [T, k, 2], from there to the anchor [T, k, 2]) m, world frame."""
         found = []
-        for body, local in ((joints.a, joints.anchor_a), (joints.b, joints.anchor_b)):
+        for body, local in ((ends.a, ends.anchor_a), (ends.b, ends.anchor_b)):
             body = np.asarray(body)[None]
             angle = np.take_along_axis(self.angle, body, axis=-1)
             cos, sin = np.cos(angle), np.sin(angle)
@@ -238,13 +249,23 @@ def trajectory_of(samples: Samples, scene: Scene, settings: Settings, every: int
         scene=scene,
         interval=settings.dt * every,
         position=_in_float64(samples.position),
-        angle=_in_float64(samples.angle),
+        angle=_counting_turns(samples, settings, settings.dt * every),
         velocity=_in_float64(samples.velocity),
         angular_velocity=_in_float64(samples.angular_velocity),
         joint_force=None if impulse is None else _in_float64(impulse[..., :2]) / settings.substep_seconds,
         overflow=np.asarray(samples.overflow),
         limited=np.asarray(samples.limited),
     )
+
+
+def _counting_turns(samples: Samples, settings: Settings, interval: float) -> np.ndarray:
+    """[T, ...] rad: of angles within half a turn those nearest to what the speeds at both ends of an interval give."""
+    angle, speed = _in_float64(samples.angle), _in_float64(samples.angular_velocity)
+    if settings.solver != "soft_step":  # it counts them itself
+        return angle
+    expected = 0.5 * (speed[1:] + speed[:-1]) * interval
+    turns = np.cumsum(np.round((expected - np.diff(angle, axis=0)) / math.tau), axis=0)
+    return np.concatenate([angle[:1], angle[1:] + math.tau * turns])
 
 
 def _bytes_per_sample(engine: Engine, batch: tuple[int, ...], joint_impulse: bool) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from jax2d.constants import cpp_macros
 from jax2d.effects import EFFECTS
-from jax2d.scene import JointKind
+from jax2d.scene import JointDrive, JointKind
 from jax2d.settings import Settings
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.layout import Layout, word_constants
@@ -31,7 +31,9 @@ NATIVE_FILES = (
     "surfaces.h",
     "contacts.h",
     "joint.h",
+    "drives.h",
     "sliders.h",
+    "springs.h",
     "joints.h",
     "forces.h",
     "bounces.h",
@@ -63,6 +65,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "NUM_CIRCLES": circles,
         "NUM_SHAPES": polygons + circles,
         "NUM_JOINTS": effects.joint_slots if has_joints else 0,
+        "NUM_SPRINGS": capacity.springs if effects.springs else 0,
         "NUM_THRUSTERS": effects.thruster_slots if effects.thrusters else 0,
         "SKIPPED_POLYGONS": capacity.polygons - polygons,
         "ALL_SHAPES": int(polygons + circles == capacity.shapes),
@@ -81,6 +84,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
     values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}
     values |= {f"PARAM_{name.upper()}": i for i, name in enumerate(PARAMETERS)}
     values |= {f"KIND_{kind.name}": int(kind) for kind in JointKind}
+    values |= {f"DRIVE_{drive.name}": int(drive) for drive in JointDrive}
     values |= word_constants()
     for table, rows in Layout(capacity).rows().items():
         values |= {f"{table}_{name}": row for name, row in rows.items()}
@@ -106,4 +110,6 @@ keys.take(keys_before.data + world, CAPACITY_CONTACTS);
 World one = {scene, ints, controls, params, state, impulses, keys};
 one.run(num_steps, out);
 """
-    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n" + "\n".join(_read(name) for name in NATIVE_FILES) + call
+    has_springs = constants(variant)["NUM_SPRINGS"] > 0
+    files = [name if name != "springs.h" or has_springs else "no_springs.h" for name in NATIVE_FILES]
+    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n" + "\n".join(map(_read, files)) + call

@@ -14,6 +14,7 @@ from jax2d.xla import bodies as bodies_of
 from jax2d.xla import bounces, contact_solver, forces, geometry, paper, paper_contacts, published
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
+from jax2d.xla import springs as springs_of
 from jax2d.xla.active_set import ActiveSet
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.branching import in_any_world
@@ -58,6 +59,7 @@ def run(
             velocity=bodies.velocities.velocity,
             angular_velocity=bodies.velocities.omega,
             joint_impulse=joints_of.store(end.joints, state),
+            spring_impulse=springs_of.store(end.joints.springs, state),
             contact_key=end.cache.key,
             contact_impulse=end.cache.impulse,
             rolling_impulse=state.rolling_impulse if end.cache.rolling is None else end.cache.rolling,
@@ -103,7 +105,7 @@ def soft_step(
         left = h * jnp.where(every_substep, 1, rules.substeps - substep)
         found = bodies_of.end_step(bodies)
         found_contacts = find(found, cache, left)
-        found_joints = joints_of.prepare(found, scene, joints.impulses, controls, params)
+        found_joints = joints_of.prepare(found, scene, joints.remembered(), controls, params)
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
         # Of a sub-step that was stopped, bodies have had the impulses already.
         found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
@@ -215,6 +217,9 @@ def paper_step(
 ) -> Progress:
     """The main loop of the paper's appendix (algorithm 1)."""
     bodies, joints, cache = _begin(scene, state, controls, params)
+    # The appendix counts turns.
+    joints = joints._replace(start_angle=joints_of.counted_angle(bodies, scene))
+    bodies = bodies._replace(wraps=jnp.zeros_like(bodies.wraps))
     bodies = bodies_of.apply_gravity(bodies, scene.gravity, params.dt)
     context = contacts_of.Context(scene, params, rules, capacity)
     contacts = contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, params.dt)

@@ -244,6 +244,7 @@ def test_measures_are_those_of_the_states(batch: Trajectory):
             state = State(
                 **{name: getattr(batch, name)[k, i] for name in ("position", "angle", "velocity", "angular_velocity")},
                 joint_impulse=None,
+                spring_impulse=None,
                 contact_key=None,
                 contact_impulse=None,
                 rolling_impulse=None,
