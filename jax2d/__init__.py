@@ -3,6 +3,7 @@
 from jax2d.builder import BuiltWorld, SceneBuilder, SceneError, SceneFullError
 from jax2d.effects import EFFECTS, Effects, EffectTable, MissingEffectError, called_for, effects_of
 from jax2d.engine import Engine
+from jax2d.queries import RayHits, cast_rays, point_in_shapes
 from jax2d.scene import (
     Capacity,
     Controls,
@@ -32,6 +33,7 @@ __all__ = [
     "JointKind",
     "Joints",
     "MissingEffectError",
+    "RayHits",
     "Scene",
     "SceneBuilder",
     "SceneError",
@@ -42,9 +44,11 @@ __all__ = [
     "Thrusters",
     "Touching",
     "called_for",
+    "cast_rays",
     "circle_mass_properties",
     "effects_of",
     "index_worlds",
+    "point_in_shapes",
     "polygon_mass_properties",
     "preset",
     "stack_worlds",
