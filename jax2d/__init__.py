@@ -1,6 +1,7 @@
 """jax2d: simulates thousands to a million small 2D rigid-body worlds at once, on CPU and CUDA, from JAX."""
 
 from jax2d.builder import BuiltWorld, SceneBuilder, SceneError, SceneFullError
+from jax2d.contact_report import ContactReport
 from jax2d.effects import EFFECTS, Effects, EffectTable, MissingEffectError, called_for, effects_of
 from jax2d.engine import Engine
 from jax2d.queries import RayHits, cast_rays, point_in_shapes
@@ -26,6 +27,7 @@ __all__ = [
     "PRESETS",
     "BuiltWorld",
     "Capacity",
+    "ContactReport",
     "Controls",
     "EffectTable",
     "Effects",

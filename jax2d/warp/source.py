@@ -33,6 +33,7 @@ NATIVE_FILES = (
     "joints.h",
     "forces.h",
     "bounces.h",
+    "report.h",
     "paper.h",
     "step.h",
 )
@@ -69,6 +70,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "SHARED_RECORD": variant.shared_record,
         "SHAPE_WORDS": -(-(polygons + circles) // 32),
         "BOUNCE_SHAPES": polygons + circles if effects.restitution and variant.is_soft else 1,
+        "REPORT_CONTACTS": effects.contact_slots if has_pairs and variant.report_contacts else 0,
         "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
         "TOUCH_WORDS": capacity.touch_words,
         "SWEEP": int(sweep),
@@ -80,7 +82,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
     values |= {f"PARAM_{name.upper()}": i for i, name in enumerate(PARAMETERS)}
     values |= {f"KIND_{kind.name}": int(kind) for kind in JointKind}
     values |= word_constants()
-    for table, rows in Layout(capacity).rows().items():
+    for table, rows in Layout(capacity, report_contacts=variant.report_contacts).rows().items():
         values |= {f"{table}_{name}": row for name, row in rows.items()}
     return values
 

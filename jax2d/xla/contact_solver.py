@@ -53,12 +53,12 @@ def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
     """[K] m. Surfaces move and turn with their bodies; the normal stays as it was at the start of the step."""
     pair, moved = contacts.pair, moved_apart(bodies, contacts)
-    arm_a = _turned_by(contacts.arm_a, pick(pair.is_a, bodies.turn))
-    arm_b = _turned_by(contacts.arm_b, pick(pair.is_b, bodies.turn))
+    arm_a = turned_by(contacts.arm_a, pick(pair.is_a, bodies.turn))
+    arm_b = turned_by(contacts.arm_b, pick(pair.is_b, bodies.turn))
     return contacts.separation + vec2.dot(moved + arm_b - arm_a, contacts.normal)
 
 
-def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
+def turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
     """What a turn adds to an arm. 1 - cos is written so that it keeps its digits for small solve_order."""
     one_minus_cos = 2 * jnp.square(jnp.sin(0.5 * turn))
     return vec2.left(arm) * jnp.sin(turn)[:, None] - arm * one_minus_cos[:, None]
