@@ -5,6 +5,7 @@ from jax2d.contact_report import ContactReport
 from jax2d.effects import EFFECTS, Effects, EffectTable, MissingEffectError, called_for, effects_of
 from jax2d.engine import Engine
 from jax2d.queries import RayHits, cast_rays, point_in_shapes
+from jax2d.recorder import record
 from jax2d.scene import (
     Capacity,
     Controls,
@@ -21,6 +22,7 @@ from jax2d.scene import (
 )
 from jax2d.settings import PRESETS, Settings, preset
 from jax2d.shapes import circle_mass_properties, polygon_mass_properties
+from jax2d.trajectory import Trajectory
 
 __all__ = [
     "EFFECTS",
@@ -45,6 +47,7 @@ __all__ = [
     "State",
     "Thrusters",
     "Touching",
+    "Trajectory",
     "called_for",
     "cast_rays",
     "circle_mass_properties",
@@ -53,6 +56,7 @@ __all__ = [
     "point_in_shapes",
     "polygon_mass_properties",
     "preset",
+    "record",
     "stack_worlds",
     "touch_matrix",
 ]

@@ -33,22 +33,20 @@ class ContactReport:
     dropped: Array  # [] int32, contacts of the step that found no slot here: their impulses are missing
 
     @property
-    def normal_impulse(self) -> jax.Array:
+    def normal_impulse(self) -> Array:
         """[K] N s that push the two apart. (Below zero only where the normal changed within the step.)"""
-        return jnp.sum(jnp.asarray(self.impulse) * self.normal, axis=-1)
+        return (self.impulse * self.normal).sum(-1)
 
     @property
-    def tangent_impulse(self) -> jax.Array:
+    def tangent_impulse(self) -> Array:
         """[K] N s, friction on b, along the normal turned clockwise by 90 degrees."""
-        impulse, normal = jnp.asarray(self.impulse), jnp.asarray(self.normal)
-        return impulse[..., 0] * normal[..., 1] - impulse[..., 1] * normal[..., 0]
+        return self.impulse[..., 0] * self.normal[..., 1] - self.impulse[..., 1] * self.normal[..., 0]
 
-    def impulse_on(self, num_shapes: int) -> jax.Array:
+    def impulse_on(self, num_shapes: int) -> Array:
         """[n, 2] N s, what all contacts together gave each of `num_shapes` shapes."""
-        shapes = np.arange(num_shapes)
-        is_a, is_b = (jnp.asarray(x)[..., None, :] == shapes[:, None] for x in (self.a, self.b))
-        sign = is_b.astype(self.normal.dtype) - is_a.astype(self.normal.dtype)
-        return jnp.sum(sign[..., None] * jnp.asarray(self.impulse)[..., None, :, :], axis=-2)
+        shapes = np.arange(num_shapes)[:, None]
+        is_a, is_b = ((x[..., None, :] == shapes).astype(self.impulse.dtype) for x in (self.a, self.b))
+        return ((is_b - is_a)[..., None] * self.impulse[..., None, :, :]).sum(-2)
 
 
 def contact_report(
