@@ -52,13 +52,19 @@ def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
 
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
     """[K] m. Surfaces move and turn with their bodies; the normal stays as it was at the start of the step."""
-    pair, moved = contacts.pair, moved_apart(bodies, contacts)
-    arm_a = turned_by(contacts.arm_a, pick(pair.is_a, bodies.turn))
-    arm_b = turned_by(contacts.arm_b, pick(pair.is_b, bodies.turn))
+    (arm_a, arm_b), moved = turned_arms(bodies, contacts), moved_apart(bodies, contacts)
     return contacts.separation + vec2.dot(moved + arm_b - arm_a, contacts.normal)
 
 
-def turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
+def turned_arms(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
+    """What turning has added to the arms of a and b, [K, 2] m. On a face the point of a disc stays below its centre:
+    turned with one that rolls it would rise, and the disc sink."""
+    turn_b = jnp.where(contacts.disc_on_face, 0, pick(contacts.pair.is_b, bodies.turn))
+    turn_a = pick(contacts.pair.is_a, bodies.turn)
+    return _turned_by(contacts.arm_a, turn_a), _turned_by(contacts.arm_b, turn_b)
+
+
+def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
     """What a turn adds to an arm. 1 - cos is written so that it keeps its digits for small solve_order."""
     one_minus_cos = 2 * jnp.square(jnp.sin(0.5 * turn))
     return vec2.left(arm) * jnp.sin(turn)[:, None] - arm * one_minus_cos[:, None]

@@ -26,6 +26,7 @@ class Faces(NamedTuple):
 
     flipped: jax.Array  # [] bool, the face is b's
     is_impact: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
+    holds: jax.Array  # [] bool, they move, and the face is not crossed, whatever corner goes by
     onward: jax.Array  # [2] m by which the incident polygon is looked at where they will meet
     reference: Polygons
     incident: Polygons
@@ -70,18 +71,20 @@ def polygon_polygon(
     margin: jax.Array,
     seconds: Scalar,
     *,
+    lookahead: Scalar,
     rules: Rules,
 ) -> Points:
     """At most two points, [2].
 
-    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which it
-    goes on so. In `paper` points lie on the incident edge.
+    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which
+    it goes on so; `lookahead` s, a sub-step more: the last relax pass asks what would be met in the next. In
+    `paper` points lie on the incident edge.
     """
     details = rules.published_details
     zero = jnp.zeros_like(d)
     of_a, of_b = max_separation(a, zero, b, d), max_separation(b, d, a, zero)
     (depth_a, _), (depth_b, _) = of_a, of_b
-    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, rules)
+    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, lookahead, rules)
     corners = find_corners(faces, rules)
     clipped = clip(faces)
     beside = corners.beside
@@ -96,12 +99,13 @@ def polygon_polygon(
 
     separation = jnp.where(beside, corners.separation, clipped_separation)
     points = Points(
-        normal=jnp.where(beside & corners.is_outside & ~faces.is_impact, corners.normal, faces.normal),
+        normal=jnp.where(beside & corners.is_outside & ~faces.is_impact & ~faces.holds, corners.normal, faces.normal),
         point=jnp.where(beside, corners.point, clipped_point),
         separation=separation,
         feature=jnp.where(beside, corners.feature, clipped_feature),
         follows_b=jnp.broadcast_to(jnp.where(faces.flipped, 0.0, 1.0).astype(d.dtype), (2,)),  # the corners on a face
         exists=jnp.where(beside, jnp.array([True, False]), True) & (separation <= margin),
+        on_face=jnp.zeros(2, bool),
     )
     if "deepest_depth" in details:
         points = points._replace(separation=jnp.full(2, jnp.maximum(depth_a, depth_b)))
@@ -140,6 +144,7 @@ def find_faces(
     of_b: tuple[jax.Array, jax.Array],
     relative_velocity: jax.Array,
     seconds: Scalar,
+    lookahead: Scalar,
     rules: Rules,
 ) -> Faces:
     """`of_a`, `of_b`: what `max_separation` says of the edges of each."""
@@ -153,14 +158,15 @@ def find_faces(
     if "reference_bias" in rules.published_details:
         flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
 
-    is_impact, impact_edge, impact_seconds = jnp.array(False), edge_a, jnp.zeros_like(depth_a)
+    is_impact, holds, impact_edge, impact_seconds = jnp.array(False), jnp.array(False), edge_a, jnp.zeros_like(depth_a)
     if rules.is_soft:
         towards = jnp.where(flipped, -b.normal[edge_b], a.normal[edge_a])
         rate = vec2.dot(towards, relative_velocity)
         apart = jnp.maximum(depth_a, depth_b)
         impact = impact_plane.of_polygons(a, b, d, relative_velocity, advantage, seconds)
-        is_crossed = (apart > 0) & impact_plane.moves(relative_velocity) & (apart + rate * seconds < 0)
-        is_impact = is_crossed & impact.exists
+        passes = (apart > 0) & impact_plane.moves(relative_velocity)
+        holds = passes & (apart + rate * lookahead >= 0)
+        is_impact = passes & ~holds & impact.exists
         flipped = jnp.where(is_impact, impact.flipped, flipped)
         impact_edge, impact_seconds = impact.edge, jnp.where(is_impact, impact.seconds, 0)
     onward = jnp.where(flipped, -relative_velocity, relative_velocity) * impact_seconds
@@ -186,6 +192,7 @@ def find_faces(
     return Faces(
         flipped=flipped,
         is_impact=is_impact,
+        holds=holds,
         onward=onward,
         reference=ref,
         incident=inc,
@@ -210,7 +217,7 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     inc_corner = jnp.where(before_start, faces.upper_end, faces.lower_end)
     gap = inc_corner - ref_corner
     distance, face_separation = vec2.length(gap), vec2.dot(faces.normal, gap)
-    is_impact = faces.is_impact
+    is_impact = faces.is_impact | faces.holds
     face_separation = jnp.where(
         is_impact, jnp.maximum(face_separation - vec2.dot(faces.normal, faces.onward), 0), face_separation
     )
@@ -269,4 +276,5 @@ def _at_seams(points: Points, faces: Faces, relative_velocity: jax.Array, margin
         feature=jnp.where(seam.exists, C.feature_seam + faces.base_feature + seam.number, points.feature),
         follows_b=points.follows_b,
         exists=jnp.where(seam.exists, jnp.array([True, False]), points.exists),
+        on_face=points.on_face,
     )

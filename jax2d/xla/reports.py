@@ -15,7 +15,7 @@ from jax2d.contact_report import ContactReport, contact_report
 from jax2d.scene import Capacity
 from jax2d.xla import vec2
 from jax2d.xla.bodies import Bodies, pick
-from jax2d.xla.contact_solver import current_separation, moved_apart, turned_by
+from jax2d.xla.contact_solver import current_separation, moved_apart, turned_arms
 from jax2d.xla.contacts import Contacts
 
 
@@ -76,8 +76,8 @@ def add_impulse(tally: Tally, contacts: Contacts, more: jax.Array) -> Tally:
 def place(tally: Tally, bodies: Bodies, contacts: Contacts) -> Tally:
     """Where contacts are, midway between both surfaces as their bodies stand."""
     is_a, is_b = contacts.pair.is_a, contacts.pair.is_b
-    on_a = contacts.arm_a + turned_by(contacts.arm_a, pick(is_a, bodies.turn))
-    on_b = contacts.arm_b + turned_by(contacts.arm_b, pick(is_b, bodies.turn))
+    turned_a, turned_b = turned_arms(bodies, contacts)
+    on_a, on_b = contacts.arm_a + turned_a, contacts.arm_b + turned_b
     apart = pick(is_b, bodies.position) - pick(is_a, bodies.position) + moved_apart(bodies, contacts)
     point = pick(is_a, bodies.position + bodies.delta) + on_a + 0.5 * (apart + on_b - on_a)
     separation = current_separation(bodies, contacts)

@@ -16,6 +16,7 @@ struct ContactPoint {
 struct Manifold {
   Vec2 normal;
   int count;
+  bool on_face;    // b is a disc on a face of a
   real follows_b;  // share by which points go with b while both move, so that a disc's stays below its centre
   ContactPoint points[2];
 };
@@ -31,6 +32,7 @@ struct Geometry {
   real extent[NUM_SHAPES];  // largest distance from centre to surface
   real predicted_travel[NUM_SHAPES];  // how far the surface goes in `ahead` seconds at the speed that it has, at most
   real ahead;
+  real lookahead;  // a sub-step more: the last relax pass asks what would be met in the next
 
   KFN int successor(int polygon, int k) const { return k + 1 < corners[polygon] ? k + 1 : 0; }
 
@@ -75,8 +77,9 @@ struct Geometry {
     }
   }
 
-  KFN void predict_travel(const Bodies& bodies, real seconds) {
+  KFN void predict_travel(const Bodies& bodies, real seconds, real h) {
     ahead = seconds;
+    lookahead = seconds + h;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
       predicted_travel[i] = travel(bodies, i, seconds);
@@ -130,6 +133,7 @@ struct Geometry {
       separation = plane.separation;
     }
     m.count = 1;
+    m.on_face = false;
     m.follows_b = radius[a] / (radius[a] + radius[b]);
     m.points[0] = {m.normal * (radius[a] + HALFWAY * separation), separation, 0};
     return m;
@@ -174,11 +178,13 @@ struct Geometry {
       m.normal = away * (real(1) / distance);  // distance >= face_distance > 0
     }
     real separation = distance - r;
+    m.on_face = !at_corner;
     ImpactPlane plane;
     real graze = at_corner ? Math::min(GRAZING_DISTANCE, GRAZING_SHARE * r) : real(0);
     motion = motion - centre.left() * spin;  // as a point of the polygon there sees it
     if (SOFT_STEP && separation > -graze && moves(motion) &&
         ImpactPlane::polygon(v, n, corners[polygon], centre, r, motion, ahead, plane)) {
+      m.on_face = plane.on_face;
       m.normal = plane.normal;
       separation = plane.separation;
     }
@@ -307,7 +313,9 @@ struct Geometry {
     ImpactFace impact = {false, false, 0, real(0)};
     real apart = Math::max(depth_a, depth_b);
     real rate = flipped ? -normal[b * MAX_VERTICES + edge_b].dot(motion) : normal[a * MAX_VERTICES + edge_a].dot(motion);
-    if (SOFT_STEP && apart > real(0) && moves(motion) && apart + rate * ahead < real(0)) impact = impact_face(a, b, d, motion, advantage);
+    bool passes = SOFT_STEP && apart > real(0) && moves(motion);
+    bool holds = passes && apart + rate * lookahead >= real(0);  // the face is not crossed, whatever corner goes by
+    if (passes && !holds) impact = impact_face(a, b, d, motion, advantage);
     if (impact.exists) flipped = impact.flipped;
     int ref = flipped ? b : a, inc = flipped ? a : b;
     Vec2 ref_at = flipped ? d : zero, inc_at = flipped ? zero : d;
@@ -348,6 +356,7 @@ struct Geometry {
     }
 
     m.normal = flipped ? -n : n;
+    m.on_face = false;
     m.follows_b = flipped ? real(0) : real(1);  // with the corners that meet a face
     int base = (flipped ? FEATURE_FLIPPED : 0) + edge * FEATURE_EDGE;
     real closing = n.dot(flipped ? motion : -motion);
@@ -365,7 +374,7 @@ struct Geometry {
       Vec2 gap = inc_corner - ref_corner;
       real distance = gap.length();
       real face_separation = n.dot(gap);
-      if (impact.exists) {
+      if (impact.exists || holds) {
         inc_corner = inc_corner - onward;
         face_separation = Math::max(face_separation - n.dot(onward), real(0));
         if (face_separation > margin) return m;

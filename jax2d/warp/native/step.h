@@ -70,7 +70,7 @@ struct World {
       if (find) {
         bodies.begin_step(first);
         geometry.build(scene, ints, bodies, first);
-        geometry.predict_travel(bodies, left);
+        geometry.predict_travel(bodies, left, h);
         first = false;
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true);
         joints.prepare(bodies, scene, controls, params, h);
