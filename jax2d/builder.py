@@ -20,23 +20,22 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jax2d import terrain
+from jax2d.builder_checks import (
+    LARGEST,
+    SMALLEST_RADIUS_M,
+    Point,
+    SceneError,
+    SceneFullError,
+    a_number,
+    check_polygon,
+    finite,
+    positive,
+)
 from jax2d.fields import empty
 from jax2d.scene import Capacity, JointKind, Scene
 from jax2d.shapes import polygon_integrals
 from jax2d.whole_numbers import whole_number
-
-Point = Sequence[float]
-SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
-SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
-LARGEST = 1e18  # any number given, masses and inertias and their inverses too: the square must fit float32
-
-
-class SceneError(ValueError):
-    """A scene that cannot be built; the message says what is wrong and what to do."""
-
-
-class SceneFullError(SceneError):
-    """The capacity has no slot left for what is added."""
 
 
 class BuiltWorld(NamedTuple):
@@ -63,7 +62,7 @@ class SceneBuilder:
 
     def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81)):
         self.capacity = capacity
-        self._gravity = np.asarray(_finite("gravity", gravity, 2), np.float32)
+        self._gravity = np.asarray(finite("gravity", gravity, 2), np.float32)
         n = capacity.shapes
         self._polygons = self._circles = self._joints = self._thrusters = 0
         self._apart: set[tuple[int, int]] = set()
@@ -93,7 +92,7 @@ class SceneBuilder:
         corners = check_polygon(vertices, self.capacity.vertices)
         area, centroid, inertia = polygon_integrals(corners)
         body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
-        at = np.asarray(_finite("position", position, 2)) + _rotate(centroid, body.angle)
+        at = np.asarray(finite("position", position, 2)) + _rotate(centroid, body.angle)
         index = self._take("polygons", self._polygons)
         self._polygons += 1
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
@@ -104,7 +103,7 @@ class SceneBuilder:
 
     def add_box(self, *, width: float, height: float, **options: object) -> int:
         """A rectangle centred on `position`; options as for add_polygon."""
-        x, y = _positive("width", width) / 2, _positive("height", height) / 2
+        x, y = positive("width", width) / 2, positive("height", height) / 2
         return self.add_polygon([(-x, -y), (x, -y), (x, y), (-x, y)], **options)  # type: ignore[arg-type]
 
     def add_circle(
@@ -121,19 +120,54 @@ class SceneBuilder:
         angular_velocity: float = 0.0,
     ) -> int:
         """A disc."""
-        radius = _positive("radius", radius)
+        radius = positive("radius", radius)
         if radius < SMALLEST_RADIUS_M:
             raise SceneError(f"radius is {radius:g}; it must be at least {SMALLEST_RADIUS_M:.2g} m")
         area = math.pi * radius**2
         inertia = 0.5 * area * radius**2
         body = _body(area, inertia, angle, density, friction, restitution, fixed, velocity, angular_velocity)
-        at = np.asarray(_finite("position", position, 2))
+        at = np.asarray(finite("position", position, 2))
         slot = self._take("circles", self._circles)
         self._circles += 1
         self._scene.shapes.radius[slot] = radius
         index = self.capacity.polygons + slot
         self._set_shape(index, at, body)
         return index
+
+    def add_terrain(
+        self,
+        points: Sequence[Point],
+        *,
+        thickness: float = 0.5,
+        density: float = 1.0,
+        friction: float = 1.0,
+        restitution: float = 0.0,
+    ) -> list[int]:
+        """Ground along a line of points, which lies to the right of its direction: below a line that runs to the right.
+        A fixed polygon from each point to the next, `thickness` m deep; what slides or rolls over the joints does not
+        feel them (`terrain.py` says why). Tiles between two crests have 6 vertices. Returns the shapes."""
+        try:
+            line = np.asarray(points, np.float64)
+        except (TypeError, ValueError):
+            line = np.zeros(0)
+        deep = positive("thickness", thickness)
+        if not (np.abs(line) <= LARGEST).all():
+            raise SceneError(f"points hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
+        if (wrong := terrain.wrong_with(line, deep)) is not None:
+            raise SceneError(wrong)
+        corners = list(terrain.tiles(line, deep))
+        if (most := max(map(len, corners))) > self.capacity.vertices:
+            raise SceneError(f"at its crests the terrain has tiles of {most} vertices; use Capacity(vertices={most})")
+        if (needed := self._polygons + len(corners)) > self.capacity.polygons:
+            raise SceneFullError(
+                f"terrain of {len(corners)} tiles, and {self._polygons} of {self.capacity.polygons} polygons used; "
+                f"build with Capacity(polygons={needed}) or more"
+            )
+        look = {"density": density, "friction": friction, "restitution": restitution}
+        return [
+            self.add_polygon(tile - at, position=at, fixed=True, **look)  # type: ignore[arg-type]
+            for tile, at in zip(corners, line)
+        ]
 
     def keep_apart(self, a: int, b: int) -> None:
         """Lets two shapes pass through each other. Shapes that a joint connects do so already."""
@@ -174,7 +208,7 @@ class SceneBuilder:
         `motor_speed` (in units of settings.base_slider_speed) a control drives b along the axis; `limits` bound how
         far it has slid from where it stands now, in m."""
         a = self._shape("a", a)
-        local_axis = _number("axis_angle", axis_angle) - float(self._angle[a])
+        local_axis = a_number("axis_angle", axis_angle) - float(self._angle[a])
         values = {"kind": JointKind.PRISMATIC, "axis_angle": local_axis}
         return self._add_joint(a, b, at, values | _drive(motor_speed, motor_power, limits))
 
@@ -188,7 +222,7 @@ class SceneBuilder:
         if self._is_fixed(body):
             raise SceneError(f"thruster on shape {body}, which is fixed and would not move; put it on one that can")
         position = self._to_local(body, at)
-        local_angle, power = _number("angle", angle) - self._angle[body], _positive("power", power)
+        local_angle, power = a_number("angle", angle) - self._angle[body], positive("power", power)
         index = self._take("thrusters", self._thrusters)
         self._thrusters += 1
         thrusters = self._scene.thrusters
@@ -262,17 +296,17 @@ class SceneBuilder:
         )
 
     def _to_local(self, body: int, at: Point) -> np.ndarray:
-        return _rotate(np.asarray(_finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
+        return _rotate(np.asarray(finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
 
 
 def _drive(motor_speed: float | None, motor_power: float, limits: tuple[float, float] | None) -> dict[str, float]:
     """Fields of `Joints` for a motor and limits."""
     values: dict[str, float] = {}
     if motor_speed is not None:
-        values |= {"motor_on": True, "motor_speed": _number("motor_speed", motor_speed)}
-        values |= {"motor_power": _positive("motor_power", motor_power)}
+        values |= {"motor_on": True, "motor_speed": a_number("motor_speed", motor_speed)}
+        values |= {"motor_power": positive("motor_power", motor_power)}
     if limits is not None:
-        lower, upper = _finite("limits", limits, 2)
+        lower, upper = finite("limits", limits, 2)
         if lower > upper:
             raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller number first")
         if not lower <= 0 <= upper:
@@ -296,13 +330,13 @@ def _body(
     angular_velocity: float,
 ) -> _Body:
     """`second_moment`: of area about the centre of mass, m^4."""
-    density = _positive("density", density)
-    friction, restitution = _number("friction", friction), _number("restitution", restitution)
+    density = positive("density", density)
+    friction, restitution = a_number("friction", friction), a_number("restitution", restitution)
     if friction < 0:
         raise SceneError(f"friction is {friction:g}; it must be 0 or more")
     if not 0 <= restitution <= 1:
         raise SceneError(f"restitution is {restitution:g}; it must be from 0 to 1")
-    speed, spin = _finite("velocity", velocity, 2), _number("angular_velocity", angular_velocity)
+    speed, spin = finite("velocity", velocity, 2), a_number("angular_velocity", angular_velocity)
     if fixed and (any(speed) or spin):
         raise SceneError("a fixed shape cannot move: drop its velocity, or fixed=True")
     mass, inertia = density * area, density * second_moment
@@ -318,81 +352,9 @@ def _body(
         "friction": friction,
         "restitution": restitution,
     }
-    return _Body(shape, _number("angle", angle), speed, spin)
-
-
-def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
-    """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
-    try:
-        corners = np.asarray(vertices, np.float64)
-    except (TypeError, ValueError):
-        raise SceneError("vertices are no list of (x, y) points; give numbers in metres, two for each") from None
-    if corners.ndim != 2 or corners.shape[1] != 2:
-        raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
-    if not (np.abs(corners) <= LARGEST).all():
-        raise SceneError(f"vertices hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
-    if not 3 <= len(corners) <= max_vertices:
-        raise SceneError(
-            f"{len(corners)} vertices; this capacity takes 3 to {max_vertices}, so split the shape or raise "
-            "Capacity.vertices"
-        )
-    edges = np.roll(corners, -1, 0) - corners
-    lengths = np.hypot(edges[:, 0], edges[:, 1])
-    for i, length in enumerate(lengths):
-        if length <= 1e-6 * max(lengths.max(), 1e-30):
-            raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
-    area, _, _ = polygon_integrals(corners)
-    turns = _cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
-    if abs(area) < SMALLEST_AREA_M2:
-        raise SceneError(f"the polygon has an area of {area:g} m^2; it needs at least {SMALLEST_AREA_M2:g}")
-    if area < 0 and (turns <= 1e-9).all():
-        raise SceneError("vertices run clockwise; list them counter-clockwise (reverse the list)")
-    if (turns < -1e-6).any() or area < 0 or _winding(edges) != 1:
-        bad = int(np.argmin(turns)) + 1
-        raise SceneError(
-            f"the polygon is not convex at vertex {bad % len(corners)}; split it into convex parts and weld them"
-        )
-    return corners
-
-
-def _winding(edges: np.ndarray) -> int:
-    """How often the outline turns around: 1 for a simple convex polygon, 2 for a pentagram."""
-    headings = np.arctan2(edges[:, 1], edges[:, 0])
-    turns = (np.diff(np.append(headings, headings[0])) + math.pi) % (2 * math.pi) - math.pi
-    return round(float(turns.sum()) / (2 * math.pi))
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return _Body(shape, a_number("angle", angle), speed, spin)
 
 
 def _rotate(v: np.ndarray, angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])
-
-
-def _finite(name: str, values: Sequence[float], count: int) -> list[float]:
-    try:
-        numbers = [_number(name, value) for value in values]
-    except (TypeError, SceneError):
-        numbers = []
-    if len(numbers) != count:
-        raise SceneError(f"{name} is {values!r}; give {count} finite numbers")
-    return numbers
-
-
-def _number(name: str, value: float) -> float:
-    try:
-        number = math.nan if isinstance(value, (str, bytes, bool)) else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not abs(number) <= LARGEST:
-        raise SceneError(f"{name} is {value!r}; give a finite number (of at most {LARGEST:g})")
-    return number
-
-
-def _positive(name: str, value: float) -> float:
-    number = _number(name, value)
-    if number <= 0:
-        raise SceneError(f"{name} is {number:g}; it must be positive and finite")
-    return number

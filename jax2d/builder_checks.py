@@ -1,0 +1,95 @@
+"""What a builder takes: numbers and polygons, with errors that name the remedy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from jax2d.shapes import polygon_integrals
+
+Point = Sequence[float]
+SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
+SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
+LARGEST = 1e18  # any number given, masses and inertias and their inverses too: the square must fit float32
+
+
+class SceneError(ValueError):
+    """A scene that cannot be built; the message says what is wrong and what to do."""
+
+
+class SceneFullError(SceneError):
+    """The capacity has no slot left for what is added."""
+
+
+def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
+    """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
+    try:
+        corners = np.asarray(vertices, np.float64)
+    except (TypeError, ValueError):
+        raise SceneError("vertices are no list of (x, y) points; give numbers in metres, two for each") from None
+    if corners.ndim != 2 or corners.shape[1] != 2:
+        raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
+    if not (np.abs(corners) <= LARGEST).all():
+        raise SceneError(f"vertices hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
+    if not 3 <= len(corners) <= max_vertices:
+        raise SceneError(
+            f"{len(corners)} vertices; this capacity takes 3 to {max_vertices}, so split the shape or raise "
+            "Capacity.vertices"
+        )
+    edges = np.roll(corners, -1, 0) - corners
+    lengths = np.hypot(edges[:, 0], edges[:, 1])
+    for i, length in enumerate(lengths):
+        if length <= 1e-6 * max(lengths.max(), 1e-30):
+            raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
+    area, _, _ = polygon_integrals(corners)
+    turns = _cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
+    if abs(area) < SMALLEST_AREA_M2:
+        raise SceneError(f"the polygon has an area of {area:g} m^2; it needs at least {SMALLEST_AREA_M2:g}")
+    if area < 0 and (turns <= 1e-9).all():
+        raise SceneError("vertices run clockwise; list them counter-clockwise (reverse the list)")
+    if (turns < -1e-6).any() or area < 0 or _winding(edges) != 1:
+        bad = int(np.argmin(turns)) + 1
+        raise SceneError(
+            f"the polygon is not convex at vertex {bad % len(corners)}; split it into convex parts and weld them"
+        )
+    return corners
+
+
+def _winding(edges: np.ndarray) -> int:
+    """How often the outline turns around: 1 for a simple convex polygon, 2 for a pentagram."""
+    headings = np.arctan2(edges[:, 1], edges[:, 0])
+    turns = (np.diff(np.append(headings, headings[0])) + math.pi) % (2 * math.pi) - math.pi
+    return round(float(turns.sum()) / (2 * math.pi))
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def finite(name: str, values: Sequence[float], count: int) -> list[float]:
+    try:
+        numbers = [a_number(name, value) for value in values]
+    except (TypeError, SceneError):
+        numbers = []
+    if len(numbers) != count:
+        raise SceneError(f"{name} is {values!r}; give {count} finite numbers")
+    return numbers
+
+
+def a_number(name: str, value: float) -> float:
+    try:
+        number = math.nan if isinstance(value, (str, bytes, bool)) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not abs(number) <= LARGEST:
+        raise SceneError(f"{name} is {value!r}; give a finite number (of at most {LARGEST:g})")
+    return number
+
+
+def positive(name: str, value: float) -> float:
+    number = a_number(name, value)
+    if number <= 0:
+        raise SceneError(f"{name} is {number:g}; it must be positive and finite")
+    return number
