@@ -66,7 +66,7 @@ def collide(
         other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
         relative_velocity, spin = velocity[b] - velocity[a], omega[a]
         if collide_one is polygon_polygon:
-            points = jax.vmap(functools.partial(polygon_polygon, seconds=seconds, lookahead=seconds + h, rules=rules))(
+            points = jax.vmap(functools.partial(polygon_polygon, seconds=seconds, h=h, rules=rules))(
                 one, other, d, relative_velocity, margin[a, b]
             )
         elif collide_one is polygon_circle:

@@ -26,7 +26,8 @@ class Faces(NamedTuple):
 
     flipped: jax.Array  # [] bool, the face is b's
     is_impact: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
-    holds: jax.Array  # [] bool, they move, and the face is not crossed, whatever corner goes by
+    holds_for: jax.Array  # [] s for which they move fast and the face is not crossed, 0 if it is
+    motion: jax.Array  # [2] m/s, of the incident polygon against the reference
     onward: jax.Array  # [2] m by which the incident polygon is looked at where they will meet
     reference: Polygons
     incident: Polygons
@@ -57,6 +58,7 @@ class Corners(NamedTuple):
 
     beside: jax.Array  # [] bool, nothing of the incident edge is over the face
     is_outside: jax.Array  # [] bool, the corner is above the face's line
+    by_face: jax.Array  # [] bool, the face keeps the two apart
     normal: jax.Array  # [2]
     point: jax.Array  # [2] m
     separation: jax.Array  # [] m
@@ -71,20 +73,19 @@ def polygon_polygon(
     margin: jax.Array,
     seconds: Scalar,
     *,
-    lookahead: Scalar,
+    h: Scalar,
     rules: Rules,
 ) -> Points:
     """At most two points, [2].
 
-    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which
-    it goes on so; `lookahead` s, a sub-step more: the last relax pass asks what would be met in the next. In
-    `paper` points lie on the incident edge.
+    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which it
+    goes on so, in sub-steps of `h` s. In `paper` points lie on the incident edge.
     """
     details = rules.published_details
     zero = jnp.zeros_like(d)
     of_a, of_b = max_separation(a, zero, b, d), max_separation(b, d, a, zero)
     (depth_a, _), (depth_b, _) = of_a, of_b
-    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, lookahead, rules)
+    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, h, rules)
     corners = find_corners(faces, rules)
     clipped = clip(faces)
     beside = corners.beside
@@ -99,7 +100,7 @@ def polygon_polygon(
 
     separation = jnp.where(beside, corners.separation, clipped_separation)
     points = Points(
-        normal=jnp.where(beside & corners.is_outside & ~faces.is_impact & ~faces.holds, corners.normal, faces.normal),
+        normal=jnp.where(beside & corners.is_outside & ~corners.by_face, corners.normal, faces.normal),
         point=jnp.where(beside, corners.point, clipped_point),
         separation=separation,
         feature=jnp.where(beside, corners.feature, clipped_feature),
@@ -144,7 +145,7 @@ def find_faces(
     of_b: tuple[jax.Array, jax.Array],
     relative_velocity: jax.Array,
     seconds: Scalar,
-    lookahead: Scalar,
+    h: Scalar,
     rules: Rules,
 ) -> Faces:
     """`of_a`, `of_b`: what `max_separation` says of the edges of each."""
@@ -158,18 +159,28 @@ def find_faces(
     if "reference_bias" in rules.published_details:
         flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
 
-    is_impact, holds, impact_edge, impact_seconds = jnp.array(False), jnp.array(False), edge_a, jnp.zeros_like(depth_a)
+    is_impact, holds_for, impact_edge, impact_seconds = (
+        jnp.array(False),
+        jnp.zeros_like(depth_a),
+        edge_a,
+        jnp.zeros_like(depth_a),
+    )
     if rules.is_soft:
         towards = jnp.where(flipped, -b.normal[edge_b], a.normal[edge_a])
         rate = vec2.dot(towards, relative_velocity)
         apart = jnp.maximum(depth_a, depth_b)
         impact = impact_plane.of_polygons(a, b, d, relative_velocity, advantage, seconds)
         passes = (apart > 0) & impact_plane.moves(relative_velocity)
-        holds = passes & (apart + rate * lookahead >= 0)
-        is_impact = passes & ~holds & impact.exists
+        # The last relax pass asks what would be met in a sub-step more; what goes less far in one needs no care.
+        is_fast = vec2.dot(relative_velocity, relative_velocity) * h * h > C.grazing_distance**2
+        lookahead = jnp.where(is_fast, seconds + h, seconds)
+        is_crossed = apart + rate * lookahead < 0
+        holds_for = jnp.where(passes & is_fast & ~is_crossed, lookahead, 0)
+        is_impact = passes & is_crossed & impact.exists
         flipped = jnp.where(is_impact, impact.flipped, flipped)
         impact_edge, impact_seconds = impact.edge, jnp.where(is_impact, impact.seconds, 0)
-    onward = jnp.where(flipped, -relative_velocity, relative_velocity) * impact_seconds
+    motion = jnp.where(flipped, -relative_velocity, relative_velocity)
+    onward = motion * impact_seconds
 
     def choose(of_b, of_a):
         return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)
@@ -192,7 +203,8 @@ def find_faces(
     return Faces(
         flipped=flipped,
         is_impact=is_impact,
-        holds=holds,
+        holds_for=holds_for,
+        motion=motion,
         onward=onward,
         reference=ref,
         incident=inc,
@@ -217,7 +229,9 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     inc_corner = jnp.where(before_start, faces.upper_end, faces.lower_end)
     gap = inc_corner - ref_corner
     distance, face_separation = vec2.length(gap), vec2.dot(faces.normal, gap)
-    is_impact = faces.is_impact | faces.holds
+    # Where the path crosses the plane between two corners, but not the face, it passes: the face keeps them apart.
+    passes = (faces.holds_for > 0) & (distance * distance + vec2.dot(gap, faces.motion) * faces.holds_for < 0)
+    is_impact = faces.is_impact | passes
     face_separation = jnp.where(
         is_impact, jnp.maximum(face_separation - vec2.dot(faces.normal, faces.onward), 0), face_separation
     )
@@ -228,6 +242,7 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     return Corners(
         beside=before_start | (faces.u_lower > faces.length),
         is_outside=is_outside,
+        by_face=is_impact,
         normal=vec2.unit_or_zero(gap),
         point=jnp.where(between, 0.5 * (ref_corner + inc_corner), at_face),
         separation=jnp.where(between, distance, face_separation),
