@@ -171,8 +171,8 @@ def find_faces(
         apart = jnp.maximum(depth_a, depth_b)
         impact = impact_plane.of_polygons(a, b, d, relative_velocity, advantage, seconds)
         passes = (apart > 0) & impact_plane.moves(relative_velocity)
-        # The last relax pass asks what would be met in a sub-step more; what goes less far in one needs no care.
-        is_fast = vec2.dot(relative_velocity, relative_velocity) * h * h > C.grazing_distance**2
+        # The last relax pass asks what would be met in a sub-step more; what goes half a graze in one needs no care.
+        is_fast = vec2.dot(relative_velocity, relative_velocity) * h * h > 0.25 * C.grazing_distance**2
         lookahead = jnp.where(is_fast, seconds + h, seconds)
         is_crossed = apart + rate * lookahead < 0
         holds_for = jnp.where(passes & is_fast & ~is_crossed, lookahead, 0)

@@ -314,8 +314,8 @@ struct Geometry {
     real apart = Math::max(depth_a, depth_b);
     real rate = flipped ? -normal[b * MAX_VERTICES + edge_b].dot(motion) : normal[a * MAX_VERTICES + edge_a].dot(motion);
     bool passes = SOFT_STEP && apart > real(0) && moves(motion);
-    // The last relax pass asks what would be met in a sub-step more; what goes less far in one needs no care.
-    bool is_fast = motion.dot(motion) * substep * substep > GRAZING_DISTANCE * GRAZING_DISTANCE;
+    // The last relax pass asks what would be met in a sub-step more; what goes half a graze in one needs no care.
+    bool is_fast = motion.dot(motion) * substep * substep > real(0.25) * GRAZING_DISTANCE * GRAZING_DISTANCE;
     real lookahead = is_fast ? ahead + substep : ahead;
     bool holds = passes && is_fast && apart + rate * lookahead >= real(0);  // the face is not crossed
     if (passes && apart + rate * lookahead < real(0)) impact = impact_face(a, b, d, motion, advantage);
