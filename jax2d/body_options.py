@@ -11,6 +11,7 @@ from jax2d.settings import Settings
 from jax2d.whole_numbers import whole_number
 
 FILTER_BITS = 16  # of categories and masks
+PLACE_AND_MOTION = ("position", "angle", "velocity", "angular_velocity", "fixed", "kinematic")  # options
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -21,11 +21,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jax2d.body_options import Body, BodyOptions, Filter, body_of
+from jax2d import terrain
+from jax2d.body_options import PLACE_AND_MOTION, Body, BodyOptions, Filter, body_of
 from jax2d.distances import SpringOptions
 from jax2d.drives import MotorOptions, motor_units
 from jax2d.fields import empty
 from jax2d.given import (
+    LARGEST,
     SMALLEST_RADIUS_M,
     Point,
     SceneError,
@@ -105,6 +107,32 @@ class SceneBuilder:
         index = self.capacity.polygons + slot
         self._set_shape(index, body, np.zeros(2))
         return index
+
+    def add_terrain(self, points: Sequence[Point], *, thickness: float = 0.5, **options: Any) -> list[int]:
+        """Ground along a line of points, which lies to the right of its direction: below a line that runs to the right.
+        A fixed polygon from each point to the next, `thickness` m deep; what slides or rolls over the joints does not
+        feel them (`terrain.py` says why). Tiles between two crests have 6 vertices. Options as for add_polygon, but for
+        where a shape is and how it moves. Returns the shapes."""
+        if wrong := [name for name in PLACE_AND_MOTION if name in options]:
+            raise SceneError(f"{wrong[0]} of terrain, which is where its points are and stays there; leave it out")
+        try:
+            line = np.asarray(points, np.float64)
+        except (TypeError, ValueError):
+            line = np.zeros(0)
+        deep = positive("thickness", thickness)
+        if not (np.abs(line) <= LARGEST).all():
+            raise SceneError(f"points hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
+        if (mistake := terrain.wrong_with(line, deep)) is not None:
+            raise SceneError(mistake)
+        corners = list(terrain.tiles(line, deep))
+        if (most := max(map(len, corners))) > self.capacity.vertices:
+            raise SceneError(f"at its crests the terrain has tiles of {most} vertices; use Capacity(vertices={most})")
+        if (needed := self._polygons + len(corners)) > self.capacity.polygons:
+            raise SceneFullError(
+                f"terrain of {len(corners)} tiles, and {self._polygons} of {self.capacity.polygons} polygons used; "
+                f"build with Capacity(polygons={needed}) or more"
+            )
+        return [self.add_polygon(tile - at, position=at, fixed=True, **options) for tile, at in zip(corners, line)]
 
     def keep_apart(self, a: int, b: int) -> None:
         """Lets two shapes pass through each other. Shapes that a joint connects do so already; `category` and `mask`

@@ -21,6 +21,7 @@ import numpy as np
 
 from jax2d import fields
 from jax2d.constants import CONSTANTS
+from jax2d.contact_report import ContactReport
 from jax2d.fields import Array, array, part
 from jax2d.whole_numbers import whole_number
 
@@ -299,6 +300,7 @@ class Touching:
     invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
     invalid_scene: Array  # [] int32, joints, springs and thrusters on no shape (off) and wrong num_vertices (clamped)
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without
+    contacts: ContactReport | None = None  # of the last physics step; engines that are asked for it: report_contacts
 
 
 class BackendReport(NamedTuple):
@@ -308,6 +310,7 @@ class BackendReport(NamedTuple):
     during: Array
     overflow: Array
     limited: Array
+    contacts: ContactReport | None = None
 
 
 def touch_matrix(bits: Array, num_shapes: int) -> Array:

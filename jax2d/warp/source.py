@@ -37,6 +37,7 @@ NATIVE_FILES = (
     "joints.h",
     "forces.h",
     "bounces.h",
+    "report.h",
     "paper.h",
     "step.h",
 )
@@ -74,6 +75,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "SHARED_RECORD": variant.shared_record,
         "SHAPE_WORDS": -(-(polygons + circles) // 32),
         "BOUNCE_SHAPES": polygons + circles if effects.restitution and variant.is_soft else 1,
+        "REPORT_CONTACTS": effects.contact_slots if has_pairs and variant.report_contacts else 0,
         "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
         "TOUCH_WORDS": capacity.touch_words,
         "SWEEP": int(sweep),
@@ -86,7 +88,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
     values |= {f"KIND_{kind.name}": int(kind) for kind in JointKind}
     values |= {f"DRIVE_{drive.name}": int(drive) for drive in JointDrive}
     values |= word_constants()
-    for table, rows in Layout(capacity).rows().items():
+    for table, rows in Layout(capacity, report_contacts=variant.report_contacts).rows().items():
         values |= {f"{table}_{name}": row for name, row in rows.items()}
     return values
 

@@ -60,18 +60,26 @@ class KernelVariant:
     effects: Effects
     solver: Solver
     friction_mixing: str
+    report_contacts: bool = False  # of the last step of a call
     shared_record: int = 0  # numbers of a body in a GPU's shared memory
     options: CompileOptions = CompileOptions()
 
     @classmethod
     def of(
-        cls, capacity: Capacity, settings: Settings, effects: Effects, options: CompileOptions | None = None
+        cls,
+        capacity: Capacity,
+        settings: Settings,
+        effects: Effects,
+        options: CompileOptions | None = None,
+        *,
+        report_contacts: bool = False,
     ) -> KernelVariant:
         return cls(
             capacity=capacity,
             effects=effects,
             solver=settings.solver,
             friction_mixing=settings.friction_mixing,
+            report_contacts=report_contacts,
             shared_record=(options.shared_record or 0) if options is not None else 0,
             options=options if options is not None else CompileOptions(),
         )

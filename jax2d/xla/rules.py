@@ -16,13 +16,14 @@ class Rules(NamedTuple):
     bounce_rounds: int
     solver_batch_size: int
     published_details: frozenset[str]  # of jax2d/published_details.py
+    report_contacts: bool = False
 
     @property
     def is_soft(self) -> bool:
         return self.solver == "soft_step"
 
 
-def rules_of(settings: Settings) -> Rules:
+def rules_of(settings: Settings, *, report_contacts: bool = False) -> Rules:
     return Rules(
         settings.solver,
         settings.friction_mixing,
@@ -30,4 +31,5 @@ def rules_of(settings: Settings) -> Rules:
         settings.bounce_rounds,
         settings.solver_batch_size,
         frozenset(settings.published_details),
+        report_contacts,
     )
