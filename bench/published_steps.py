@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from bench.program import parser_of
-from jax2d import Capacity, Controls, JointKind, Joints, Scene, Shapes, State, Thrusters
+from jax2d import Capacity, Controls, JointKind, Joints, Scene, Shapes, Springs, State, Thrusters
+from jax2d.fields import broadcast, empty
 from jax2d.scene import JOINT_IMPULSES
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -116,6 +117,7 @@ def load(file: Path) -> Steps:
             rest_angle=d["joint.rotation"],
             axis_angle=np.zeros_like(d["joint.rotation"]),
             motor_on=d["joint.motor_on"],
+            drive=np.zeros_like(d["joint.a_index"]),
             motor_speed=d["joint.motor_speed"],
             motor_power=d["joint.motor_power"],
             has_limits=d["joint.motor_has_joint_limits"],
@@ -129,6 +131,7 @@ def load(file: Path) -> Steps:
             angle=d["thruster.rotation"],
             power=d["thruster.power"],
         ),
+        springs=broadcast(empty(Springs, capacity.sizes), (len(d["gravity"]),)),
         gravity=d["gravity"],
     )
     joint_impulse = np.zeros((*d["joint.active"].shape, JOINT_IMPULSES), np.float32)
@@ -141,6 +144,7 @@ def load(file: Path) -> Steps:
         velocity=shapes("velocity"),
         angular_velocity=shapes("angular_velocity"),
         joint_impulse=joint_impulse,
+        spring_impulse=np.zeros((count, 0, 3), np.float32),
         contact_key=np.full((count, slots), -1, np.int32),
         contact_impulse=np.zeros((count, slots, 2), np.float32),
         rolling_impulse=np.zeros((count, 0), np.float32),

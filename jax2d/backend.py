@@ -39,7 +39,15 @@ class BackendFactory(Protocol):
     """Makes a backend; raises ValueError for what it cannot do."""
 
     def __call__(
-        self, capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
+        self,
+        capacity: Capacity,
+        settings: Settings,
+        dtype: np.dtype,
+        effects: Effects,
+        *,
+        numbers: Any = None,
+        report_contacts: bool = False,
     ) -> Backend:
-        """`numbers`: in place of those of the settings, for programs that take them at run time."""
+        """`numbers`: in place of those of the settings, for programs that take them at run time. `report_contacts`:
+        reports have `contacts`."""
         ...

@@ -11,6 +11,7 @@ from jax2d.settings import Settings
 from jax2d.whole_numbers import whole_number
 
 FILTER_BITS = 16  # of categories and masks
+PLACE_AND_MOTION = ("position", "angle", "velocity", "angular_velocity", "fixed", "kinematic")  # options
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ class Body(NamedTuple):
     filter: Filter
 
 
-def body_of(area: float, second_moment: float, options: BodyOptions, capacity: Capacity) -> Body:
+def body_of(area: float, second_moment: float, options: BodyOptions, capacity: Capacity, settings: Settings) -> Body:
     """`second_moment`: of area about the centre of mass, m^4. Raises SceneError."""
     o = options
     if o.fixed and o.kinematic:
@@ -82,7 +83,7 @@ def body_of(area: float, second_moment: float, options: BodyOptions, capacity: C
         "inverse_inertia": 1.0 / inertia if has_mass else 0.0,
         "kinematic": o.kinematic,
         "density": density,
-        "friction": _friction(o),
+        "friction": _friction(o, settings),
         "restitution": restitution,
         **_extended(o, capacity, has_mass=has_mass),
     }
@@ -106,7 +107,7 @@ def _extended(o: BodyOptions, capacity: Capacity, *, has_mass: bool) -> dict[str
     return values if capacity.extended_shapes else {}
 
 
-def _friction(o: BodyOptions) -> float:
+def _friction(o: BodyOptions, settings: Settings) -> float:
     """In units of settings.base_friction, which equal shapes are rubbed by in every way of mixing."""
     if o.friction_coefficient is None:
         return not_negative("friction", 1.0 if o.friction is None else o.friction)
@@ -115,7 +116,7 @@ def _friction(o: BodyOptions) -> float:
             f"friction {o.friction!r} and friction_coefficient {o.friction_coefficient!r} are the same in two units; "
             "give one of them"
         )
-    return not_negative("friction_coefficient", o.friction_coefficient) / Settings.base_friction
+    return not_negative("friction_coefficient", o.friction_coefficient) / settings.base_friction
 
 
 def _bits(name: str, value: int) -> int:

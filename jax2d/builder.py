@@ -21,9 +21,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jax2d.body_options import Body, BodyOptions, Filter, body_of
+from jax2d import terrain
+from jax2d.body_options import PLACE_AND_MOTION, Body, BodyOptions, Filter, body_of
+from jax2d.distances import SpringOptions
+from jax2d.drives import MotorOptions, motor_units
 from jax2d.fields import empty
 from jax2d.given import (
+    LARGEST,
     SMALLEST_RADIUS_M,
     Point,
     SceneError,
@@ -31,9 +35,11 @@ from jax2d.given import (
     check_polygon,
     finite,
     number,
+    one_of,
     positive,
 )
 from jax2d.scene import Capacity, JointKind, Scene
+from jax2d.settings import Settings, preset
 from jax2d.shapes import polygon_integrals
 from jax2d.whole_numbers import whole_number
 
@@ -49,13 +55,16 @@ class BuiltWorld(NamedTuple):
 
 
 class SceneBuilder:
-    """Adds shapes, joints and thrusters to an empty world of the given capacity. A refused call adds nothing."""
+    """Adds shapes and what acts on them to an empty world of the given capacity. A refused call adds nothing."""
 
-    def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81)):
+    def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81), settings: Settings | None = None):
+        """`settings`: those of the engine, whose base_* numbers turn torques, forces and speeds into the units of a
+        scene; by default those that all presets have."""
         self.capacity = capacity
+        self.settings = settings if settings is not None else preset("standard")
         self._gravity = np.asarray(finite("gravity", gravity, 2), np.float32)
         n = capacity.shapes
-        self._polygons = self._circles = self._joints = self._thrusters = 0
+        self._polygons = self._circles = self._joints = self._springs = self._thrusters = 0
         self._apart: set[tuple[int, int]] = set()
         self._filters: dict[int, Filter] = {}
         self._position = np.zeros((n, 2), np.float32)
@@ -71,7 +80,7 @@ class SceneBuilder:
         which comes to `position`; the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
         area, centroid, inertia = polygon_integrals(corners)
-        body = body_of(area, inertia, BodyOptions(**options), self.capacity)
+        body = body_of(area, inertia, BodyOptions(**options), self.capacity, self.settings)
         index = self._take("polygons", self._polygons)
         self._polygons += 1
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
@@ -91,13 +100,39 @@ class SceneBuilder:
         if radius < SMALLEST_RADIUS_M:
             raise SceneError(f"radius is {radius:g}; it must be at least {SMALLEST_RADIUS_M:.2g} m")
         area = math.pi * radius**2
-        body = body_of(area, 0.5 * area * radius**2, BodyOptions(**options), self.capacity)
+        body = body_of(area, 0.5 * area * radius**2, BodyOptions(**options), self.capacity, self.settings)
         slot = self._take("circles", self._circles)
         self._circles += 1
         self._scene.shapes.radius[slot] = radius
         index = self.capacity.polygons + slot
         self._set_shape(index, body, np.zeros(2))
         return index
+
+    def add_terrain(self, points: Sequence[Point], *, thickness: float = 0.5, **options: Any) -> list[int]:
+        """Ground along a line of points, which lies to the right of its direction: below a line that runs to the right.
+        A fixed polygon from each point to the next, `thickness` m deep; what slides or rolls over the joints does not
+        feel them (`terrain.py` says why). Tiles between two crests have 6 vertices. Options as for add_polygon, but for
+        where a shape is and how it moves. Returns the shapes."""
+        if wrong := [name for name in PLACE_AND_MOTION if name in options]:
+            raise SceneError(f"{wrong[0]} of terrain, which is where its points are and stays there; leave it out")
+        try:
+            line = np.asarray(points, np.float64)
+        except (TypeError, ValueError):
+            line = np.zeros(0)
+        deep = positive("thickness", thickness)
+        if not (np.abs(line) <= LARGEST).all():
+            raise SceneError(f"points hold NaN or more than {LARGEST:g}; give finite coordinates in metres")
+        if (mistake := terrain.wrong_with(line, deep)) is not None:
+            raise SceneError(mistake)
+        corners = list(terrain.tiles(line, deep))
+        if (most := max(map(len, corners))) > self.capacity.vertices:
+            raise SceneError(f"at its crests the terrain has tiles of {most} vertices; use Capacity(vertices={most})")
+        if (needed := self._polygons + len(corners)) > self.capacity.polygons:
+            raise SceneFullError(
+                f"terrain of {len(corners)} tiles, and {self._polygons} of {self.capacity.polygons} polygons used; "
+                f"build with Capacity(polygons={needed}) or more"
+            )
+        return [self.add_polygon(tile - at, position=at, fixed=True, **options) for tile, at in zip(corners, line)]
 
     def keep_apart(self, a: int, b: int) -> None:
         """Lets two shapes pass through each other. Shapes that a joint connects do so already; `category` and `mask`
@@ -107,7 +142,7 @@ class SceneBuilder:
             raise SceneError(f"shape {a} kept apart from itself; name two different shapes")
         self._apart.add((a, b))
 
-    # Joints and thrusters
+    # Joints, springs and thrusters
 
     def add_revolute_joint(
         self,
@@ -116,13 +151,26 @@ class SceneBuilder:
         *,
         at: Point,
         motor_speed: float | None = None,
-        motor_power: float = 1.0,
+        motor_power: float | None = None,
+        speed: float | None = None,
+        max_torque: float | None = None,
+        drive: str = "velocity",
         limits: tuple[float, float] | None = None,
     ) -> int:
-        """Holds a and b together at the world point `at`. With `motor_speed` (in units of
-        settings.base_motor_speed) a control drives b relative to a; `limits` bound angle_b - angle_a, counted
-        from how they stand now, in rad."""
-        return self._add_joint(a, b, at, _drive(motor_speed, motor_power, limits))
+        """Holds a and b together at the world point `at`. `limits` bound angle_b - angle_a, counted from how they stand
+        now, in rad. With a speed a control drives b relative to a: `speed` in rad/s, or `motor_speed` in units of
+        settings.base_motor_speed; `max_torque` in N m, or `motor_power` (1 by default) as in drives.py. `drive`:
+        "velocity", "brake" (control 0 holds still) or "servo" (control -1 to 1 is a position between the limits)."""
+        motor = MotorOptions(
+            motor_speed=motor_speed,
+            motor_power=motor_power,
+            speed=speed,
+            strength=max_torque,
+            strength_name="max_torque",
+            drive=drive,
+            limits=limits,
+        )
+        return self._add_joint(a, b, at, JointKind.REVOLUTE, motor)
 
     def add_prismatic_joint(
         self,
@@ -132,31 +180,82 @@ class SceneBuilder:
         at: Point,
         axis_angle: float,
         motor_speed: float | None = None,
-        motor_power: float = 1.0,
+        motor_power: float | None = None,
+        speed: float | None = None,
+        max_force: float | None = None,
+        drive: str = "velocity",
         limits: tuple[float, float] | None = None,
     ) -> int:
-        """Lets b slide along the world angle `axis_angle` (rad), which turns with a, without turning against a. With
-        `motor_speed` (in units of settings.base_slider_speed) a control drives b along the axis; `limits` bound how
-        far it has slid from where it stands now, in m."""
-        a = self._shape("a", a)
-        local_axis = number("axis_angle", axis_angle) - float(self._angle[a])
-        values = {"kind": JointKind.PRISMATIC, "axis_angle": local_axis}
-        return self._add_joint(a, b, at, values | _drive(motor_speed, motor_power, limits))
+        """Lets b slide along the world angle `axis_angle` (rad), which turns with a, not turning against a. `limits`
+        bound how far it has slid from where it stands now, in m. With a speed a control drives b along the axis:
+        `speed` in m/s, or `motor_speed` in units of settings.base_slider_speed; `max_force` in N, with the bodies as
+        they stand now, or `motor_power` (1 by default). `drive` as in add_revolute_joint."""
+        motor = MotorOptions(
+            motor_speed=motor_speed,
+            motor_power=motor_power,
+            speed=speed,
+            strength=max_force,
+            strength_name="max_force",
+            drive=drive,
+            limits=limits,
+        )
+        return self._add_joint(a, b, at, JointKind.PRISMATIC, motor, number("axis_angle", axis_angle))
 
     def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
         """Welds a and b together as they stand."""
-        return self._add_joint(a, b, at, {"kind": JointKind.FIXED})
+        return self._add_joint(a, b, at, JointKind.FIXED)
 
-    def add_thruster(self, body: int, *, at: Point, angle: float, power: float = 1.0) -> int:
-        """A thruster at the world point `at` that pushes its body towards the world angle `angle`."""
+    def add_spring(
+        self,
+        a: int,
+        b: int,
+        *,
+        at_a: Point,
+        at_b: Point,
+        rest_length: float | None = None,
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        min_length: float = 0.0,
+        max_length: float | None = None,
+    ) -> int:
+        """A spring and damper from the world point `at_a` on a to `at_b` on b: `stiffness` in N/m about `rest_length`
+        (m, as now by default), `damping` in N s/m, limits of the length in m. The two shapes may still touch."""
+        options = SpringOptions(
+            rest_length=rest_length,
+            stiffness=stiffness,
+            damping=damping,
+            min_length=min_length,
+            max_length=max_length,
+        )
+        return self._add_spring(a, b, at_a, at_b, options)
+
+    def add_rope(self, a: int, b: int, *, at_a: Point, at_b: Point, length: float | None = None) -> int:
+        """Keeps two points at most `length` m apart, by default as far as now."""
+        longest = self._apart_now(at_a, at_b) if length is None else length
+        return self._add_spring(a, b, at_a, at_b, SpringOptions(max_length=longest))
+
+    def add_rod(self, a: int, b: int, *, at_a: Point, at_b: Point) -> int:
+        """Keeps two points as far apart as they are now."""
+        length = self._apart_now(at_a, at_b)
+        return self._add_spring(a, b, at_a, at_b, SpringOptions(min_length=length, max_length=length))
+
+    def add_thruster(
+        self, body: int, *, at: Point, angle: float, power: float | None = None, force: float | None = None
+    ) -> int:
+        """A thruster at the world point `at` that pushes its body towards the world angle `angle`, with `force` in N or
+        `power` (1 by default) in units of settings.base_thruster_power."""
         body = self._shape("body", body)
         if self._has_no_mass(body):
             state = (
                 "kinematic and moves as its velocity says" if self._is_kinematic(body) else "fixed and would not move"
             )
             raise SceneError(f"thruster on shape {body}, which is {state}; put it on one that can be pushed")
+        one_of(("power", power), ("force", force))
+        if force is not None:
+            power = positive("force", force) / self.settings.base_thruster_power
         position = self._to_local(body, at)
-        local_angle, power = number("angle", angle) - self._angle[body], positive("power", power)
+        local_angle = number("angle", angle) - self._angle[body]
+        power = positive("power", 1.0 if power is None else power)
         index = self._take("thrusters", self._thrusters)
         self._thrusters += 1
         thrusters = self._scene.thrusters
@@ -201,26 +300,58 @@ class SceneBuilder:
         self._angular_velocity[index] = body.angular_velocity
         self._filters[index] = body.filter
 
-    def _add_joint(self, a: int, b: int, at: Point, values: dict[str, float]) -> int:
+    def _add_joint(
+        self, a: int, b: int, at: Point, kind: JointKind, motor: MotorOptions | None = None, world_axis: float = 0.0
+    ) -> int:
+        a, b = self._two_shapes("joint", a, b)
+        values: dict[str, Any] = {"active": True, "kind": kind, "a": a, "b": b}
+        values |= {"anchor_a": self._to_local(a, at), "anchor_b": self._to_local(b, at)}
+        values["rest_angle"] = self._angle[b] - self._angle[a]
+        if kind == JointKind.PRISMATIC:
+            values["axis_angle"] = world_axis - float(self._angle[a])
+        if motor is not None:
+            inverse = sum(self._inverse_moved(body, at, kind, world_axis) for body in (a, b))
+            values |= motor.fields(motor_units(self.settings, kind), 1 / inverse)
+        index = self._take("joints", self._joints)
+        self._joints += 1
+        for name, value in values.items():
+            getattr(self._scene.joints, name)[index] = value
+        return index
+
+    def _add_spring(self, a: int, b: int, at_a: Point, at_b: Point, options: SpringOptions) -> int:
+        a, b = self._two_shapes("spring", a, b)
+        values = {"active": True, "a": a, "b": b, **options.fields(self._apart_now(at_a, at_b))}
+        values |= {"anchor_a": self._to_local(a, at_a, "at_a"), "anchor_b": self._to_local(b, at_b, "at_b")}
+        index = self._take("springs", self._springs)
+        self._springs += 1
+        for name, value in values.items():
+            getattr(self._scene.springs, name)[index] = value
+        return index
+
+    @staticmethod
+    def _apart_now(at_a: Point, at_b: Point) -> float:
+        return math.dist(finite("at_a", at_a, 2), finite("at_b", at_b, 2))
+
+    def _two_shapes(self, what: str, a: int, b: int) -> tuple[int, int]:
         a, b = self._shape("a", a), self._shape("b", b)
         if a == b:
-            raise SceneError(f"joint from shape {a} to itself; name two different shapes")
+            raise SceneError(f"{what} from shape {a} to itself; name two different shapes")
         if self._has_no_mass(a) and self._has_no_mass(b):
             state = "fixed and would not move"
             if self._is_kinematic(a) or self._is_kinematic(b):
                 state = "fixed or kinematic, and which nothing can push"
-            raise SceneError(f"joint of shapes {a} and {b}, which are both {state}; leave it out")
-        anchors = self._to_local(a, at), self._to_local(b, at)
-        index = self._take("joints", self._joints)
-        self._joints += 1
-        joints = self._scene.joints
-        joints.active[index] = True
-        joints.a[index], joints.b[index] = a, b
-        joints.anchor_a[index], joints.anchor_b[index] = anchors
-        joints.rest_angle[index] = self._angle[b] - self._angle[a]
-        for name, value in values.items():
-            getattr(joints, name)[index] = value
-        return index
+            raise SceneError(f"{what} of shapes {a} and {b}, which are both {state}; leave it out")
+        return a, b
+
+    def _inverse_moved(self, body: int, at: Point, kind: JointKind, world_axis: float) -> float:
+        """What a unit of a motor's impulse gives to one of its bodies: 1/(kg m^2), of a slider 1/kg."""
+        shapes = self._scene.shapes
+        mass, inertia = float(shapes.inverse_mass[body]), float(shapes.inverse_inertia[body])
+        if kind != JointKind.PRISMATIC:
+            return inertia
+        x, y = np.asarray(finite("at", at, 2)) - self._position[body]
+        lever = x * math.sin(world_axis) - y * math.cos(world_axis)
+        return mass + inertia * lever**2
 
     def _has_no_mass(self, shape: int) -> bool:
         return self._scene.shapes.inverse_mass[shape] == 0
@@ -239,27 +370,8 @@ class SceneBuilder:
             f"{name} is {index!r}, which is no shape of this scene; use what add_polygon or add_circle gave"
         )
 
-    def _to_local(self, body: int, at: Point) -> np.ndarray:
-        return _rotate(np.asarray(finite("at", at, 2)) - self._position[body], -float(self._angle[body]))
-
-
-def _drive(motor_speed: float | None, motor_power: float, limits: tuple[float, float] | None) -> dict[str, float]:
-    """Fields of `Joints` for a motor and limits."""
-    values: dict[str, float] = {}
-    if motor_speed is not None:
-        values |= {"motor_on": True, "motor_speed": number("motor_speed", motor_speed)}
-        values |= {"motor_power": positive("motor_power", motor_power)}
-    if limits is not None:
-        lower, upper = finite("limits", limits, 2)
-        if lower > upper:
-            raise SceneError(f"limits {lower:g} to {upper:g} are empty; give the smaller number first")
-        if not lower <= 0 <= upper:
-            raise SceneError(
-                f"limits {lower:g} to {upper:g} leave out 0, which is how the shapes stand now; limits count from "
-                "there: add the shapes where they are within the limits"
-            )
-        values |= {"has_limits": True, "lower_limit": lower, "upper_limit": upper}
-    return values
+    def _to_local(self, body: int, at: Point, name: str = "at") -> np.ndarray:
+        return _rotate(np.asarray(finite(name, at, 2)) - self._position[body], -float(self._angle[body]))
 
 
 def _rotate(v: np.ndarray, angle: float) -> np.ndarray:

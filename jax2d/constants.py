@@ -7,6 +7,7 @@ in capitals (`cpp_macros`). Numbers that a user may choose are `Settings` instea
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 
@@ -19,10 +20,21 @@ def _constant(value: float, unit: str, reason: str, beyond: str = "") -> Any:
 class Constants:
     """See the fields; `unit`, `reason` and `beyond` stand in their metadata."""
 
+    # Angles
+    half_turn: float = _constant(math.pi, "rad", "beyond it an angle is wrapped", "other: angles jump")
+    turn_high: float = _constant(6.28125, "rad", "a turn to nine bits, of which float32 holds multiples exactly")
+    turn_low: float = _constant(2 * math.pi - 6.28125, "rad", "what it lacks of a turn", "0: 3 mrad are lost a turn")
+    wide_limits: float = _constant(
+        1.5 * math.pi,
+        "rad",
+        "limits that span more say how often a body has turned: it is not wrapped",
+        "2 pi: what leans into one limit comes out at the other",
+    )
     # Geometry
     far_distance: float = _constant(
         1e30, "m", "a distance of what does not exist", "float32 overflows when squared: compared only"
     )
+    no_maximum: float = _constant(1e18, "m", "the longest length of a spring that may be of any", "smaller: it acts")
     coincident_distance: float = _constant(
         1e-9,
         "m",
@@ -104,6 +116,13 @@ class Constants:
         "of a coordinate",
         "sixteen times the rounding of one float32 operation",
         "0: sweep and pair test differ",
+    )
+    # Servos
+    servo_braking_share: float = _constant(
+        0.5,
+        "of what the motor gives the two bodies alone",
+        "slows down a servo before its position; the rest is for loads",
+        "1: it overshoots with any load",
     )
     # Bounces
     joint_passes: int = _constant(

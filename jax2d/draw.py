@@ -44,6 +44,8 @@ DEFAULT_VIEW: Box = (-0.12, -0.12, 5.12, 5.12)  # the 5 x 5 m box with a rim of 
 THRUSTER_LENGTH_M = 0.16
 JOINT_RADIUS_M = 0.06
 RAIL_M = 0.5  # of a slider without limits, to each side
+COIL_M = 0.05  # half the width of a spring
+NUM_COILS = 6
 
 
 def shape_colours(scene: Scene, roles: Any = None, palette: Sequence[Colour] = ROLE_PALETTE) -> np.ndarray:
@@ -190,6 +192,7 @@ def draw(
         for k, (a, b) in enumerate(itertools.pairwise(np.asarray(trail, float))):
             canvas.line(a, b, INK, 2.0, opacity=0.15 + 0.45 * k / len(trail))
     _draw_thrusters(canvas, scene, position, angle, thrust)
+    _draw_springs(canvas, scene, position, angle)
     _draw_joints(canvas, scene, position, angle)
     return np.rint(canvas.pixels).astype(np.uint8)
 
@@ -272,6 +275,32 @@ def _draw_thrusters(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: 
             canvas.polygon(base + (flame - base) * fire, THRUSTER_PALETTE[0])
             canvas.polygon(base + (flame - base) * 0.5 * fire, FLAME_CORE)
         canvas.polygon(nozzle, INK)
+
+
+def spring_outline(scene: Scene, position: np.ndarray, angle: np.ndarray, k: int) -> np.ndarray:
+    """The line of spring k in the world, [p, 2] m: a zigzag where it has stiffness, else straight."""
+    springs = scene.springs
+    start, end = (
+        position[body] + rotate(np.asarray(local, float), angle[body])
+        for body, local in ((springs.a[k], springs.anchor_a[k]), (springs.b[k], springs.anchor_b[k]))
+    )
+    along = end - start
+    length = float(np.linalg.norm(along))
+    if springs.stiffness[k] == 0 or length == 0:
+        return np.stack([start, end])
+    share = np.concatenate([[0], np.linspace(0.1, 0.9, 2 * NUM_COILS + 1), [1]])
+    side = np.concatenate([[0, 0], np.tile([COIL_M, -COIL_M], NUM_COILS)[1:], [0, 0]])
+    across = np.array([-along[1], along[0]]) / length
+    return start + share[:, None] * along + side[:, None] * across
+
+
+def _draw_springs(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray) -> None:
+    for k in np.flatnonzero(scene.springs.active):
+        outline = spring_outline(scene, position, angle, k)
+        for start, end in itertools.pairwise(outline):
+            canvas.line(start, end, INK, 1.6)
+        for end in (outline[0], outline[-1]):
+            canvas.disc(end, 0.4 * JOINT_RADIUS_M, INK)
 
 
 def _draw_joints(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray) -> None:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointKind, Scene, Shapes, capacity_of, only_what_acts
+from jax2d.scene import Capacity, JointDrive, JointKind, Scene, Shapes, capacity_of, only_what_acts
 
 # Bit i of `Touching.missing` is EFFECTS[i], bit len(EFFECTS) + j is a slot of SLOTS[j] beyond those compiled for.
 EFFECTS = (
@@ -33,6 +33,8 @@ EFFECTS = (
     "prismatic_joints",
     "joint_limits",
     "motors",
+    "brakes_and_servos",
+    "springs",
     "thrusters",
     "gravity",
     "kinematic_bodies",
@@ -42,7 +44,8 @@ EFFECTS = (
     "external_forces",
 )
 EXTENDED = EFFECTS[-4:]  # what a capacity with extended shapes has room for
-NOT_IN_PAPER = ("prismatic_joints", "kinematic_bodies", *EXTENDED)  # its appendix has none of them
+# The appendix of the paper has none of these, nor has the solver of preset `paper`.
+NOT_IN_PAPER = ("prismatic_joints", "brakes_and_servos", "springs", "kinematic_bodies", *EXTENDED)
 SLOTS = ("polygon_slots", "circle_slots", "joint_slots", "thruster_slots", "contact_slots")
 
 
@@ -65,6 +68,8 @@ class Effects:
     prismatic_joints: bool = False
     joint_limits: bool = False  # of joints that are not fixed
     motors: bool = False  # of joints that are not fixed
+    brakes_and_servos: bool = False  # motors that hold still or move to a position
+    springs: bool = False  # and dampers, ropes, rods
     thrusters: bool = False
     gravity: bool = False  # that acts on a mass
     kinematic_bodies: bool = False
@@ -167,7 +172,10 @@ def called_for(scenes: Scene) -> EffectTable:
     flags["continuous_collision"] = meets.any((-2, -1))
     flags |= {f"{kind.name.lower()}_joints": joints.any(-1) for kind, joints in has_kind.items()}
     flags["joint_limits"] = (is_driven & scenes.joints.has_limits).any(-1)
-    flags["motors"] = (is_driven & scenes.joints.motor_on).any(-1)
+    has_motor = is_driven & scenes.joints.motor_on
+    flags["motors"] = has_motor.any(-1)
+    flags["brakes_and_servos"] = (has_motor & ~scenes.joints.is_drive(JointDrive.VELOCITY)).any(-1)
+    flags["springs"] = jnp.asarray(scenes.springs.active).any(-1)
     flags["thrusters"] = jnp.asarray(scenes.thrusters.active).any(-1)
     has_gravity = (jnp.asarray(scenes.gravity) != 0).any(-1)
     flags["gravity"] = has_gravity & (scenes.shapes.inverse_mass > 0).any(-1)

@@ -43,20 +43,16 @@ from jax2d.whole_numbers import whole_number
 MAX_STEPS = 2**31 - 1  # an int32 of the kernel
 
 
-def _warp_backend(
-    capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
-) -> Backend:
+def _warp_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, **options: Any) -> Backend:
     from jax2d.warp.ffi import WarpBackend
 
-    return WarpBackend(capacity, settings, dtype, effects, numbers=numbers)
+    return WarpBackend(capacity, settings, dtype, effects, **options)
 
 
-def _xla_backend(
-    capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
-) -> Backend:
+def _xla_backend(capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, **options: Any) -> Backend:
     from jax2d.xla.backend import XlaBackend
 
-    return XlaBackend(capacity, settings, dtype, effects, numbers=numbers)
+    return XlaBackend(capacity, settings, dtype, effects, **options)
 
 
 BACKENDS: dict[str, BackendFactory] = {"warp": _warp_backend, "xla": _xla_backend}
@@ -83,11 +79,13 @@ class Engine:
         effects: Effects | None = None,
         backend: str | BackendFactory = "warp",
         dtype: Any = jnp.float32,
+        report_contacts: bool = False,
     ):
         """`effects`: what the kernel is compiled for, `effects_of(scenes)`; by default everything that the solver has
         (the paper's lacks those of `effects.NOT_IN_PAPER`). `backend`: "warp", the fused kernel, or "xla", the
         reference in plain JAX (slow, differentiable, also in float64), or what makes another. `dtype` is that of states
-        and of the arithmetic."""
+        and of the arithmetic. With `report_contacts` every call says in `Touching.contacts` what contacts did in its
+        last physics step; states are bitwise the same."""
         if isinstance(backend, str) and backend not in BACKENDS:
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity
@@ -101,8 +99,11 @@ class Engine:
         check_effects(wanted, capacity)
         self.effects = wanted.known_to(self.settings.solver)
         self.dtype = np.dtype(dtype)
+        if not isinstance(report_contacts, bool):
+            raise ValueError(f"report_contacts is {report_contacts!r}; give True or False")
+        self.report_contacts = report_contacts
         factory = BACKENDS[backend] if isinstance(backend, str) else backend
-        self.backend = factory(capacity, self.settings, self.dtype, self.effects)
+        self.backend = factory(capacity, self.settings, self.dtype, self.effects, report_contacts=report_contacts)
         self._packed_shapes = functools.cache(self._shapes_of_packed)
         self._last_checked: weakref.ref[Scene] | None = None
 

@@ -8,8 +8,8 @@
 builders, moving slots and empty worlds are derived from the declarations (`fields_of`).
 
 Dimensions are letters of `Capacity.sizes` (n shapes, P polygons, V vertices, C circles, J joints, T thrusters,
-K contact slots; E shapes and R contact slots of a capacity with extended shapes, else none) or digits. The first one
-says what the slots of a field are.
+S springs, K contact slots; E shapes and R contact slots of a capacity with extended shapes, else none) or digits. The
+first one says what the slots of a field are.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Record = TypeVar("Record")
 _KEY = "array"
 _PART = "part"
 _DTYPES = {bool: np.bool_, int: np.int32, float: np.float32}
-SLOTS = "nPCJT"  # letters of which a world has slots that can be active or not
+SLOTS = "nPCJTS"  # letters of which a world has slots that can be active or not
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -57,6 +57,12 @@ def not_negative(name: str, value: float) -> float:
     return checked
 
 
+def one_of(first: tuple[str, float | None], second: tuple[str, float | None]) -> None:
+    """Raises SceneError where two ways to say the same are both used."""
+    if first[1] is not None and second[1] is not None:
+        raise SceneError(f"{first[0]} and {second[0]} are both given and say the same in other units; give one")
+
+
 def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
     """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
     try:

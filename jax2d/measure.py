@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import Controls, JointKind, Scene, State
+from jax2d.scene import Controls, JointDrive, JointKind, Joints, Scene, Springs, State
 from jax2d.settings import Settings
 
 
@@ -33,8 +33,17 @@ def potential_energy(scene: Scene, state: State) -> jax.Array:
     return -jnp.sum(mass * jnp.matmul(state.position, scene.gravity, precision="highest"))
 
 
+def elastic_energy(scene: Scene, state: State) -> jax.Array:
+    """Joules in springs, [] of one world."""
+    springs = scene.springs
+    stretch = spring_lengths(scene, state) - springs.rest_length
+    return 0.5 * jnp.sum(jnp.where(springs.active, springs.stiffness * jnp.square(stretch), 0.0))
+
+
 def energy(scene: Scene, state: State) -> jax.Array:
-    return kinetic_energy(scene, state) + potential_energy(scene, state)
+    """Kinetic, potential and elastic, Joules, [] of one world."""
+    energy = kinetic_energy(scene, state) + potential_energy(scene, state)
+    return energy + elastic_energy(scene, state) if scene.springs.active.shape[-1] else energy
 
 
 def momentum(scene: Scene, state: State) -> jax.Array:
@@ -70,7 +79,8 @@ def max_work(
     base_power = jnp.where(slides, settings.base_slider_power, settings.base_motor_power)
     base_speed = jnp.where(slides, settings.base_slider_speed, settings.base_motor_speed)
     force = base_power * jnp.asarray(joints.motor_power) * mass
-    target = base_speed * jnp.abs(controls.motor * joints.motor_speed)
+    share = jnp.where(joints.is_drive(JointDrive.SERVO), 1.0, jnp.abs(controls.motor))  # of its speed
+    target = base_speed * jnp.abs(joints.motor_speed) * share
     motors = jnp.where(driven, force * target * seconds, 0.0)
 
     body = scene.thrusters.body
@@ -89,17 +99,27 @@ def max_work(
 
 def joint_gaps(scene: Scene, state: State) -> jax.Array:
     """Distance between the two anchors of each joint, of a slider across its axis, [J] m; zero for inactive joints."""
+    gap = _gap(scene.joints, state)
+    axis_angle = scene.joints.axis_angle + state.angle[scene.joints.a]
+    across = jnp.abs(jnp.cos(axis_angle) * gap[:, 1] - jnp.sin(axis_angle) * gap[:, 0])
+    distance = jnp.where(scene.joints.is_kind(JointKind.PRISMATIC), across, jnp.linalg.norm(gap, axis=-1))
+    return jnp.where(scene.joints.active, distance, 0.0)
+
+
+def spring_lengths(scene: Scene, state: State) -> jax.Array:
+    """Distance between the two anchors of each spring, [S] m, active or not."""
+    return jnp.linalg.norm(_gap(scene.springs, state), axis=-1)
+
+
+def _gap(ends: Joints | Springs, state: State) -> jax.Array:
+    """Anchor on b from anchor on a, [k, 2] m."""
 
     def anchor(body: Array, local: Array) -> jax.Array:
         c, s = jnp.cos(state.angle[body]), jnp.sin(state.angle[body])
         turned = jnp.stack([c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], -1)
         return state.position[body] + turned
 
-    gap = anchor(scene.joints.b, scene.joints.anchor_b) - anchor(scene.joints.a, scene.joints.anchor_a)
-    axis_angle = scene.joints.axis_angle + state.angle[scene.joints.a]
-    across = jnp.abs(jnp.cos(axis_angle) * gap[:, 1] - jnp.sin(axis_angle) * gap[:, 0])
-    distance = jnp.where(scene.joints.is_kind(JointKind.PRISMATIC), across, jnp.linalg.norm(gap, axis=-1))
-    return jnp.where(scene.joints.active, distance, 0.0)
+    return anchor(ends.b, ends.anchor_b) - anchor(ends.a, ends.anchor_a)
 
 
 def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:

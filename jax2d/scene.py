@@ -20,6 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d import fields
+from jax2d.constants import CONSTANTS
+from jax2d.contact_report import ContactReport
 from jax2d.fields import Array, array, part
 from jax2d.whole_numbers import whole_number
 
@@ -27,6 +29,7 @@ MAX_SHAPES = 512  # an int32 contact key has 9 bits for each of two shapes, and 
 SHAPE_INDEX_BITS = 10  # of a shape's number in a packed word
 MAX_FORCE = 1e9  # N and N m of a control: more is a mistake, and squares of what it does must fit float32
 JOINT_IMPULSES = 5  # numbers that warm starting keeps of a joint
+NO_MAXIMUM_M = CONSTANTS.no_maximum
 EMPTY_POLYGON_M = ((0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1))  # corners of unused slots: never degenerate, never seen
 
 
@@ -38,6 +41,14 @@ class JointKind(enum.IntEnum):
     PRISMATIC = 2  # sliding along an axis of a; may have a motor and limits
 
 
+class JointDrive(enum.IntEnum):
+    """What a motor makes of its control, -1 to 1."""
+
+    VELOCITY = 0  # a share of its speed; 0: it exerts nothing
+    BRAKE = 1  # a share of its speed; 0: it holds still with its whole strength
+    SERVO = 2  # a position, from the lower limit at -1 to the upper one at 1, approached at its speed at most
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Capacity:
     """How many of each thing a world has room for. Compile-time: engines are built for one capacity."""
@@ -47,10 +58,11 @@ class Capacity:
     joints: int
     thrusters: int
     vertices: int = 4  # a polygon has at most
+    springs: int = 0  # springs, dampers, ropes and rods
     extended_shapes: bool = False  # shapes have surface speed, damping and rolling resistance, controls have forces
 
     def __post_init__(self) -> None:
-        for name in ("polygons", "circles", "joints", "thrusters", "vertices"):
+        for name in ("polygons", "circles", "joints", "thrusters", "vertices", "springs"):
             if whole_number(f"Capacity.{name}", getattr(self, name)) < 0:
                 raise ValueError(f"Capacity.{name} is {getattr(self, name)}; it must be 0 or more")
         if self.shapes == 0:
@@ -73,7 +85,7 @@ class Capacity:
     def sizes(self) -> dict[str, int]:
         """Lengths of the dimensions that fields are declared with."""
         letters = {"n": self.shapes, "P": self.polygons, "V": self.vertices, "C": self.circles, "J": self.joints}
-        letters |= {"T": self.thrusters, "K": self.contact_slots}
+        letters |= {"T": self.thrusters, "S": self.springs, "K": self.contact_slots}
         letters |= {"E": self.shapes * self.extended_shapes, "R": self.contact_slots * self.extended_shapes}
         return letters | {str(number): number for number in range(1, 10)}
 
@@ -147,7 +159,14 @@ class Joints:
     )
     axis_angle: Array = array("J", float, "frame of a: along which b slides, of prismatic joints", unit="rad")
     motor_on: Array = array("J", bool, "it has a motor", empty=False, bits=1)
-    motor_speed: Array = array("J", float, "target", unit="settings.base_motor_speed or base_slider_speed", empty=1)
+    drive: Array = array("J", int, "JointDrive of the motor", bits=2, at_least=0, at_most=max(JointDrive))
+    motor_speed: Array = array(
+        "J",
+        float,
+        "at control 1; a servo's largest, which turns its direction round if negative",
+        unit="settings.base_motor_speed or base_slider_speed",
+        empty=1,
+    )
     motor_power: Array = array(
         "J",
         float,
@@ -165,6 +184,10 @@ class Joints:
         """[..., J] bool, joints of this kind, active or not."""
         return self.kind == kind
 
+    def is_drive(self, drive: JointDrive) -> Array:
+        """[..., J] bool, joints whose motor, if they have one, is driven this way."""
+        return self.drive == drive
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -180,12 +203,31 @@ class Thrusters:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Springs:
+    """`S` elements between an anchor on a and one on b, along the line between the two: spring and damper, a rope (a
+    maximum alone), a rod (minimum = maximum). One of a shape that is not active does nothing."""
+
+    active: Array = array("S", bool, "padded slots are False", empty=False, bits=1)
+    a: Array = array("S", int, "shape index", refers_to="n", bits=SHAPE_INDEX_BITS)
+    b: Array = array("S", int, "shape index", refers_to="n", bits=SHAPE_INDEX_BITS)
+    anchor_a: Array = array("S 2", float, "frame of a", unit="m")
+    anchor_b: Array = array("S 2", float, "frame of b", unit="m")
+    rest_length: Array = array("S", float, "at which the spring exerts nothing", unit="m", at_least=0)
+    stiffness: Array = array("S", float, "force over length", unit="N/m", at_least=0)
+    damping: Array = array("S", float, "force over speed", unit="N s/m", at_least=0)
+    min_length: Array = array("S", float, "at most max_length; 0: none", unit="m", at_least=0)
+    max_length: Array = array("S", float, "NO_MAXIMUM_M: none", unit="m", empty=NO_MAXIMUM_M, above=0)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Scene:
     """What exists."""
 
     shapes: Shapes = part(Shapes)
     joints: Joints = part(Joints)
     thrusters: Thrusters = part(Thrusters)
+    springs: Springs = part(Springs)
     gravity: Array = array("2", float, "acceleration", unit="m/s^2", empty=0)
 
     def replace(self, **changes: Any) -> Scene:
@@ -199,7 +241,9 @@ class State:
     """How it moves. `K` is the number of contact slots an engine keeps for warm starting."""
 
     position: Array = array("n 2", float, "world frame, centre of mass", unit="m")
-    angle: Array = array("n", float, "not wrapped", unit="rad")
+    angle: Array = array(
+        "n", float, "-pi to pi after a step; of joints with limits of over 3/4 of a turn turns are counted", unit="rad"
+    )
     velocity: Array = array("n 2", float, "of the centre of mass", unit="m/s")
     angular_velocity: Array = array("n", float, "counter-clockwise", unit="rad/s")
     joint_impulse: Array = array(
@@ -208,6 +252,7 @@ class State:
         "point x, point y (prismatic: across the axis, angle), angle or motor, lower limit, upper limit",
         unit="N s and N m s",
     )
+    spring_impulse: Array = array("S 3", float, "spring, minimum, maximum", unit="N s")
     contact_key: Array = array("K", int, "which pair and feature a slot belongs to; -1 for an unused slot", empty=-1)
     contact_impulse: Array = array("K 2", float, "normal, tangent", unit="N s")
     rolling_impulse: Array = array("R", float, "of rolling resistance", unit="N m s")
@@ -219,7 +264,7 @@ class Controls:
     """What an agent does in one step."""
 
     motor: Array = array(
-        "J", float, "share of the motor's target speed (0: motor exerts nothing)", at_least=-1, at_most=1
+        "J", float, "share of the motor's target speed, or a servo's position: see JointDrive", at_least=-1, at_most=1
     )
     thruster: Array = array("T", float, "share of the thruster's power", at_least=0, at_most=1)
     # Of a capacity with extended shapes, constant over the steps of a call
@@ -253,8 +298,9 @@ class Touching:
     overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
     limited: Array  # [] int32, times a speed limit of the settings acted in this call
     invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
-    invalid_scene: Array  # [] int32, joints and thrusters on no shape (off) and wrong num_vertices (clamped)
+    invalid_scene: Array  # [] int32, joints, springs and thrusters on no shape (off) and wrong num_vertices (clamped)
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without
+    contacts: ContactReport | None = None  # of the last physics step; engines that are asked for it: report_contacts
 
 
 class BackendReport(NamedTuple):
@@ -264,6 +310,7 @@ class BackendReport(NamedTuple):
     during: Array
     overflow: Array
     limited: Array
+    contacts: ContactReport | None = None
 
 
 def touch_matrix(bits: Array, num_shapes: int) -> Array:
@@ -290,14 +337,15 @@ def capacity_of(scene: Scene) -> Capacity:
         joints=scene.joints.active.shape[-1],
         thrusters=scene.thrusters.active.shape[-1],
         vertices=scene.shapes.vertices.shape[-2],
+        springs=scene.springs.active.shape[-1],
         extended_shapes=scene.shapes.surface_speed.shape[-1] > 0,
     )
 
 
 def only_what_acts(scene: Scene) -> Scene:
-    """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, joints and
-    thrusters that are not on active shapes are off, and `can_touch` holds each pair once, at [lower, higher], and only
-    where both are active and one of the two can move. No index is out of range."""
+    """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, joints, springs
+    and thrusters that are not on active shapes are off, and `can_touch` holds each pair once, at [lower, higher], and
+    only where both are active and one of the two can move. No index is out of range."""
     shapes = scene.shapes
     active = jnp.asarray(shapes.active)
     inverse_mass = jnp.where(active, shapes.inverse_mass, 0)
@@ -306,9 +354,7 @@ def only_what_acts(scene: Scene) -> Scene:
     meets = jnp.asarray(shapes.can_touch) & active[..., :, None] & active[..., None, :]
     meets &= movable[..., :, None] | movable[..., None, :]
     meets &= np.triu(np.ones(meets.shape[-2:], bool), 1)
-    joints, thrusters = _has_shapes(scene)
-    ends = (scene.joints.a, scene.joints.b, scene.thrusters.body)
-    is_a, is_b, is_body = (_of_shape(active, index) for index in ends)
+    body = scene.thrusters.body
     return scene.replace(
         shapes={
             "inverse_mass": inverse_mass,
@@ -317,28 +363,40 @@ def only_what_acts(scene: Scene) -> Scene:
             "num_vertices": jnp.clip(jnp.asarray(shapes.num_vertices), 3, shapes.vertices.shape[-2]),
             "can_touch": meets,
         },
-        joints={"active": scene.joints.active & joints & is_a & is_b},
-        thrusters={"active": scene.thrusters.active & thrusters & is_body},
+        joints={"active": scene.joints.active & _joins(active, scene.joints)},
+        springs={"active": scene.springs.active & _joins(active, scene.springs)},
+        thrusters={"active": scene.thrusters.active & _is_shape(active, body) & _of_shape(active, body)},
     )
 
 
 def num_invalid(scene: Scene) -> jax.Array:
-    """[...] int32, what `only_what_acts` must mend: active joints and thrusters whose indices name no (two) shapes, and
-    active polygons whose number of vertices is none."""
-    joints, thrusters = _has_shapes(scene)
+    """[...] int32, what `only_what_acts` must mend: active joints, springs and thrusters whose indices name no (two)
+    shapes, and active polygons whose number of vertices is none."""
+    active = jnp.asarray(scene.shapes.active)
     number = jnp.asarray(scene.shapes.num_vertices)
     polygons = (number >= 3) & (number <= scene.shapes.vertices.shape[-2])
-    active_polygons = scene.shapes.active[..., : number.shape[-1]]
-    wrong = [scene.joints.active & ~joints, scene.thrusters.active & ~thrusters, active_polygons & ~polygons]
+    wrong = [
+        scene.joints.active & ~_are_two(active, scene.joints),
+        scene.springs.active & ~_are_two(active, scene.springs),
+        scene.thrusters.active & ~_is_shape(active, scene.thrusters.body),
+        active[..., : number.shape[-1]] & ~polygons,
+    ]
     return jnp.sum(jnp.concatenate(wrong, axis=-1), axis=-1, dtype=jnp.int32)
 
 
-def _has_shapes(scene: Scene) -> tuple[jax.Array, jax.Array]:
-    """(joints [..., J], thrusters [..., T]) bool, those whose indices are of shapes, two different ones for a joint."""
-    num_shapes = scene.shapes.active.shape[-1]
-    a, b, body = (jnp.asarray(x) for x in (scene.joints.a, scene.joints.b, scene.thrusters.body))
-    is_a, is_b, is_body = ((x >= 0) & (x < num_shapes) for x in (a, b, body))
-    return is_a & is_b & (a != b), is_body
+def _joins(active: jax.Array, ends: Joints | Springs) -> jax.Array:
+    """[..., k] bool, those between two active shapes."""
+    return _are_two(active, ends) & _of_shape(active, ends.a) & _of_shape(active, ends.b)
+
+
+def _are_two(active: jax.Array, ends: Joints | Springs) -> jax.Array:
+    """[..., k] bool, those whose ends are two shapes, active or not."""
+    return _is_shape(active, ends.a) & _is_shape(active, ends.b) & (jnp.asarray(ends.a) != jnp.asarray(ends.b))
+
+
+def _is_shape(active: jax.Array, index: Array) -> jax.Array:
+    """[..., k] bool, indices of shapes, active [..., n] or not."""
+    return (jnp.asarray(index) >= 0) & (jnp.asarray(index) < active.shape[-1])
 
 
 def _of_shape(x: jax.Array, shape: Array) -> jax.Array:

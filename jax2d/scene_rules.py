@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jax2d.fields import Field, field_of, fields_of
-from jax2d.scene import Scene
+from jax2d.scene import JointDrive, JointKind, Scene
 
 # Of a polygon's extent: what vertices may be off by, from rounding and from the public levels' own centres of mass.
 OFF_CENTRE = 1e-3
@@ -95,6 +95,16 @@ def _in_order(lower: np.ndarray, upper: np.ndarray, has_limits: np.ndarray, is_o
 
 def _has_no_mass(kinematic: np.ndarray, mass: np.ndarray, inertia: np.ndarray, active: np.ndarray) -> np.ndarray:
     return ~(kinematic & active) | ((mass == 0) & (inertia == 0))
+
+
+def _is_at_most(shortest: np.ndarray, longest: np.ndarray, is_on: np.ndarray) -> np.ndarray:
+    return ~is_on | (shortest <= longest)
+
+
+def _bounds_servo(
+    has_limits: np.ndarray, drive: np.ndarray, motor_on: np.ndarray, kind: np.ndarray, is_on: np.ndarray
+) -> np.ndarray:
+    return has_limits | ~(is_on & motor_on & (drive == JointDrive.SERVO) & (kind != JointKind.FIXED))
 
 
 def _polygons(shape_active: np.ndarray, num_vertices: np.ndarray) -> np.ndarray:
@@ -179,4 +189,11 @@ SCENE_RULES = (
     ),
     _rule("joints.b joints.a joints.active", _differs, "be another shape than joints.a"),
     _rule("joints.lower_limit joints.upper_limit joints.has_limits joints.active", _in_order, "be at most upper_limit"),
+    _rule("springs.b springs.a springs.active", _differs, "be another shape than springs.a"),
+    _rule("springs.min_length springs.max_length springs.active", _is_at_most, "be at most max_length"),
+    _rule(
+        "joints.has_limits joints.drive joints.motor_on joints.kind joints.active",
+        _bounds_servo,
+        "be True: a servo without limits has no positions to move between",
+    ),
 )

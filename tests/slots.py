@@ -21,7 +21,7 @@ def is_active(field: Field, of: Any) -> Array:
         return active[..., active.shape[-1] - of.shapes.radius.shape[-1] :]
     if field.dims[0] == "E":
         return active[..., : field.get(of).shape[-1]]
-    return {"n": active, "J": of.joints.active, "T": of.thrusters.active}[field.dims[0]]
+    return {"n": active, "J": of.joints.active, "T": of.thrusters.active, "S": of.springs.active}[field.dims[0]]
 
 
 def take_slots(record: Record, source: Mapping[str, Array]) -> Record:

@@ -1,6 +1,6 @@
 """How accurate the engine is: scenes with a formula, scenes on which solvers fail, and what accuracy costs in time.
 
-from jax2d.fidelity import record
+from jax2d import record
 
 trajectory, state = record(engine, scene, state, num_samples=600)
 """

@@ -23,9 +23,9 @@ import numpy as np
 
 from jax2d.builder import BuiltWorld
 from jax2d.engine import Engine
-from jax2d.fidelity.engine_argument import VariantEngine
-from jax2d.fidelity.sampling import Run, Sampling, take_samples
+from jax2d.engine_argument import VariantEngine
 from jax2d.fidelity.trajectory import Trajectory, start_of, trajectory_of
+from jax2d.sampling import Run, Sampling, take_samples
 from jax2d.scene import Capacity, Controls, stack_worlds
 from jax2d.settings import Settings
 

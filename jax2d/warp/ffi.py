@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
+from jax2d.contact_report import ContactReport, contact_report
 from jax2d.effects import Effects
 from jax2d.fields import Array, Field, fields_of, num_elements
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, only_what_acts, pack_bits
@@ -24,6 +25,7 @@ from jax2d.settings import Settings
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import (
+    REPORT_ROWS,
     Layout,
     bit_sets,
     cpp_name,
@@ -97,6 +99,7 @@ class WarpBackend:
         effects: Effects,
         *,
         numbers: Any = None,
+        report_contacts: bool = False,
         options: CompileOptions | None = None,
     ):
         if dtype != np.float32:
@@ -113,10 +116,11 @@ class WarpBackend:
             )
         self.capacity = capacity
         self.num_contact_slots = capacity.contact_slots
-        self.rows = Layout(capacity).rows()
+        self.rows = Layout(capacity, report_contacts).rows()
+        self.report_contacts = report_contacts
         self.numbers = solver_parameters(settings) if numbers is None else numbers
         wp.init()
-        variant = KernelVariant.of(capacity, settings, effects, options)
+        variant = KernelVariant.of(capacity, settings, effects, options, report_contacts=report_contacts)
 
         def call_for(worlds: int) -> Any:
             return _jax_call(variant.for_worlds(worlds) if jax.default_backend() == "gpu" else variant)
@@ -195,8 +199,23 @@ class WarpBackend:
             during=_worlds_first(bits[rows["DURING"] : rows["DURING"] + height], c.shapes, c.touch_words),
             overflow=out[rows["OVERFLOW"]],
             limited=out[rows["LIMITED"]],
+            contacts=self._contacts(out) if self.report_contacts else None,
         )
         return StateTables(bodies=bodies, impulses=impulses, keys=keys), report
+
+    def _contacts(self, out: Array) -> ContactReport:
+        first, slots = self.rows["OUT"], self.capacity.contact_slots
+        rows = {name: out[first[name] : first[name] + height * slots] for name, height in REPORT_ROWS}
+        keys = rows.pop("CONTACT_KEY").T
+        floats = {name: jax.lax.bitcast_convert_type(x, jnp.float32) for name, x in rows.items()}
+        return contact_report(
+            keys,
+            point=_worlds_first(floats["CONTACT_POINT"], slots, 2),
+            normal=_worlds_first(floats["CONTACT_NORMAL"], slots, 2),
+            separation=floats["CONTACT_SEPARATION"].T,
+            impulse=_worlds_first(floats["CONTACT_IMPULSE"], slots, 2),
+            dropped=out[first["CONTACT_DROPPED"]],
+        )
 
 
 def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Callable[..., tuple[Array, ...]]:

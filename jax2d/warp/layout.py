@@ -19,6 +19,14 @@ import functools
 from jax2d.fields import Field, fields_of, num_elements
 from jax2d.scene import Capacity, Controls, Scene, State
 
+# Of OUT, in engines that report contacts: rows a contact slot. The key is a whole number, the others are floats.
+REPORT_ROWS = (
+    ("CONTACT_KEY", 1),
+    ("CONTACT_POINT", 2),
+    ("CONTACT_NORMAL", 2),
+    ("CONTACT_SEPARATION", 1),
+    ("CONTACT_IMPULSE", 2),
+)
 WORD_BITS = 31  # of an int32 that stays positive
 
 
@@ -61,6 +69,7 @@ class Layout:
     """Rows of the kernel's tables for one capacity."""
 
     capacity: Capacity
+    report_contacts: bool = False
 
     def rows(self) -> dict[str, dict[str, int]]:
         """First row of each quantity, by table; the key 'ROWS' gives the table's height."""
@@ -77,7 +86,11 @@ class Layout:
                 for table in ("STATE", "IMPULSE")
             },
             "CONTROLS": _stack({cpp_name(field): num_elements(field, sizes) for field in fields_of(Controls)}),
-            "OUT": _stack({"AT_END": c.shapes * words, "DURING": c.shapes * words, "OVERFLOW": 1, "LIMITED": 1}),
+            "OUT": _stack(
+                {"AT_END": c.shapes * words, "DURING": c.shapes * words, "OVERFLOW": 1, "LIMITED": 1}
+                | {name: height * (c.contact_slots if self.report_contacts else 0) for name, height in REPORT_ROWS}
+                | {"CONTACT_DROPPED": int(self.report_contacts)}
+            ),
         }
 
 

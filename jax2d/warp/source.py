@@ -11,7 +11,7 @@ from pathlib import Path
 
 from jax2d.constants import cpp_macros
 from jax2d.effects import EFFECTS
-from jax2d.scene import JointKind
+from jax2d.scene import JointDrive, JointKind
 from jax2d.settings import Settings
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.layout import Layout, word_constants
@@ -31,10 +31,13 @@ NATIVE_FILES = (
     "surfaces.h",
     "contacts.h",
     "joint.h",
+    "drives.h",
     "sliders.h",
+    "springs.h",
     "joints.h",
     "forces.h",
     "bounces.h",
+    "report.h",
     "paper.h",
     "step.h",
 )
@@ -63,6 +66,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "NUM_CIRCLES": circles,
         "NUM_SHAPES": polygons + circles,
         "NUM_JOINTS": effects.joint_slots if has_joints else 0,
+        "NUM_SPRINGS": capacity.springs if effects.springs else 0,
         "NUM_THRUSTERS": effects.thruster_slots if effects.thrusters else 0,
         "SKIPPED_POLYGONS": capacity.polygons - polygons,
         "ALL_SHAPES": int(polygons + circles == capacity.shapes),
@@ -71,6 +75,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "SHARED_RECORD": variant.shared_record,
         "SHAPE_WORDS": -(-(polygons + circles) // 32),
         "BOUNCE_SHAPES": polygons + circles if effects.restitution and variant.is_soft else 1,
+        "REPORT_CONTACTS": effects.contact_slots if has_pairs and variant.report_contacts else 0,
         "NUM_CONTACTS": effects.contact_slots if has_pairs else 0,
         "TOUCH_WORDS": capacity.touch_words,
         "SWEEP": int(sweep),
@@ -82,8 +87,9 @@ def constants(variant: KernelVariant) -> dict[str, int]:
     values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}
     values |= {f"PARAM_{name.upper()}": i for i, name in enumerate(PARAMETERS)}
     values |= {f"KIND_{kind.name}": int(kind) for kind in JointKind}
+    values |= {f"DRIVE_{drive.name}": int(drive) for drive in JointDrive}
     values |= word_constants()
-    for table, rows in Layout(capacity).rows().items():
+    for table, rows in Layout(capacity, report_contacts=variant.report_contacts).rows().items():
         values |= {f"{table}_{name}": row for name, row in rows.items()}
     return values
 
@@ -107,4 +113,6 @@ keys.take(keys_before.data + world, CAPACITY_CONTACTS);
 World one = {scene, ints, controls, params, state, impulses, keys};
 one.run(num_steps, out);
 """
-    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n" + "\n".join(_read(name) for name in NATIVE_FILES) + call
+    has_springs = constants(variant)["NUM_SPRINGS"] > 0
+    files = [name if name != "springs.h" or has_springs else "no_springs.h" for name in NATIVE_FILES]
+    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n" + "\n".join(map(_read, files)) + call

@@ -61,12 +61,19 @@ class KernelVariant:
     solver: Solver
     friction_mixing: str
     shares_blows: bool = False  # passes are repeated until a blow is shared out
+    report_contacts: bool = False  # of the last step of a call
     shared_record: int = 0  # numbers of a body in a GPU's shared memory
     options: CompileOptions = CompileOptions()
 
     @classmethod
     def of(
-        cls, capacity: Capacity, settings: Settings, effects: Effects, options: CompileOptions | None = None
+        cls,
+        capacity: Capacity,
+        settings: Settings,
+        effects: Effects,
+        options: CompileOptions | None = None,
+        *,
+        report_contacts: bool = False,
     ) -> KernelVariant:
         return cls(
             capacity=capacity,
@@ -74,6 +81,7 @@ class KernelVariant:
             solver=settings.solver,
             friction_mixing=settings.friction_mixing,
             shares_blows=settings.solver == "soft_step" and settings.blow_passes > 0,
+            report_contacts=report_contacts,
             shared_record=(options.shared_record or 0) if options is not None else 0,
             options=options if options is not None else CompileOptions(),
         )

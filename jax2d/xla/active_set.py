@@ -8,7 +8,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jax2d.xla.bodies import Bodies, Pair
+from jax2d.constants import CONSTANTS as C
+from jax2d.xla import vec2
+from jax2d.xla.bodies import Bodies, Pair, PairVelocities
 
 
 class ActiveSet(NamedTuple):
@@ -22,6 +24,11 @@ class ActiveSet(NamedTuple):
     def includes(self, pair: Pair) -> jax.Array:
         """[...] bool, pairs that are solved."""
         return ~self.again | jnp.any((pair.is_a | pair.is_b) & self.now, axis=-1)
+
+    def moves(self, before: PairVelocities, after: PairVelocities) -> jax.Array:
+        """[] bool, whether a joint or spring calls for another pass: only one that a repeated pass changes does."""
+        change = (after.velocity_b - before.velocity_b) - (after.velocity_a - before.velocity_a)
+        return self.again & (vec2.dot(change, change) > C.settled_speed * C.settled_speed)
 
 
 def marked(bodies: Bodies, pair: Pair, changed: jax.Array) -> jax.Array:

@@ -25,7 +25,14 @@ class XlaBackend:
     """Steps batches of worlds of one capacity by a compiled JAX program, on any device, with gradients."""
 
     def __init__(
-        self, capacity: Capacity, settings: Settings, dtype: np.dtype, effects: Effects, *, numbers: Any = None
+        self,
+        capacity: Capacity,
+        settings: Settings,
+        dtype: np.dtype,
+        effects: Effects,
+        *,
+        numbers: Any = None,
+        report_contacts: bool = False,
     ):
         """The reference computes every pair and slot, whatever the `effects`."""
         del effects
@@ -37,7 +44,7 @@ class XlaBackend:
         self.num_contact_slots = capacity.contact_slots
         self.dtype = dtype
         self.numbers = solver_numbers(settings) if numbers is None else numbers
-        self.rules = rules_of(settings)
+        self.rules = rules_of(settings, report_contacts=report_contacts)
 
     def _worlds_last(self, x: Array) -> jax.Array:
         x = jnp.asarray(x)

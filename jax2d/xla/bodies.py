@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from jax2d.scene import Scene, State
 from jax2d.solver_numbers import Scalar
-from jax2d.xla import vec2
+from jax2d.xla import angles, vec2
 
 
 class Velocities(NamedTuple):
@@ -34,6 +34,7 @@ class Bodies(NamedTuple):
     inverse_inertia: jax.Array  # [n] 1/(kg m^2)
     is_kinematic: jax.Array  # [n] bool, moves as it was told
     limited: jax.Array  # [] int32, times a speed limit acted
+    wraps: jax.Array  # [n] bool, angles that stay within half a turn
 
     @property
     def is_dynamic(self) -> jax.Array:
@@ -56,13 +57,15 @@ def load(scene: Scene, state: State) -> Bodies:
         inverse_inertia=scene.shapes.inverse_inertia,
         is_kinematic=scene.shapes.kinematic & (scene.shapes.inverse_mass == 0) & (scene.shapes.inverse_inertia == 0),
         limited=jnp.zeros((), jnp.int32),
+        wraps=~angles.counts_turns(scene.joints, state.angle.shape[0]),
     )
 
 
 def end_step(bodies: Bodies) -> Bodies:
+    angle = bodies.angle + bodies.turn
     return bodies._replace(
         position=bodies.position + bodies.delta,
-        angle=bodies.angle + bodies.turn,
+        angle=jnp.where(bodies.wraps & bodies.is_dynamic, angles.near(angle, 0), angle),
         delta=jnp.zeros_like(bodies.delta),
         turn=jnp.zeros_like(bodies.turn),
     )

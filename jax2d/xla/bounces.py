@@ -62,12 +62,13 @@ def bounce(
     energy_limit: EnergyLimit,
     params: SolverNumbers,
     rules: Rules,
-) -> Bodies:
-    """Bodies after the bounces of one world; `leaving_speed` [K] m/s is zero where a contact does not bounce."""
+) -> tuple[Bodies, jax.Array | None]:
+    """Bodies after the bounces of one world, and, where contacts are reported, what contacts gave them by that, [K, 2]
+    N s; `leaving_speed` [K] m/s is zero where a contact does not bounce."""
 
     everything = ActiveSet.everything(bodies)
 
-    def rounds() -> Velocities:
+    def rounds() -> tuple[Velocities, jax.Array | None]:
         def one_round(now: Round, index: jax.Array) -> tuple[Round, None]:
             bodies, joints, contacts = now.bodies, now.joints, now.contacts
             for _ in range(C.joint_passes_of_bounce):
@@ -97,11 +98,19 @@ def bounce(
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
         carried = carried_work(end.bodies, end.joints, end.contacts, params.h)
         by_bounces = energy_limit._replace(carried=carried - energy_limit.carried)
-        return limit(bodies, end.bodies, by_bounces, params.h)
+        velocities, share = limit(bodies, end.bodies, by_bounces, params.h)
+        if not rules.report_contacts:
+            return velocities, None
+        normal = end.contacts.impulse_normal - contacts.impulse_normal
+        tangent = end.contacts.impulse_tangent - contacts.impulse_tangent
+        return velocities, share * jnp.stack([normal, tangent], -1)
 
     # Worlds are stepped together, and mostly nothing bounces in any of them.
-    velocities = jax.lax.cond(in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: bodies.velocities)
-    return bodies._replace(velocities=velocities)
+    none = jnp.zeros((*leaving_speed.shape, 2), leaving_speed.dtype) if rules.report_contacts else None
+    velocities, impulses = jax.lax.cond(
+        in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: (bodies.velocities, none)
+    )
+    return bodies._replace(velocities=velocities), impulses
 
 
 def energy(bodies: Bodies, velocities: Velocities, gravity: jax.Array, h: Scalar) -> jax.Array:
@@ -118,10 +127,10 @@ def carried_work(bodies: Bodies, joints: Joints, contacts: Contacts, h: Scalar) 
     return surface_work(bodies, contacts, h) + joints_of.kinematic_work(bodies, joints)
 
 
-def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -> Velocities:
+def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -> tuple[Velocities, jax.Array]:
     """Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more than
-    there is. Then everything gets the same share of its change of velocity: joints and contacts stay solved. What
-    moving surfaces have done to what bounced is theirs to give."""
+    there is. Then everything gets the same share of its change of velocity, returned too: joints and contacts stay
+    solved. What moving surfaces have done to what bounced is theirs to give."""
     max_energy, carried, gravity = energy_limit
     mass, inertia = vec2.inverse_or_zero(before.inverse_mass), vec2.inverse_or_zero(before.inverse_inertia)
     change = jax.tree.map(jnp.subtract, after.velocities, before.velocities)
@@ -133,9 +142,10 @@ def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -
     too_much = (was + linear + quadratic > max_energy * (1 + C.energy_rounding)) & (quadratic > 0)
     root = vec2.sqrt_or_zero(linear * linear + 4 * quadratic * jnp.maximum(max_energy - was, 0))
     share = jnp.clip((root - linear) / (2 * jnp.where(too_much, quadratic, 1)), 0, 1)
-    return jax.tree.map(
+    limited = jax.tree.map(
         lambda x, dx, y: jnp.where(too_much, x + share * dx, y), before.velocities, change, after.velocities
     )
+    return limited, jnp.where(too_much, share, 1)
 
 
 class BounceTargets(NamedTuple):

@@ -95,10 +95,16 @@ def surface_work(bodies: Bodies, contacts: Contacts, h: Scalar) -> jax.Array:
 
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
     """[K] m. Surfaces move and turn with their bodies; the normal stays as it was at the start of the step."""
-    pair, moved = contacts.pair, moved_apart(bodies, contacts)
-    arm_a = _turned_by(contacts.arm_a, pick(pair.is_a, bodies.turn))
-    arm_b = _turned_by(contacts.arm_b, pick(pair.is_b, bodies.turn))
+    (arm_a, arm_b), moved = turned_arms(bodies, contacts), moved_apart(bodies, contacts)
     return contacts.separation + vec2.dot(moved + arm_b - arm_a, contacts.normal)
+
+
+def turned_arms(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
+    """What turning has added to the arms of a and b, [K, 2] m. On a face the point of a disc stays below its centre:
+    turned with one that rolls it would rise, and the disc sink."""
+    turn_b = jnp.where(contacts.disc_on_face, 0, pick(contacts.pair.is_b, bodies.turn))
+    turn_a = pick(contacts.pair.is_a, bodies.turn)
+    return _turned_by(contacts.arm_a, turn_a), _turned_by(contacts.arm_b, turn_b)
 
 
 def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:

@@ -28,6 +28,7 @@ class Contacts(NamedTuple):
     arm_a: jax.Array  # [K, 2] m, from the centres of mass to both surfaces, at the start of the step
     arm_b: jax.Array
     follows_b: jax.Array  # [K] share by which the common point goes with b; the rest goes with a
+    disc_on_face: jax.Array  # [K] bool, b is a disc on a face of a
     separation: jax.Array  # [K] m, at the start of the step
     mass_normal: jax.Array  # [K] kg
     mass_tangent: jax.Array
@@ -112,6 +113,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         arm_a=arm_a,
         arm_b=arm_b,
         follows_b=points.follows_b,
+        disc_on_face=points.on_face,
         separation=points.separation,
         mass_normal=pair_mass(pair, arm_a, arm_b, points.normal),
         mass_tangent=pair_mass(pair, arm_a, arm_b, vec2.right(points.normal)),
@@ -149,10 +151,17 @@ def _points_in_use(
     reach = params.speculative_distance if is_soft else 0.0
     if capacity.shapes == 1:  # no pair at all, one slot
         zeros, none = jnp.zeros((slots, 2), bodies.position.dtype), jnp.zeros(slots, jnp.int32)
-        return Points(zeros, zeros, zeros[:, 0], none, zeros[:, 0], none > 0), none, none, none[0], none[0] > 0, None
+        return (
+            Points(zeros, zeros, zeros[:, 0], none, zeros[:, 0], none > 0, none > 0),
+            none,
+            none,
+            none[0],
+            none[0] > 0,
+            None,
+        )
     pairs = pair_list(capacity)
     margin = margins(predicted, reach, ahead=is_soft)
-    points = collide(geometry, bodies, capacity, margin, dt, rules)
+    points = collide(geometry, bodies, capacity, margin, dt, params.h, rules)
     # Contact points and normals hold for small turns only: a rod that spins fast sweeps over what they say.
     # So does a bar along which something fast goes meanwhile.
     turn, arm = jnp.abs(bodies.velocities.omega * dt), geometry.extent - geometry.core

@@ -25,6 +25,7 @@ class ImpactPlane(NamedTuple):
     normal: jax.Array  # [2] outward
     separation: jax.Array  # [] m
     exists: jax.Array  # [] bool; False: as the shapes stand
+    on_face: jax.Array  # [] bool, it is that of a face, not of a corner
 
 
 def moves(motion: jax.Array) -> jax.Array:
@@ -50,6 +51,7 @@ def of_corner(away: jax.Array, motion: jax.Array, r: jax.Array, graze: Scalar) -
         normal=jnp.where(passes, besides_normal, met_normal),
         separation=jnp.where(passes, besides_separation, vec2.dot(met_normal, away) - r),
         exists=(along < 0) & (passes | (room > 0)),
+        on_face=jnp.zeros_like(passes),
     )
 
 
@@ -79,6 +81,7 @@ def of_polygon(
         normal=jnp.where(at_corner, corner.normal, polygon.normal[face]),
         separation=jnp.where(at_corner, corner.separation, jnp.maximum(separation[face], 0)),
         exists=jnp.where(at_corner, corner.exists & is_crossed, is_inert | is_crossed),
+        on_face=~at_corner,
     )
 
 

@@ -1,4 +1,5 @@
-"""Joints of one world: motor, limits, the relative angle of welds, and what holds the two bodies together.
+"""What connects bodies of one world: springs, and joints by motor, limits, the relative angle of welds, and what holds
+the two bodies together.
 
 Body b is held to body a. Angles are angle_b - angle_a - rest angle. Solved one after another, in slot order. Every
 constraint is a row of a Jacobian, so that all kinds of joints are one code path:
@@ -16,9 +17,10 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.scene import Controls, JointKind, Scene, State
+from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
 from jax2d.solver_numbers import Softness, SolverNumbers
-from jax2d.xla import vec2
+from jax2d.xla import angles, vec2
+from jax2d.xla import springs as springs_of
 from jax2d.xla.active_set import ActiveSet, marked
 from jax2d.xla.bodies import (
     Bodies,
@@ -30,6 +32,9 @@ from jax2d.xla.bodies import (
     pick,
     scatter_velocities,
 )
+from jax2d.xla.drives import Servo, servo_of, speed_towards
+from jax2d.xla.rows import Jacobian, inverse_mass, push, speed_along, work_of_kinematic
+from jax2d.xla.springs import SpringImpulses, Springs
 
 
 class JointImpulses(NamedTuple):
@@ -41,13 +46,22 @@ class JointImpulses(NamedTuple):
     upper: jax.Array
 
 
+class Remembered(NamedTuple):
+    """What a step begins with."""
+
+    joints: JointImpulses
+    springs: SpringImpulses
+
+
 class Joints(NamedTuple):
-    """`J` joints in one step; what holds nothing (`is_held` False) is masked out."""
+    """`J` joints in one step, and the springs; what holds nothing (`is_held` False) is masked out."""
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
     is_prismatic: jax.Array  # [J] bool
-    is_driven: jax.Array  # [J] bool, a motor with a control
+    is_driven: jax.Array  # [J] bool, a motor with a control, a brake or a servo
+    is_servo: jax.Array  # [J] bool
+    is_exact: jax.Array  # [J] bool, brakes and servos
     is_limited: jax.Array  # [J] bool
     pair: Pair  # of [J]
     axis_angle: jax.Array  # [J] rad, frame of a
@@ -61,29 +75,40 @@ class Joints(NamedTuple):
     control: jax.Array  # [J]
     motor_target: jax.Array  # [J] rad/s, of a slider m/s
     max_motor_impulse: jax.Array  # [J] N m s, largest impulse of one sub-step; of a slider N s
+    motor_mass: jax.Array  # [J] kg m^2, of a slider kg, that a motor aims with
+    servo: Servo
     lower: jax.Array  # [J] rad, of a slider m
     upper: jax.Array
     impulses: JointImpulses
+    springs: Springs
+
+    def remembered(self) -> Remembered:
+        return Remembered(self.impulses, self.springs.impulses)
 
 
-def load(state: State, params: SolverNumbers) -> JointImpulses:
+def load(state: State, params: SolverNumbers) -> Remembered:
     impulse = jnp.where(params.warm_start, state.joint_impulse, 0)
-    return JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
+    joints = JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
+    return Remembered(joints, springs_of.load(state, params))
 
 
-def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Controls, params: SolverNumbers) -> Joints:
+def prepare(bodies: Bodies, scene: Scene, before: Remembered, controls: Controls, params: SolverNumbers) -> Joints:
     a, b = scene.joints.a, scene.joints.b
     is_held = scene.joints.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
     is_fixed, is_prismatic = (scene.joints.is_kind(kind) for kind in (JointKind.FIXED, JointKind.PRISMATIC))
-    is_driven = scene.joints.motor_on & ~is_fixed & (controls.motor != 0)
-    angular_impulse = jnp.where(is_driven | is_fixed, impulses.angular_impulse, 0)
-    speed = jnp.where(is_prismatic, params.base_slider_speed, params.base_motor_speed)
+    is_velocity, is_servo = (scene.joints.is_drive(drive) for drive in (JointDrive.VELOCITY, JointDrive.SERVO))
+    is_driven = scene.joints.motor_on & ~is_fixed & ((controls.motor != 0) | ~is_velocity)
+    angular_impulse = jnp.where(is_driven | is_fixed, before.joints.angular_impulse, 0)
+    base_speed = jnp.where(is_prismatic, params.base_slider_speed, params.base_motor_speed)
+    speed, zero = scene.joints.motor_speed * base_speed, jnp.zeros_like(controls.motor)
     joints = Joints(
         is_held=is_held,
         is_fixed=is_fixed,
         is_prismatic=is_prismatic,
         is_driven=is_driven,
+        is_servo=is_servo,
+        is_exact=~is_velocity,
         is_limited=scene.joints.has_limits,
         pair=pair,
         axis_angle=scene.joints.axis_angle,
@@ -92,20 +117,54 @@ def prepare(bodies: Bodies, scene: Scene, impulses: JointImpulses, controls: Con
         angle_a=bodies.angle[a],
         angle_b=bodies.angle[b],
         centre_gap=bodies.position[b] - bodies.position[a],
-        start_angle=bodies.angle[b] - bodies.angle[a] - scene.joints.rest_angle,
-        axial_mass=jnp.zeros_like(controls.motor),
+        start_angle=angles.wanted(counted_angle(bodies, scene), scene.joints),
+        axial_mass=zero,
         control=controls.motor,
-        motor_target=controls.motor * scene.joints.motor_speed * speed,
-        max_motor_impulse=jnp.zeros_like(controls.motor),
+        motor_target=controls.motor * scene.joints.motor_speed * base_speed,
+        max_motor_impulse=zero,
+        motor_mass=zero,
+        servo=Servo(zero, zero, zero),
         lower=scene.joints.lower_limit,
         upper=scene.joints.upper_limit,
-        impulses=impulses._replace(angular_impulse=angular_impulse),
+        impulses=before.joints._replace(angular_impulse=angular_impulse),
+        springs=springs_of.prepare(bodies, scene, before.springs),
     )
-    axial = constraints(bodies, joints).axial
-    axial_mass = vec2.inverse_or_zero(inverse_mass(pair, axial, axial))
+    rows = constraints(bodies, joints)
+    axial_mass = vec2.inverse_or_zero(inverse_mass(pair, rows.axial, rows.axial))
     # The power is the acceleration that the motor can give to the pair of bodies alone.
     power = scene.joints.motor_power * jnp.where(is_prismatic, params.base_slider_power, params.base_motor_power)
-    return joints._replace(axial_mass=axial_mass, max_motor_impulse=params.h * power * axial_mass)
+    max_impulse = params.h * power * axial_mass
+    driven = inverse_driven_mass(pair, rows)
+    return joints._replace(
+        axial_mass=axial_mass,
+        max_motor_impulse=max_impulse,
+        motor_mass=jnp.where(is_velocity, axial_mass, vec2.inverse_or_zero(driven)),
+        servo=servo_of(controls.motor, speed, joints.lower, joints.upper, strength=max_impulse * driven / params.h),
+    )
+
+
+def inverse_driven_mass(pair: Pair, rows: Constraints) -> jax.Array:
+    """[J] 1/(kg m^2), of a slider 1/kg: how fast the bodies go along the axial row after a unit of impulse along it,
+    with what the joint holds against it. Brakes and servos aim with this mass: an arm hung up beside its centre would
+    take hundreds of passes to follow one that knows the axis alone."""
+    held = vec2.dot(wrong_of_drive(pair, rows), held_answer(pair, rows))
+    return jnp.maximum(inverse_mass(pair, rows.axial, rows.axial) - held, 0)
+
+
+def wrong_of_drive(pair: Pair, rows: Constraints) -> jax.Array:
+    """[J, 2] speeds along what is held that a unit of impulse along the axial row makes."""
+    return jnp.stack([inverse_mass(pair, rows.axial, row) for row in (rows.first, rows.second)], -1)
+
+
+def held_answer(pair: Pair, rows: Constraints) -> jax.Array:
+    """[J, 2] impulses along what is held that undo those speeds if taken away."""
+    wrong, mass = wrong_of_drive(pair, rows), held_mass(pair, rows)
+    return jnp.stack([vec2.dot(mass[:, 0], wrong), vec2.dot(mass[:, 1], wrong)], -1)
+
+
+def counted_angle(bodies: Bodies, scene: Scene) -> jax.Array:
+    """angle_b - angle_a - rest angle, [J] rad, turns counted as far as the bodies' angles count them."""
+    return bodies.angle[scene.joints.b] - bodies.angle[scene.joints.a] - scene.joints.rest_angle
 
 
 def store(joints: Joints, state: State) -> jax.Array:
@@ -131,36 +190,6 @@ def current_gap(bodies: Bodies, joints: Joints, arm_a: jax.Array, arm_b: jax.Arr
     """Anchor of b from anchor of a, [J, 2] m."""
     moved = pick(joints.pair.is_b, bodies.delta) - pick(joints.pair.is_a, bodies.delta)
     return joints.centre_gap + moved + (arm_b - arm_a)
-
-
-class Jacobian(NamedTuple):
-    """One row of each joint: speed = direction . (v_b - v_a) + lever_b omega_b - lever_a omega_a."""
-
-    direction: jax.Array  # [..., 2], zero for an angle
-    lever_a: jax.Array  # [...] m, 1 for an angle
-    lever_b: jax.Array
-
-
-def speed_along(row: Jacobian, of: PairVelocities) -> jax.Array:
-    angular = row.lever_b * of.omega_b - row.lever_a * of.omega_a
-    return vec2.dot(row.direction, of.velocity_b - of.velocity_a) + angular
-
-
-def push(of: PairVelocities, pair: Pair, row: Jacobian, impulse: jax.Array) -> PairVelocities:
-    """Velocities after an impulse [...] on b, and its opposite on a."""
-    linear = row.direction * impulse[..., None]
-    return PairVelocities(
-        velocity_a=of.velocity_a - linear * pair.mass_a[..., None],
-        velocity_b=of.velocity_b + linear * pair.mass_b[..., None],
-        omega_a=of.omega_a - pair.inertia_a * row.lever_a * impulse,
-        omega_b=of.omega_b + pair.inertia_b * row.lever_b * impulse,
-    )
-
-
-def inverse_mass(pair: Pair, row: Jacobian, other: Jacobian) -> jax.Array:
-    """What an impulse along one row does to the speed along another."""
-    linear = vec2.dot(row.direction, other.direction) * (pair.mass_a + pair.mass_b)
-    return linear + pair.inertia_a * row.lever_a * other.lever_a + pair.inertia_b * row.lever_b * other.lever_b
 
 
 class Constraints(NamedTuple):
@@ -211,6 +240,7 @@ def _like(mask: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
+    bodies = springs_of.warm_start(bodies, joints.springs)
     rows, impulses = constraints(bodies, joints), joints.impulses
     before = pair_velocities(joints.pair, bodies.velocities)
     after = push(before, joints.pair, rows.first, impulses.point[:, 0])
@@ -232,6 +262,8 @@ class Row(NamedTuple):
     axial_mass: jax.Array
     held_mass: jax.Array  # [2, 2], of the two rows that are held
     motor_target: jax.Array
+    motor_mass: jax.Array
+    motor_answer: jax.Array  # [2], of what is held to a unit of a motor's impulse
     max_motor_impulse: jax.Array
     return_speed: jax.Array  # rad/s or m/s at which a weld's angle and what is beyond a limit is brought back
     angle: jax.Array  # rad
@@ -245,9 +277,13 @@ class Row(NamedTuple):
 def solve_soft(
     bodies: Bodies, joints: Joints, params: SolverNumbers, active: ActiveSet, *, use_bias: bool, motors: bool = True
 ) -> tuple[Bodies, Joints, jax.Array]:
-    """One pass over all joints: motor and limits, or the angle of a fixed joint; then what is held. No `motors` in a
-    bounce: a force or torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass."""
+    """One pass over springs and all joints: motor and limits, or the angle of a fixed joint; then what is held. No
+    `motors` in a bounce: a force or torque does nothing in an instant. Also the bodies [n] that it moved in a repeated
+    pass."""
     soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
+    bodies, springs, by_springs = springs_of.solve(
+        bodies, joints.springs, params, active, use_bias=use_bias, forces=motors
+    )
     now = constraints(bodies, joints)
     # Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
     bend_time = 0.5 * C.bend_share * params.h if use_bias else 0.0
@@ -262,7 +298,13 @@ def solve_soft(
         second=now.second,
         axial_mass=joints.axial_mass,
         held_mass=held_mass(joints.pair, now),
-        motor_target=joints.motor_target,
+        motor_target=jnp.where(
+            joints.is_servo,
+            speed_towards(joints.servo, joints.servo.position - now.position, params.h),
+            joints.motor_target,
+        ),
+        motor_mass=joints.motor_mass,
+        motor_answer=-jnp.where(joints.is_exact[:, None], held_answer(joints.pair, now), 0),
         max_motor_impulse=joints.max_motor_impulse,
         return_speed=jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed),
         angle=current_angle(bodies, joints),
@@ -285,16 +327,14 @@ def solve_soft(
             last = row._replace(is_driven=row.is_driven & motor_last, is_fixed=jnp.zeros_like(row.is_fixed))
             of, impulses = solve_motor_or_angle(of, last, impulses, soft)
         of, impulses = jax.tree.map(lambda x, y: jnp.where(included, x, y), (of, impulses), (before, unsolved))
-        change = (of.velocity_b - before.velocity_b) - (of.velocity_a - before.velocity_a)
-        moved = active.again & (vec2.dot(change, change) > C.settled_speed * C.settled_speed)
-        return scatter_velocities(velocities, row.pair, before, of), (impulses, moved)
+        return scatter_velocities(velocities, row.pair, before, of), (impulses, active.moves(before, of))
 
     included = active.includes(joints.pair)
     velocities, (impulses, moved) = jax.lax.scan(solve, bodies.velocities, (rows, joints.impulses, included))
     return (
         bodies._replace(velocities=velocities),
-        joints._replace(impulses=impulses),
-        marked(bodies, joints.pair, moved),
+        joints._replace(impulses=impulses, springs=springs),
+        by_springs | marked(bodies, joints.pair, moved),
     )
 
 
@@ -310,12 +350,16 @@ def solve_motor_or_angle(
 ) -> tuple[PairVelocities, JointImpulses]:
     """A motor is a velocity constraint with a bounded impulse: dt changes neither its target nor its strength."""
     speed, before = speed_along(row.axial, of), impulses.angular_impulse
-    driven = before - row.axial_mass * (speed - row.motor_target)
+    driven = before - row.motor_mass * (speed - row.motor_target)
     driven = jnp.clip(driven, -row.max_motor_impulse, row.max_motor_impulse)
     turn_back = jnp.clip(soft.bias_rate * row.angle, -row.return_speed, row.return_speed)
     held = before - row.axial_mass * soft.mass_scale * (speed + turn_back) - soft.impulse_scale * before
     total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, before))
-    return push(of, row.pair, row.axial, total - before), impulses._replace(angular_impulse=total)
+    of = push(of, row.pair, row.axial, total - before)
+    # What is held answers a brake or servo at once, so that limits see the speed that stays.
+    answer = jnp.where(row.is_driven, row.motor_answer * (total - before), 0)
+    of = push(push(of, row.pair, row.first, answer[0]), row.pair, row.second, answer[1])
+    return of, impulses._replace(angular_impulse=total, point=impulses.point + answer)
 
 
 def solve_limits(
@@ -347,14 +391,15 @@ def solve_held(
 
 
 def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
-    """J, what motors have added to the bodies' energy in this sub-step."""
+    """J, what motors and springs have added to the bodies' energy in this sub-step."""
     speed = speed_along(constraints(bodies, joints).axial, pair_velocities(joints.pair, bodies.velocities))
     work = jnp.maximum(joints.impulses.angular_impulse * speed, 0)
-    return jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
+    motors = jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
+    return motors + springs_of.work(bodies, joints.springs)
 
 
 def kinematic_work(bodies: Bodies, joints: Joints) -> jax.Array:
-    """J, what kinematic bodies have done through joints in this sub-step."""
+    """J, what kinematic bodies have done through joints and springs in this sub-step."""
     rows, impulses, pair = constraints(bodies, joints), joints.impulses, joints.pair
     parts = (
         (rows.first, impulses.point[:, 0]),
@@ -364,11 +409,8 @@ def kinematic_work(bodies: Bodies, joints: Joints) -> jax.Array:
     on_b = sum(row.direction * impulse[:, None] for row, impulse in parts)
     angular_a = sum(row.lever_a * impulse for row, impulse in parts)
     angular_b = sum(row.lever_b * impulse for row, impulse in parts)
-    of = pair_velocities(pair, bodies.velocities)
-    by_a = vec2.dot(on_b, of.velocity_a) + angular_a * of.omega_a
-    by_b = vec2.dot(on_b, of.velocity_b) + angular_b * of.omega_b
-    is_a, is_b = (pick(body, bodies.is_kinematic.astype(on_b.dtype)) > 0 for body in (pair.is_a, pair.is_b))
-    return jnp.sum(jnp.where(is_a, by_a, 0) - jnp.where(is_b, by_b, 0))
+    by_joints = work_of_kinematic(bodies, pair, on_b, angular_a, angular_b)
+    return by_joints + springs_of.kinematic_work(bodies, joints.springs)
 
 
 def held_mass(pair: Pair, rows: Constraints) -> jax.Array:

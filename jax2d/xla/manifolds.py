@@ -27,6 +27,7 @@ class Points(NamedTuple):
     feature: jax.Array  # [...] int32, which vertex on which edge: matches the point between steps
     follows_b: jax.Array  # [...] share by which the point goes with b while both bodies move
     exists: jax.Array  # [...] bool
+    on_face: jax.Array  # [...] bool, b is a disc on a face of a
 
 
 def circle_circle(
@@ -55,7 +56,7 @@ def circle_circle(
     point = normal * (radius_a + (0.5 * separation if rules.is_soft else 0))
     follows_b = radius_a / jnp.maximum(radius_a + radius_b, jnp.finfo(d.dtype).tiny)  # no radius in free slots
     feature = jnp.zeros(1, jnp.int32)
-    return Points(normal[None], point[None], separation[None], feature, follows_b[None], exists)
+    return Points(normal[None], point[None], separation[None], feature, follows_b[None], exists, jnp.zeros(1, bool))
 
 
 def polygon_circle(
@@ -85,6 +86,7 @@ def polygon_circle(
     distance = jnp.where(at_corner, vec2.length(away), face_distance)
     normal = jnp.where(at_corner, vec2.unit_or_zero(away), polygon.normal[face])
     separation = distance - radius
+    on_face = ~at_corner
     exists = (face_distance - radius <= margin) & (separation <= margin)
     if rules.is_soft:
         graze = jnp.minimum(C.grazing_distance, C.grazing_share * radius)
@@ -93,8 +95,9 @@ def polygon_circle(
         is_met = (separation > jnp.where(at_corner, -graze, 0)) & impact_plane.moves(motion) & plane.exists
         normal = jnp.where(is_met, plane.normal, normal)
         separation = jnp.where(is_met, plane.separation, separation)
+        on_face = jnp.where(is_met, plane.on_face, on_face)
     point = centre - normal * (radius + (0.5 if rules.is_soft else 1) * separation)
     if "centre_inside" in rules.published_details:
         normal, separation = published.centre_inside(normal, separation, face_distance, radius)
     feature, follows_b = jnp.zeros(1, jnp.int32), jnp.ones(1, centre.dtype)  # it stays below the disc's centre
-    return Points(normal[None], point[None], separation[None], feature, follows_b, exists[None])
+    return Points(normal[None], point[None], separation[None], feature, follows_b, exists[None], on_face[None])

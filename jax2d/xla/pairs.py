@@ -41,13 +41,13 @@ def pair_list(capacity: Capacity) -> PairList:
 
 
 def collide(
-    geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, seconds: Scalar, rules: Rules
+    geometry: Geometry, bodies: Bodies, capacity: Capacity, margin: jax.Array, seconds: Scalar, h: Scalar, rules: Rules
 ) -> Points:
     """Points of all pairs, in order of pairs. margin [n, n] m: points farther apart than this are left out.
 
-    `seconds`: for which bodies move on as they do. For soft step points lie midway, and what slides over the seams of a
-    floor is not stopped by them. For `paper` they lie where its appendix says (Collision Manifolds), and only what
-    penetrates has any.
+    `seconds`: for which bodies move on as they do, in sub-steps of `h` s. For soft step points lie midway, and what
+    slides over the seams of a floor is not stopped by them. For `paper` they lie where its appendix says (Collision
+    Manifolds), and only what penetrates has any.
     """
     pairs = pair_list(capacity)
     velocity, omega = bodies.velocities
@@ -66,7 +66,7 @@ def collide(
         other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
         relative_velocity, spin = velocity[b] - velocity[a], omega[a]
         if collide_one is polygon_polygon:
-            points = jax.vmap(functools.partial(polygon_polygon, seconds=seconds, rules=rules))(
+            points = jax.vmap(functools.partial(polygon_polygon, seconds=seconds, h=h, rules=rules))(
                 one, other, d, relative_velocity, margin[a, b]
             )
         elif collide_one is polygon_circle:

@@ -27,6 +27,8 @@ class Faces(NamedTuple):
     flipped: jax.Array  # [] bool, the face is b's
     is_impact: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
     is_met: jax.Array  # [] bool, and they meet there
+    holds_for: jax.Array  # [] s for which they move fast and the face is not crossed, 0 if it is
+    motion: jax.Array  # [2] m/s, of the incident polygon against the reference
     onward: jax.Array  # [2] m by which the incident polygon is looked at where they will meet
     reference: Polygons
     incident: Polygons
@@ -57,6 +59,7 @@ class Corners(NamedTuple):
 
     beside: jax.Array  # [] bool, nothing of the incident edge is over the face
     is_outside: jax.Array  # [] bool, the corner is above the face's line
+    by_face: jax.Array  # [] bool, the face keeps the two apart
     normal: jax.Array  # [2]
     point: jax.Array  # [2] m
     separation: jax.Array  # [] m
@@ -71,18 +74,19 @@ def polygon_polygon(
     margin: jax.Array,
     seconds: Scalar,
     *,
+    h: Scalar,
     rules: Rules,
 ) -> Points:
     """At most two points, [2].
 
     d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which it
-    goes on so. In `paper` points lie on the incident edge.
+    goes on so, in sub-steps of `h` s. In `paper` points lie on the incident edge.
     """
     details = rules.published_details
     zero = jnp.zeros_like(d)
     of_a, of_b = max_separation(a, zero, b, d), max_separation(b, d, a, zero)
     (depth_a, _), (depth_b, _) = of_a, of_b
-    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, rules)
+    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, h, rules)
     corners = find_corners(faces, rules)
     clipped = clip(faces)
     within = (depth_a <= margin) & (depth_b <= margin)
@@ -98,12 +102,13 @@ def polygon_polygon(
 
     separation = jnp.where(beside, corners.separation, clipped_separation)
     points = Points(
-        normal=jnp.where(beside & corners.is_outside & ~faces.is_impact, corners.normal, faces.normal),
+        normal=jnp.where(beside & corners.is_outside & ~corners.by_face, corners.normal, faces.normal),
         point=jnp.where(beside, corners.point, clipped_point),
         separation=separation,
         feature=jnp.where(beside, corners.feature, clipped_feature),
         follows_b=jnp.broadcast_to(jnp.where(faces.flipped, 0.0, 1.0).astype(d.dtype), (2,)),  # the corners on a face
         exists=jnp.where(beside, jnp.array([True, False]), True) & (separation <= margin),
+        on_face=jnp.zeros(2, bool),
     )
     if "deepest_depth" in details:
         points = points._replace(separation=jnp.full(2, jnp.maximum(depth_a, depth_b)))
@@ -123,6 +128,7 @@ def polygon_polygon(
             separation=jnp.where(passes, passing.separation, points.separation),
             feature=jnp.where(passes, C.feature_seam + 2, points.feature).astype(jnp.int32),
             follows_b=jnp.where(passes, 1, points.follows_b),
+            on_face=points.on_face,
             exists=jnp.where(passes, jnp.array([True, False]) & (passing.separation <= margin) & within, points.exists),
         )
     if details & {"warm_start_by_depth", "solve_order"}:
@@ -153,6 +159,7 @@ def find_faces(
     of_b: tuple[jax.Array, jax.Array],
     relative_velocity: jax.Array,
     seconds: Scalar,
+    h: Scalar,
     rules: Rules,
 ) -> Faces:
     """`of_a`, `of_b`: what `max_separation` says of the edges of each."""
@@ -166,17 +173,28 @@ def find_faces(
     if "reference_bias" in rules.published_details:
         flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
 
-    is_impact, impact_edge, impact_seconds = jnp.array(False), edge_a, jnp.zeros_like(depth_a)
+    is_impact, holds_for, impact_edge, impact_seconds = (
+        jnp.array(False),
+        jnp.zeros_like(depth_a),
+        edge_a,
+        jnp.zeros_like(depth_a),
+    )
     if rules.is_soft:
         towards = jnp.where(flipped, -b.normal[edge_b], a.normal[edge_a])
         rate = vec2.dot(towards, relative_velocity)
         apart = jnp.maximum(depth_a, depth_b)
         impact = impact_plane.of_polygons(a, b, d, relative_velocity, advantage, seconds)
-        is_crossed = (apart > 0) & impact_plane.moves(relative_velocity) & (apart + rate * seconds < 0)
-        is_impact = is_crossed & impact.exists
+        passes = (apart > 0) & impact_plane.moves(relative_velocity)
+        # The last relax pass asks what would be met in a sub-step more; what goes half a graze in one needs no care.
+        is_fast = vec2.dot(relative_velocity, relative_velocity) * h * h > 0.25 * C.grazing_distance**2
+        lookahead = jnp.where(is_fast, seconds + h, seconds)
+        is_crossed = apart + rate * lookahead < 0
+        holds_for = jnp.where(passes & is_fast & ~is_crossed, lookahead, 0)
+        is_impact = passes & is_crossed & impact.exists
         flipped = jnp.where(is_impact, impact.flipped, flipped)
         impact_edge, impact_seconds = impact.edge, jnp.where(is_impact, impact.seconds, 0)
-    onward = jnp.where(flipped, -relative_velocity, relative_velocity) * impact_seconds
+    motion = jnp.where(flipped, -relative_velocity, relative_velocity)
+    onward = motion * impact_seconds
 
     def choose(of_b, of_a):
         return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)
@@ -200,6 +218,8 @@ def find_faces(
         flipped=flipped,
         is_impact=is_impact,
         is_met=impact_seconds > 0,
+        holds_for=holds_for,
+        motion=motion,
         onward=onward,
         reference=ref,
         incident=inc,
@@ -224,7 +244,9 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     inc_corner = jnp.where(before_start, faces.upper_end, faces.lower_end)
     gap = inc_corner - ref_corner
     distance, face_separation = vec2.length(gap), vec2.dot(faces.normal, gap)
-    is_impact = faces.is_impact
+    # Where the path crosses the plane between two corners, but not the face, it passes: the face keeps them apart.
+    passes = (faces.holds_for > 0) & (distance * distance + vec2.dot(gap, faces.motion) * faces.holds_for < 0)
+    is_impact = faces.is_impact | passes
     face_separation = jnp.where(
         is_impact, jnp.maximum(face_separation - vec2.dot(faces.normal, faces.onward), 0), face_separation
     )
@@ -235,6 +257,7 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     return Corners(
         beside=before_start | (faces.u_lower > faces.length),
         is_outside=is_outside,
+        by_face=is_impact,
         normal=vec2.unit_or_zero(gap),
         point=jnp.where(between, 0.5 * (ref_corner + inc_corner), at_face),
         separation=jnp.where(between, distance, face_separation),
@@ -283,4 +306,5 @@ def _at_seams(points: Points, faces: Faces, relative_velocity: jax.Array, margin
         feature=jnp.where(seam.exists, C.feature_seam + faces.base_feature + seam.number, points.feature),
         follows_b=points.follows_b,
         exists=jnp.where(seam.exists, jnp.array([True, False]), points.exists),
+        on_face=points.on_face,
     )

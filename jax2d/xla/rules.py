@@ -17,13 +17,14 @@ class Rules(NamedTuple):
     blow_passes: int
     solver_batch_size: int
     published_details: frozenset[str]  # of jax2d/published_details.py
+    report_contacts: bool = False
 
     @property
     def is_soft(self) -> bool:
         return self.solver == "soft_step"
 
 
-def rules_of(settings: Settings) -> Rules:
+def rules_of(settings: Settings, *, report_contacts: bool = False) -> Rules:
     return Rules(
         settings.solver,
         settings.friction_mixing,
@@ -32,4 +33,5 @@ def rules_of(settings: Settings) -> Rules:
         settings.blow_passes,
         settings.solver_batch_size,
         frozenset(settings.published_details),
+        report_contacts,
     )

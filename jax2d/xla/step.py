@@ -11,9 +11,10 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, pack_bits
 from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla import bodies as bodies_of
-from jax2d.xla import bounces, contact_solver, forces, geometry, paper, paper_contacts, published
+from jax2d.xla import bounces, contact_solver, forces, geometry, paper, paper_contacts, published, reports
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
+from jax2d.xla import springs as springs_of
 from jax2d.xla.active_set import ActiveSet
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.branching import in_any_world
@@ -33,6 +34,7 @@ class Progress(NamedTuple):
     touch: jax.Array  # [n, n] bool, who touched whom in this step
     overflow: jax.Array  # [] int32
     max_energy: jax.Array  # [] J, what bounces may leave the world with
+    tally: reports.Tally | None  # of what contacts did, if that is reported
 
 
 def run(
@@ -49,7 +51,7 @@ def run(
     that are not active have no mass."""
     one_step = soft_step if rules.is_soft else paper_step
 
-    def body(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array, jax.Array]]:
+    def body(state: State, _: None) -> tuple[State, tuple]:
         end = one_step(scene, state, controls, params, rules, capacity)
         bodies = bodies_of.end_step(end.bodies)
         after = State(
@@ -58,18 +60,20 @@ def run(
             velocity=bodies.velocities.velocity,
             angular_velocity=bodies.velocities.omega,
             joint_impulse=joints_of.store(end.joints, state),
+            spring_impulse=springs_of.store(end.joints.springs, state),
             contact_key=end.cache.key,
             contact_impulse=end.cache.impulse,
             rolling_impulse=state.rolling_impulse if end.cache.rolling is None else end.cache.rolling,
         )
-        return after, (end.touch, end.overflow, bodies.limited)
+        return after, (end.touch, end.overflow, bodies.limited, end.tally)
 
-    state, (touch, overflow, limited) = jax.lax.scan(body, state, length=num_steps)
+    state, (touch, overflow, limited, tally) = jax.lax.scan(body, state, length=num_steps)
     return state, BackendReport(
         at_end=pack_bits(touch[-1]),
         during=pack_bits(jnp.any(touch, axis=0)),
         overflow=jnp.sum(overflow, dtype=jnp.int32),
         limited=jnp.sum(limited, dtype=jnp.int32),
+        contacts=None if tally is None else reports.report_of(jax.tree.map(lambda x: x[-1], tally)),
     )
 
 
@@ -98,12 +102,12 @@ def soft_step(
         return contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, dt)
 
     def solve(now: StepState) -> StepState:
-        bodies, joints, contacts, cache, touch, overflow, max_energy = now.progress
+        bodies, joints, contacts, cache, touch, overflow, max_energy, tally = now.progress
         _, substep, interrupted, is_found, every_substep, interruptions = now
         left = h * jnp.where(every_substep, 1, rules.substeps - substep)
         found = bodies_of.end_step(bodies)
         found_contacts = find(found, cache, left)
-        found_joints = joints_of.prepare(found, scene, joints.impulses, controls, params)
+        found_joints = joints_of.prepare(found, scene, joints.remembered(), controls, params)
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
         # Of a sub-step that was stopped, bodies have had the impulses already.
         found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
@@ -112,6 +116,9 @@ def soft_step(
             (found, found_contacts, found_joints, found_energy),
             (bodies, contacts, joints, max_energy),
         )
+        if tally is not None:
+            tally = _choose(is_found, reports.begin(tally, contacts), tally)
+            tally = _choose(interrupted, tally, reports.warm_start(tally))
         every_substep = jnp.where((substep == 0) & ~interrupted, contacts.each_substep, every_substep)
 
         driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
@@ -139,9 +146,12 @@ def soft_step(
         is_end = interrupted | every_substep | (substep == rules.substeps)
         leaving = jnp.where(is_end, bounces.leaving_speed(bodies, contacts, scene.gravity, params), 0)
         energy_limit = bounces.EnergyLimit(max_energy, carried, scene.gravity)
-        bounced = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
+        bounced, bounce_impulses = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
-        progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy)
+        if tally is not None:
+            tally = reports.add(tally, contacts)
+            tally = reports.add_impulse(tally, contacts, jnp.where(is_end, bounce_impulses, 0))
+        progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy, tally)
         ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_blow | (leaving > 0))
         return StepState(_choose(is_end, ended, progress), substep, interrupted, is_end, every_substep, interruptions)
 
@@ -152,7 +162,7 @@ def soft_step(
     start = _begin(scene, state, controls, params)
     no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]))
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
-    progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, state.position.dtype))
+    progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, state.position.dtype, rules))
     none, no = jnp.zeros((), jnp.int32), jnp.array(False)
     step_state = StepState(progress, substep=none, interrupted=no, find=~no, every_substep=no, interruptions=none)
     # One program for sub-steps, those that find contacts every_substep, and those that are stopped.
@@ -215,12 +225,18 @@ def paper_step(
 ) -> Progress:
     """The main loop of the paper's appendix (algorithm 1)."""
     bodies, joints, cache = _begin(scene, state, controls, params)
+    # The appendix counts turns.
+    joints = joints._replace(start_angle=joints_of.counted_angle(bodies, scene))
+    bodies = bodies._replace(wraps=jnp.zeros_like(bodies.wraps))
     bodies = bodies_of.apply_gravity(bodies, scene.gravity, params.dt)
     context = contacts_of.Context(scene, params, rules, capacity)
     contacts = contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, params.dt)
     bodies = paper.apply_motors(bodies, joints, params)
     bodies = forces.apply(bodies, forces.load(bodies, scene, controls, params), params.dt)
     bodies, contacts = contact_solver.warm_start(bodies, contacts)
+    *recorded, tally = _nothing_recorded(capacity, state.position.dtype, rules)
+    if tally is not None:
+        tally = reports.warm_start(reports.begin(tally, contacts))
     bodies, joints = paper.warm_start(bodies, joints)
 
     def iteration(carry: tuple[Bodies, Joints, Contacts], _: None) -> tuple[tuple[Bodies, Joints, Contacts], None]:
@@ -232,9 +248,9 @@ def paper_step(
     (bodies, joints, contacts), _ = jax.lax.scan(iteration, (bodies, joints, contacts), length=rules.substeps)
     move = published.move_and_clip if "state_clips" in rules.published_details else bodies_of.move
     bodies = move(bodies, params.dt, params.max_speed, params.max_angular_speed)
-    return _finish_contacts(
-        Progress(bodies, joints, contacts, cache, *_nothing_recorded(capacity, state.position.dtype))
-    )
+    if tally is not None:
+        tally = reports.add(tally, contacts)
+    return _finish_contacts(Progress(bodies, joints, contacts, cache, *recorded, tally))
 
 
 def _begin(
@@ -246,9 +262,12 @@ def _begin(
     return bodies, joints, ContactCache(state.contact_key, state.contact_impulse, rolling)
 
 
-def _nothing_recorded(capacity: Capacity, dtype: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Touch matrix, overflow and energy of a step that begins."""
-    return jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32), jnp.zeros((), dtype)
+def _nothing_recorded(
+    capacity: Capacity, dtype: Any, rules: Rules
+) -> tuple[jax.Array, jax.Array, jax.Array, reports.Tally | None]:
+    """Touch matrix, overflow, energy and tally of a step that begins."""
+    touch, overflow = jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32)
+    return touch, overflow, jnp.zeros((), dtype), reports.nothing(capacity, dtype) if rules.report_contacts else None
 
 
 def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
@@ -257,8 +276,9 @@ def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
 
 def _finish_contacts(progress: Progress, passes: jax.Array | bool = False) -> Progress:
     """Records who touched, and keeps the impulses for the contacts found next, none of blows and bounces."""
-    contacts = progress.contacts
+    contacts, tally = progress.contacts, progress.tally
     return progress._replace(
+        tally=None if tally is None else reports.place(tally, progress.bodies, contacts),
         cache=contacts_of.cache_of(contacts, passes),
         touch=progress.touch | touching(contacts),
         overflow=progress.overflow + contacts.overflow,

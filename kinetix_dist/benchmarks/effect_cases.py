@@ -57,6 +57,8 @@ def without(scene: Scene, effect: str) -> Scene:
         "continuous_collision": {},
         "joint_limits": {"joints": {"has_limits": zero(scene.joints.has_limits)}},
         "motors": {"joints": {"motor_on": zero(scene.joints.motor_on)}},
+        "brakes_and_servos": {"joints": {"drive": zero(scene.joints.drive)}},
+        "springs": {"springs": {"active": zero(scene.springs.active)}},
         "thrusters": {"thrusters": {"active": zero(scene.thrusters.active)}},
         "gravity": {"gravity": zero(scene.gravity)},
         "kinematic_bodies": {"shapes": {"kinematic": zero(scene.shapes.kinematic)}},

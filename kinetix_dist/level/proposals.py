@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array, replace
-from jax2d.scene import JointKind, Joints
+from jax2d.scene import JointDrive, JointKind, Joints
 from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, read_slot, write_slot
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M
@@ -307,6 +307,7 @@ def _sample_joint(
         rest_angle=rest_angle,
         axis_angle=jnp.zeros(()),
         motor_on=(draw[1] < motor_on_chance) & ~is_fixed,
+        drive=jnp.array(JointDrive.VELOCITY),
         motor_speed=jnp.where(is_fixed, 0.0, speed),
         motor_power=jnp.where(is_fixed, 0.0, power),
         has_limits=has_limits,

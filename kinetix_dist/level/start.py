@@ -17,6 +17,7 @@ def start_state(level: Level) -> State:
         velocity=level.velocity,
         angular_velocity=level.angular_velocity,
         joint_impulse=np.zeros((num_joints, 5), np.float32),
+        spring_impulse=np.zeros((0, 3), np.float32),
         contact_key=np.zeros(0, np.int32),
         contact_impulse=np.zeros((0, 2), np.float32),
         rolling_impulse=np.zeros(0, np.float32),

@@ -25,7 +25,7 @@ def run_example(name: str, *arguments: str) -> str:
 def assert_drawn(*pictures: Path) -> None:
     for path in pictures:
         with Image.open(path) as image:
-            assert len(image.convert("RGB").getcolors(1 << 20) or []) > 5
+            assert len(image.convert("RGB").getcolors(1 << 20) or []) > 5  # something is drawn
 
 
 def test_catapult_draws_the_best_throw_and_the_map(tmp_path: Path) -> None:
@@ -37,4 +37,10 @@ def test_catapult_draws_the_best_throw_and_the_map(tmp_path: Path) -> None:
 def test_belt_lift_and_platform_carry_both_boxes_away(tmp_path: Path) -> None:
     picture = tmp_path / "platforms.png"
     assert "2 boxes ride on the platform at 0.70 m/s" in run_example("platforms.py", "--to", str(picture))
+    assert_drawn(picture)
+
+
+def test_rover_drives_and_its_lidar_sees_the_ground(tmp_path: Path) -> None:
+    picture = tmp_path / "rover.png"
+    assert "rays meet something" in run_example("rover.py", "--to", str(picture))
     assert_drawn(picture)

@@ -18,13 +18,13 @@ from jax2d import (
     index_worlds,
     measure,
     preset,
+    recorder,
     stack_worlds,
 )
+from jax2d.engine_argument import FixedEngine, VariantEngine
 from jax2d.fidelity import Trajectory, record, record_worlds
-from jax2d.fidelity import trajectory as trajectories
-from jax2d.fidelity.engine_argument import FixedEngine, VariantEngine
-from jax2d.fidelity.sampling import Run, Sampling, take_samples
 from jax2d.fidelity.trajectory import start_of
+from jax2d.sampling import Run, Sampling, take_samples
 from tests.engine.worlds import CAPACITY, builder, engine
 
 BOX, PENDULUM = 1, CAPACITY.polygons + 1
@@ -112,17 +112,18 @@ def test_calls_of_any_size_record_the_same():
 
 
 def test_a_batch_too_large_for_the_device_is_recorded_in_parts(monkeypatch):
-    """Each world keeps 6 numbers a shape and two counts: a limit of 4 samples of three worlds."""
+    """Each world keeps 6 numbers a shape, its controls and three counts: a limit of 4 samples of three worlds."""
     one = engine()
     scene, start = start_of(one, worlds())
     whole, _ = record(one, scene, start, num_samples=10)
-    monkeypatch.setattr(trajectories, "MAX_BYTES_PER_CALL", 4 * 3 * 4 * (6 * CAPACITY.shapes + 2))
+    numbers = 6 * CAPACITY.shapes + CAPACITY.joints + CAPACITY.thrusters + 3
+    monkeypatch.setattr(recorder, "MAX_BYTES_PER_CALL", 4 * 3 * 4 * numbers)
     seen: list[int] = []
 
     def counted(argument, run, sampling, observe=None):
         return take_samples(argument, run, sampling, lambda taken, packed: seen.append(taken))
 
-    monkeypatch.setattr(trajectories, "take_samples", counted)
+    monkeypatch.setattr(recorder, "take_samples", counted)
     parts, _ = record(one, scene, start, num_samples=10)
     assert seen == [4, 8, 10]
     np.testing.assert_array_equal(whole.position, parts.position)
@@ -244,6 +245,7 @@ def test_measures_are_those_of_the_states(batch: Trajectory):
             state = State(
                 **{name: getattr(batch, name)[k, i] for name in ("position", "angle", "velocity", "angular_velocity")},
                 joint_impulse=None,
+                spring_impulse=None,
                 contact_key=None,
                 contact_impulse=None,
                 rolling_impulse=None,

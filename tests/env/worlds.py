@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jax2d.fields import from_dict
+from jax2d.fields import empty, with_fields
 from jax2d.scene import Scene, stack_worlds
 from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
 from kinetix_dist.level.roles import Role
@@ -61,6 +61,7 @@ def small_level(
         "joints.rest_angle": np.zeros(1, np.float32),
         "joints.axis_angle": np.zeros(1, np.float32),
         "joints.motor_on": np.zeros(1, bool),
+        "joints.drive": np.zeros(1, np.int32),
         "joints.motor_speed": np.zeros(1, np.float32),
         "joints.motor_power": np.zeros(1, np.float32),
         "joints.has_limits": np.zeros(1, bool),
@@ -91,7 +92,7 @@ def small_level(
     for shape, value in (velocity or {}).items():
         speed[shape] = value
     return Level(
-        scene=from_dict(Scene, fields),
+        scene=with_fields(empty(Scene, SIZES["s"].sizes), fields),
         position=position,
         angle=np.zeros(n, np.float32),
         velocity=speed,

@@ -247,7 +247,7 @@ def by_hand(kind: JointKind) -> Level:
 
 def _joints_seen_from_others(kind: JointKind) -> list[tuple[dict[str, Any], int]]:
     """Hinge and second joint with the wheel and the triangle as a, the box as b: fields of `Joints`, colour."""
-    common = {"active": True, "b": BOX, "has_limits": False, "lower_limit": 0.0, "upper_limit": 0.0}
+    common = {"active": True, "b": BOX, "drive": 0, "has_limits": False, "lower_limit": 0.0, "upper_limit": 0.0}
     hinge = common | {
         "kind": int(JointKind.REVOLUTE),
         "a": WHEEL,

@@ -6,7 +6,8 @@ import json
 
 import numpy as np
 
-from jax2d.scene import Capacity, JointKind, Joints, Scene, Shapes, Thrusters
+from jax2d.fields import empty
+from jax2d.scene import Capacity, JointKind, Joints, Scene, Shapes, Springs, Thrusters
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.roles import Role
 from kinetix_dist.telemetry.recording import Rollout
@@ -58,12 +59,14 @@ def scene() -> Scene:
             rest_angle=np.zeros(joints, np.float32),
             axis_angle=np.zeros(joints, np.float32),
             motor_on=np.array([True, False]),
+            drive=np.zeros(joints, np.int32),
             motor_speed=np.ones(joints, np.float32),
             motor_power=np.ones(joints, np.float32),
             has_limits=np.zeros(joints, bool),
             lower_limit=np.zeros(joints, np.float32),
             upper_limit=np.zeros(joints, np.float32),
         ),
+        springs=empty(Springs, CAPACITY.sizes),
         thrusters=Thrusters(
             active=np.array([True, False]),
             body=np.array([GREEN_BOX, 0], np.int32),

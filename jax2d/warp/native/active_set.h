@@ -18,6 +18,12 @@ struct ActiveSet {
     if (bodies.is_dynamic(b)) next[b / 32] |= 1u << (b % 32);
   }
 
+  // In a repeated pass, of a joint or spring. `before`: m/s, of b from a, when it was come to.
+  KFN void mark_if_moved(const Bodies& bodies, const Pair& pair, Vec2 before) {
+    Vec2 change = pair.velocity_b - pair.velocity_a - before;
+    if (SHARES_BLOWS && again && change.dot(change) > SETTLED_SPEED * SETTLED_SPEED) mark(bodies, pair.a, pair.b);
+  }
+
   // Whether another pass is called for; it is one over what was marked.
   KFN bool repeat() {
     again = false;

@@ -7,6 +7,7 @@ struct Bodies {
   Rotation rotation[NUM_SHAPES];
   unsigned int present[SHAPE_WORDS];  // a bit a shape that is active
   unsigned int moving[SHAPE_WORDS];   // a bit a shape that moves; most work is for these alone
+  unsigned int counts_turns[SHAPE_WORDS];  // a bit a shape whose angle is not wrapped
   int limited;                        // times a speed limit acted
 
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
@@ -66,7 +67,7 @@ struct Bodies {
 
   KFN void load(const Column& scene, const IntColumn& ints, const Column& state) {
     limited = 0;
-    for (int word = 0; word < SHAPE_WORDS; ++word) present[word] = moving[word] = 0u;
+    for (int word = 0; word < SHAPE_WORDS; ++word) present[word] = moving[word] = counts_turns[word] = 0u;
     unsigned int active[TOUCH_WORDS];  // a bit a slot
     for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_SHAPES_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
@@ -115,6 +116,7 @@ struct Bodies {
       int i = each.shape;
       position[i] = position[i] + delta(i);
       angle[i] += turn(i);
+      if (SOFT_STEP && !has(counts_turns, i)) angle[i] = Angle::near(angle[i], real(0));
     }
   }
 
@@ -199,6 +201,19 @@ struct Pair {
             bodies.inverse_mass(b),
             bodies.inverse_inertia(a),
             bodies.inverse_inertia(b)};
+  }
+
+  // Of two where what is not kinematic has no mass, and what is has one of 1 and stands still: impulses are what it takes.
+  KFN static Pair of_kinematic(const Bodies& bodies, int a, int b) {
+    real none = real(0), of_a = bodies.is_kinematic(a) ? real(1) : none, of_b = bodies.is_kinematic(b) ? real(1) : none;
+    return {a, b, {none, none}, {none, none}, none, none, of_a, of_b, of_a, of_b};
+  }
+
+  // J, what kinematic bodies have done with the impulses that such a pair has had: they took the opposite of what they
+  // gave.
+  KFN real work_of_kinematic(const Bodies& bodies) const {
+    return -(bodies.velocity(a).dot(velocity_a) + bodies.omega(a) * omega_a + bodies.velocity(b).dot(velocity_b) +
+             bodies.omega(b) * omega_b);
   }
 
   KFN void write_back(Bodies& bodies) const {

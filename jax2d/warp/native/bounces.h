@@ -28,8 +28,9 @@ struct Bounces {
     }
   }
 
-  // `carried`: J, what moving surfaces have done to what bounced, which is theirs to give.
-  KFN void limit(Bodies& bodies, Vec2 gravity, real h, real carried) const {
+  // `carried`: J, what moving surfaces have done to what bounced, which is theirs to give. Returns the share of what
+  // bounces changed that is left.
+  KFN real limit(Bodies& bodies, Vec2 gravity, real h, real carried) const {
     // With a share s of the change: before + linear s + quadratic s^2, of which the surfaces give their share.
     real before = real(0), linear = real(0), quadratic = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
@@ -44,7 +45,7 @@ struct Bounces {
     }
     linear -= carried;
     real after = before + linear + quadratic;
-    if (after <= max_energy * (real(1) + ENERGY_ROUNDING)) return;
+    if (after <= max_energy * (real(1) + ENERGY_ROUNDING)) return real(1);
     real room = Math::max(max_energy - before, real(0));
     real root = sqrtf(linear * linear + real(4) * quadratic * room);
     real share = quadratic > real(0) ? Math::clamp((root - linear) / (real(2) * quadratic), real(0), real(1)) : real(1);
@@ -53,6 +54,7 @@ struct Bounces {
       bodies.set_velocity(i, velocity[i] + (bodies.velocity(i) - velocity[i]) * share);
       bodies.set_omega(i, omega[i] + (bodies.omega(i) - omega[i]) * share);
     }
+    return share;
   }
 
   KFN static Vec2 midway(const Bodies& bodies, int i, Vec2 velocity, Vec2 gravity, real h) {

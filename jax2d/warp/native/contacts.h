@@ -19,6 +19,7 @@ struct Contact {
   bool against_kinematic;  // and moves
   bool is_blow;            // they meet fast, and were apart before
   bool is_second;          // of two points of one pair
+  bool disc_on_face;       // b is a disc on a face of a
 };
 
 struct Contacts {
@@ -84,6 +85,7 @@ struct Contacts {
         c.arm_b = m.points[p].point + half_gap - d;
         c.separation = m.points[p].separation;
         c.follows_b = m.follows_b;
+        c.disc_on_face = m.on_face;
         c.friction = friction;
         c.restitution = restitution;
         c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
@@ -238,11 +240,13 @@ struct Contacts {
 
   KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
     // Surfaces move and turn with their bodies; the normal stays as it was at the start of the step.
-    real ta = bodies.turn(c.a), tb = bodies.turn(c.b);
+    real ta = bodies.turn(c.a), tb = turn_of_b(bodies, c);
     Vec2 arm_a = c.arm_a.left() * sinf_small(ta) - c.arm_a * one_minus_cos_small(ta);
     Vec2 arm_b = c.arm_b.left() * sinf_small(tb) - c.arm_b * one_minus_cos_small(tb);
     return c.separation + (moved + arm_b - arm_a).dot(c.normal);
   }
+  // On a face the point of a disc stays below its centre: turned with one that rolls it would rise, and the disc sink.
+  KFN static real turn_of_b(const Bodies& bodies, const Contact& c) { return c.disc_on_face ? real(0) : bodies.turn(c.b); }
   // Within a step bodies turn by less than a radian: series with errors below 3e-6 (sine) and 3e-5 (cosine).
   KFN static real sinf_small(real t) {
     real t2 = t * t;

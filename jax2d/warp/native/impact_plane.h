@@ -8,10 +8,12 @@
 struct ImpactPlane {
   Vec2 normal;  // outward of what the disc may hit
   real separation;
+  bool on_face;  // it is that of a face, not of a corner
 
   // A disc against one corner or another disc, `away` from it: radius `r` is the sum of both radii. `graze`: passing by
   // so much less than `r` is passing.
   KFN static bool corner(Vec2 away, Vec2 motion, real r, real graze, ImpactPlane& out) {
+    out.on_face = false;
     real squared = motion.dot(motion), beside = away.cross(motion), along = away.dot(motion);
     if (along >= real(0)) return false;  // it leaves
     if (beside * beside >= (r - graze) * (r - graze) * squared) {
@@ -65,6 +67,7 @@ struct ImpactPlane {
       if ((at - from).dot(edge) < real(0)) return corner(centre - from, motion, r, graze, out);
       if ((at - to).dot(edge) > real(0)) return corner(centre - to, motion, r, graze, out);
     }
+    out.on_face = true;
     out.normal = n[face];
     out.separation = Math::max(n[face].dot(centre - v[face]) - r, real(0));
     return true;

@@ -26,7 +26,20 @@ struct Joint {
     return HAS_PRISMATIC_JOINTS && ((!HAS_REVOLUTE_JOINTS && !HAS_FIXED_JOINTS) || kind_of(flags) == KIND_PRISMATIC);
   }
   KFN bool is_driven() const { return HAS_MOTORS && (flags & MOTOR_BIT) != 0; }
+  KFN int drive() const { return HAS_BRAKES_AND_SERVOS ? flags >> JOINTS_DRIVE_SHIFT & JOINTS_DRIVE_MASK : DRIVE_VELOCITY; }
   KFN bool is_limited() const { return HAS_JOINT_LIMITS && (flags >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0; }
+
+  // Limits that say how often a body has turned against the other.
+  KFN bool is_wide() const {
+    return is_limited() && !is_fixed() && !is_prismatic() && upper - lower > WIDE_LIMITS;
+  }
+
+  // Of an angle known up to full turns the one nearest to where the joint wants it.
+  KFN real wanted_angle(real angle) const {
+    if (!SOFT_STEP || is_wide()) return angle;
+    bool is_bounded = is_limited() && !is_fixed() && !is_prismatic();
+    return Angle::near(angle, is_bounded ? real(0.5) * (lower + upper) : real(0));
+  }
 
   KFN static bool is_compiled_in(int word) {
     int kind = kind_of(word);
@@ -54,10 +67,10 @@ struct Joint {
   // In the relax pass a motor that is not at a limit has the last word, so that what holds the joint costs it no speed.
   KFN bool is_motor_last(bool use_bias) const { return !use_bias && impulse_lower + impulse_upper == real(0); }
 
-  // Of a motor that shall bring `speed` to its target: what it adds to its bounded impulse. dt changes neither its target
-  // nor its strength.
-  KFN real motor_impulse(real speed) {
-    real total = Math::clamp(angular_impulse - axial_mass * (speed - motor_target), -max_motor_impulse, max_motor_impulse);
+  // Of a motor that shall bring `mass` from `speed` to its target: what it adds to its bounded impulse. dt changes neither
+  // its target nor its strength.
+  KFN real motor_impulse(real speed, real mass) {
+    real total = Math::clamp(angular_impulse - mass * (speed - motor_target), -max_motor_impulse, max_motor_impulse);
     real added = total - angular_impulse;
     angular_impulse = total;
     return added;

@@ -1,4 +1,5 @@
-// Joints of one world: motor, limits, the relative angle of fixed joints, and the common point.
+// What connects bodies of one world: springs, and joints by motor, limits, the relative angle of fixed joints, and the
+// common point.
 //
 // Body b is held to body a. Angles are angle_b - angle_a - rest angle. Soft joints follow the soft-step
 // solver, hard joints the appendix of the Kinetix paper; see docs/engine.md.
@@ -6,10 +7,13 @@
 struct Joints {
   Joint list[NUM_JOINTS + 1];
   Vec2 local_axis[HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1];  // frame of a, of sliders
+  Drive drives[HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1];
+  Springs springs;
   int count;
 
-  KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
+  KFN void load(Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
                 const Column& impulses) {
+    springs.load(bodies, scene, ints, params, impulses);
     count = 0;
     bool warm = params.get(PARAM_WARM_START) != real(0);
     for (int j = 0; j < NUM_JOINTS; ++j) {
@@ -33,6 +37,10 @@ struct Joints {
       joint.local_b = scene.get2(SCENE_JOINTS_ANCHOR_B + 2 * j);
       joint.lower = scene.get(SCENE_JOINTS_LOWER_LIMIT + j);
       joint.upper = scene.get(SCENE_JOINTS_UPPER_LIMIT + j);
+      if (SOFT_STEP && joint.is_wide()) {
+        bodies.counts_turns[joint.a / 32] |= 1u << (joint.a % 32);
+        bodies.counts_turns[joint.b / 32] |= 1u << (joint.b % 32);
+      }
       if (warm) {
         load_impulses(joint, impulses);
       } else {
@@ -46,6 +54,7 @@ struct Joints {
 
   // The impulses as they were last stored.
   KFN void load_impulses(const Column& impulses) {
+    springs.load_impulses(impulses);
     for (int k = 0; k < count; ++k) load_impulses(list[k], impulses);
   }
 
@@ -58,6 +67,7 @@ struct Joints {
   }
 
   KFN void store(const Column& impulses) const {
+    springs.store(impulses);
     for (int k = 0; k < count; ++k) {
       const Joint& joint = list[k];
       impulses.set2(IMPULSE_JOINT_IMPULSE + 5 * joint.index, joint.impulse);
@@ -68,10 +78,12 @@ struct Joints {
   }
 
   KFN void prepare(const Bodies& bodies, const Column& scene, const Column& controls, const Column& params, real h) {
+    springs.prepare(bodies);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       joint.centre_gap = bodies.position[joint.b] - bodies.position[joint.a];
-      joint.start_angle = bodies.angle[joint.b] - bodies.angle[joint.a] - scene.get(SCENE_JOINTS_REST_ANGLE + joint.index);
+      joint.start_angle = joint.wanted_angle(bodies.angle[joint.b] - bodies.angle[joint.a] -
+                                             scene.get(SCENE_JOINTS_REST_ANGLE + joint.index));
       joint.turn_arms(bodies);
       real base_speed = params.get(PARAM_BASE_MOTOR_SPEED), base_power = params.get(PARAM_BASE_MOTOR_POWER);
       if (joint.is_prismatic()) {
@@ -80,16 +92,48 @@ struct Joints {
         base_power = params.get(PARAM_BASE_SLIDER_POWER);
       }
       real control = controls.get(CONTROLS_MOTOR + joint.index);
-      bool driven = joint.is_driven() && !joint.is_fixed() && control != real(0);
+      bool driven = joint.is_driven() && !joint.is_fixed() && (control != real(0) || joint.drive() != DRIVE_VELOCITY);
       if (!driven) joint.flags &= ~Joint::MOTOR_BIT;
       joint.motor_target = control * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index) * base_speed;
       // The power is the acceleration that the motor can give to the pair of bodies alone.
       joint.max_motor_impulse = h * base_power * scene.get(SCENE_JOINTS_MOTOR_POWER + joint.index) * joint.axial_mass;
       if (!driven && !joint.is_fixed()) joint.angular_impulse = real(0);
+      if (driven && joint.drive() != DRIVE_VELOCITY) {
+        real speed = base_speed * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index);
+        drives[k] = Drive::of(joint, inverse_driven_mass(bodies, k), control, speed, h);
+      }
     }
   }
 
+  // How fast the bodies go along or about the axis after a unit of impulse, with what their joint holds against it.
+  KFN real inverse_driven_mass(const Bodies& bodies, int k) const {
+    const Joint& joint = list[k];
+    Pair pair = Pair::of(bodies, joint.a, joint.b);
+    if (joint.is_prismatic()) return Slider::of(bodies, joint, local_axis[k]).inverse_driven_mass(pair);
+    Arms arms = joint.common_arms(pair, joint.gap(bodies));
+    Vec2 wrong = wrong_of_turn(pair, arms);
+    real free = pair.inverse_inertia_a + pair.inverse_inertia_b;
+    return Math::max(free - wrong.dot(point_mass_times(pair, arms, wrong)), real(0));
+  }
+
+  // Speed of b's point from a's that a unit of angular impulse makes.
+  KFN static Vec2 wrong_of_turn(const Pair& pair, Arms arms) {
+    return arms.a.left() * pair.inverse_inertia_a + arms.b.left() * pair.inverse_inertia_b;
+  }
+
+  // Where a servo aims for the next sub-step, by how far it has come: rad or m.
+  KFN void aim(int k, real position, const Soft& soft) {
+    Joint& joint = list[k];
+    if (joint.drive() == DRIVE_SERVO)
+      joint.motor_target = drives[k].speed_towards(drives[k].position - position, soft.inverse_h);
+  }
+
+  KFN real motor_mass(int k) const {
+    return list[k].drive() == DRIVE_VELOCITY ? list[k].axial_mass : drives[k].mass;
+  }
+
   KFN void warm_start(Bodies& bodies) {
+    springs.warm_start(bodies);
     for (int k = 0; k < count; ++k) {
       list[k].turn_arms(bodies);
       Pair pair = Pair::of(bodies, list[k].a, list[k].b);
@@ -112,6 +156,7 @@ struct Joints {
 
   // Without `motors` in a bounce: a force or torque does nothing in an instant.
   KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool motors, ActiveSet& active) {
+    springs.solve(bodies, soft, use_bias, motors, active);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       if (active.leaves_out(joint.a, joint.b)) continue;
@@ -119,34 +164,44 @@ struct Joints {
       Vec2 before = pair.velocity_b - pair.velocity_a;
       if (joint.is_prismatic()) {
         joint.turn_arms(bodies);
-        Slider::of(bodies, joint, local_axis[k]).solve(bodies, pair, joint, soft, use_bias, motors);
+        Slider slider = Slider::of(bodies, joint, local_axis[k]);
+        if (motors && joint.is_driven()) aim(k, slider.translation(), soft);
+        slider.solve(bodies, pair, joint, motor_mass(k), soft, use_bias, motors);
       } else if (joint.is_fixed()) {
         solve_angle(pair, joint, joint.current_angle(bodies), soft, use_bias);
         solve_point(bodies, pair, joint, soft, use_bias);
       } else {
-        bool motor_last = joint.is_motor_last(use_bias);
-        for (int turn = 0; turn < 2; ++turn) {  // one copy of the code
-          if (motors && joint.is_driven() && motor_last == (turn == 1)) solve_motor(pair, joint);
-          if (turn == 1) break;
+        bool driven = motors && joint.is_driven(), motor_last = joint.is_motor_last(use_bias);
+        if (driven) aim(k, joint.current_angle(bodies), soft);
+        // One place for both orders: what is inlined twice is twice the code.
+        for (bool last = false;; last = true) {
+          if (driven && last == motor_last) solve_motor(bodies, pair, joint, motor_mass(k));
+          if (last) break;
           if (joint.is_limited()) solve_limits(pair, joint, joint.current_angle(bodies), soft, use_bias);
           solve_point(bodies, pair, joint, soft, use_bias);
         }
       }
-      Vec2 change = pair.velocity_b - pair.velocity_a - before;
-      if (SHARES_BLOWS && active.again && change.dot(change) > SETTLED_SPEED * SETTLED_SPEED) active.mark(bodies, joint.a, joint.b);
+      active.mark_if_moved(bodies, pair, before);
       pair.write_back(bodies);
     }
   }
 
   // Velocity constraint with a bounded torque: dt changes neither its target nor its strength.
-  KFN static void solve_motor(Pair& pair, Joint& joint) {
+  KFN static void solve_motor(const Bodies& bodies, Pair& pair, Joint& joint, real mass) {
     real speed = pair.omega_b - pair.omega_a;
-    pair.apply_angular_impulse(joint.motor_impulse(speed));
+    real added = joint.motor_impulse(speed, mass);
+    pair.apply_angular_impulse(added);
+    if (joint.drive() == DRIVE_VELOCITY) return;
+    joint.turn_arms(bodies);
+    Arms arms = joint.common_arms(pair, joint.gap(bodies));
+    Vec2 answer = point_mass_times(pair, arms, wrong_of_turn(pair, arms)) * -added;
+    joint.impulse = joint.impulse + answer;
+    pair.apply_impulse(arms.a, arms.b, answer);
   }
 
-  // J, what motors have added to the bodies' energy in this sub-step.
+  // J, what motors and springs have added to the bodies' energy in this sub-step.
   KFN real motor_work(const Bodies& bodies) const {
-    real work = real(0);
+    real work = springs.work(bodies);
     for (int k = 0; k < count && HAS_MOTORS; ++k) {
       const Joint& joint = list[k];
       if (!joint.is_driven()) continue;
@@ -158,19 +213,14 @@ struct Joints {
     return work;
   }
 
-  // J, what kinematic bodies have done through joints in this sub-step: they took the opposite of what they gave.
+  // J, what kinematic bodies have done through joints and springs in this sub-step.
   KFN real kinematic_work(const Bodies& bodies) const {
-    real work = real(0);
+    real work = springs.kinematic_work(bodies);
     for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) {
-      bool is_a = bodies.is_kinematic(list[k].a);
-      int body = is_a ? list[k].a : list[k].b;
-      if (!bodies.is_kinematic(body)) continue;
-      real one = real(1), none = real(0), of_a = is_a ? one : none, of_b = is_a ? none : one;
-      Vec2 still = {none, none};
-      Pair taken = {list[k].a, list[k].b, still, still, none, none, of_a, of_b, of_a, of_b};  // impulses, by masses of 1
+      if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) continue;
+      Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
       apply_impulses(bodies, taken, k);
-      work -= bodies.velocity(body).dot(is_a ? taken.velocity_a : taken.velocity_b) +
-              bodies.omega(body) * (is_a ? taken.omega_a : taken.omega_b);
+      work += taken.work_of_kinematic(bodies);
     }
     return work;
   }

@@ -51,16 +51,61 @@ struct Slider {
     push_across(pair, joint.impulse);
   }
 
-  KFN void solve(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias, bool motors) const {
-    bool motor_last = joint.is_motor_last(use_bias);
-    if (motors && joint.is_driven() && !motor_last) push_along(pair, joint.motor_impulse(axial_speed(pair)));
-    if (joint.is_limited()) {
-      real translation = axis.dot(gap);
-      real lower = joint.lower_impulse(translation - joint.lower, axial_speed(pair), soft, use_bias, soft.pull_speed);
-      push_along(pair, lower);
-      real upper = joint.upper_impulse(joint.upper - translation, -axial_speed(pair), soft, use_bias, soft.pull_speed);
-      push_along(pair, -upper);
+  // 1/kg: speed along the axis after a unit of impulse along it, with what the joint holds against it.
+  KFN real inverse_driven_mass(const Pair& pair) const {
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    real free = pair.inverse_mass_a + pair.inverse_mass_b + ia * axis_a * axis_a + ib * axis_b * axis_b;
+    Vec2 wrong = wrong_of_push(pair);
+    return Math::max(free - wrong.dot(held_mass_times(pair, wrong)), real(0));
+  }
+
+  // Speeds across the axis and about it that a unit of impulse along it makes.
+  KFN Vec2 wrong_of_push(const Pair& pair) const {
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    return {across_a * ia * axis_a + across_b * ib * axis_b, ia * axis_a + ib * axis_b};
+  }
+
+  KFN void drive(Pair& pair, Joint& joint, real mass) const {
+    real added = joint.motor_impulse(axial_speed(pair), mass);
+    push_along(pair, added);
+    if (joint.drive() == DRIVE_VELOCITY) return;
+    Vec2 answer = held_mass_times(pair, wrong_of_push(pair)) * -added;
+    joint.impulse = joint.impulse + answer;
+    push_across(pair, answer);
+  }
+
+  // Solves K x = v with K the 2 x 2 inverse effective mass across the axis and about it.
+  KFN Vec2 held_mass_times(const Pair& pair, Vec2 v) const {
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    real k11 = pair.inverse_mass_a + pair.inverse_mass_b + ia * across_a * across_a + ib * across_b * across_b;
+    real k12 = ia * across_a + ib * across_b;
+    real k22 = ia + ib > real(0) ? ia + ib : real(1);  // two bodies that cannot turn keep their angle anyway
+    return Symmetric::solve(k11, k12, k22, v);
+  }
+
+  KFN real translation() const { return axis.dot(gap); }
+
+  // `motor_mass`: kg that the motor aims with.
+  KFN void solve(const Bodies& bodies, Pair& pair, Joint& joint, real motor_mass, const Soft& soft, bool use_bias,
+                 bool motors) const {
+    bool driven = motors && joint.is_driven(), motor_last = joint.is_motor_last(use_bias);
+    for (bool last = false;; last = true) {  // the motor in one place for both orders
+      if (driven && last == motor_last) drive(pair, joint, motor_mass);
+      if (last) break;
+      if (joint.is_limited()) solve_limits(pair, joint, soft, use_bias);
+      solve_held(bodies, pair, joint, soft, use_bias);
     }
+  }
+
+  KFN void solve_limits(Pair& pair, Joint& joint, const Soft& soft, bool use_bias) const {
+    real translation = this->translation();
+    real lower = joint.lower_impulse(translation - joint.lower, axial_speed(pair), soft, use_bias, soft.pull_speed);
+    push_along(pair, lower);
+    real upper = joint.upper_impulse(joint.upper - translation, -axial_speed(pair), soft, use_bias, soft.pull_speed);
+    push_along(pair, -upper);
+  }
+
+  KFN void solve_held(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias) const {
     Vec2 wrong = {across_speed(pair), pair.omega_b - pair.omega_a};
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
@@ -70,13 +115,8 @@ struct Slider {
       mass_scale = soft.joint.mass_scale;
       impulse_scale = soft.joint.impulse_scale;
     }
-    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
-    real k11 = pair.inverse_mass_a + pair.inverse_mass_b + ia * across_a * across_a + ib * across_b * across_b;
-    real k12 = ia * across_a + ib * across_b;
-    real k22 = ia + ib > real(0) ? ia + ib : real(1);  // two bodies that cannot turn keep their angle anyway
-    Vec2 impulse = -(Symmetric::solve(k11, k12, k22, wrong) * mass_scale) - joint.impulse * impulse_scale;
+    Vec2 impulse = -(held_mass_times(pair, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
     push_across(pair, impulse);
-    if (motors && joint.is_driven() && motor_last) push_along(pair, joint.motor_impulse(axial_speed(pair)));
   }
 };

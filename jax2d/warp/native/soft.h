@@ -11,14 +11,23 @@ struct Softness {
 // How a sub-step is solved.
 struct Soft {
   Softness contact, fixed, joint;  // fixed: contacts with what cannot move
-  real inverse_h;
+  real h, inverse_h;
   real bend_time;  // s, times a spin squared and an arm: speed that keeps an anchor on its circle
   real push_out_speed, pull_speed, turn_back_speed;  // fastest at which overlaps, gaps of joints and angles are undone
 
   KFN static Soft load(const Column& params) {
     return {Softness::load(params, PARAM_CONTACT_BIAS_RATE), Softness::load(params, PARAM_FIXED_BIAS_RATE),
-            Softness::load(params, PARAM_JOINT_BIAS_RATE), real(1) / params.get(PARAM_H),
+            Softness::load(params, PARAM_JOINT_BIAS_RATE), params.get(PARAM_H), real(1) / params.get(PARAM_H),
             real(0.5) * BEND_SHARE * params.get(PARAM_H),
             params.get(PARAM_PUSH_OUT_SPEED), params.get(PARAM_JOINT_PULL_SPEED), params.get(PARAM_JOINT_TURN_SPEED)};
+  }
+
+  // Of springs (springs.h): stiffness x h^2 / mass of a joint, and how far ahead a spring looks, in sub-steps.
+  KFN real max_q() const {
+    return joint.impulse_scale > real(0) ? joint.mass_scale / joint.impulse_scale * joint.bias_rate * h : FAR_DISTANCE;
+  }
+  KFN real theta(real q) const {
+    real max_theta = joint.impulse_scale > real(0) ? real(1) / (joint.bias_rate * h) : real(0), share = q / max_q();
+    return q + Math::max(max_theta - max_q(), real(0)) * share * share;
   }
 };

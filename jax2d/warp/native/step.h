@@ -14,12 +14,14 @@ struct World {
   Joints joints;
   Thrusters thrusters;
   Bounces bounces;
+  Report report;
   Soft soft;
   unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
   unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
   bool first;       // nothing has been prepared in this call yet
   bool is_last_step;  // in the last step of the call
   int overflow;
+  bool reports;     // contacts of this step are reported
 
   KFN void run(int num_steps, const IntColumn& out) {
     bodies.load(scene, ints, state);
@@ -30,12 +32,15 @@ struct World {
     for (int i = 0; i < NUM_SHAPES * TOUCH_WORDS; ++i) touching_now[i] = touching_ever[i] = 0u;
     for (int step = 0; step < num_steps; ++step) {
       is_last_step = step == num_steps - 1;
+      reports = REPORT_CONTACTS > 0 && is_last_step;
+      if (reports) report.begin_step(out);
       joints.load(bodies, scene, ints, params, impulses);
       if (SOFT_STEP)
         soft_step();
       else
         paper_step();
       joints.store(impulses);
+      if (reports) report.end_step();
     }
     bodies.store(state);
     for (int slot = 0; slot < CAPACITY_SHAPES; ++slot) {
@@ -65,7 +70,7 @@ struct World {
       if (find) {
         bodies.begin_step(first);
         geometry.build(scene, ints, bodies, first);
-        geometry.predict_travel(bodies, left);
+        geometry.predict_travel(bodies, left, h);
         first = false;
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true);
         joints.prepare(bodies, scene, controls, params, h);
@@ -74,6 +79,7 @@ struct World {
           bounces.begin(bodies, gravity, h);
           if (interrupted) bounces.max_energy -= carried_work(h);  // bodies have had these impulses already
         }
+        if (reports) report.begin(contacts);
       }
       if (!interrupted) {
         bodies.apply_gravity(gravity, h);
@@ -82,6 +88,7 @@ struct World {
         bodies.apply_damping(scene, h);
         joints.warm_start(bodies);
         contacts.warm_start(bodies);
+        if (reports) report.warm_start(contacts);
       }
       // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
       // Where a speed limit takes back what stops a body, the rest of it is asked for again.
@@ -149,6 +156,7 @@ struct World {
         carried = carried_work(h);
         bounces.max_energy += carried;
       }
+      if (reports) report.add(contacts, real(1));
       if (!is_last) break;
       if (contacts.may_bounce) bouncing = contacts.begin_bounces(bodies, params, gravity, h);
       finish_contacts();
@@ -158,7 +166,8 @@ struct World {
       joints.store(impulses);
     }
     if (!bouncing) return;
-    bounces.limit(bodies, gravity, h, carried_work(h) - carried);
+    real share = bounces.limit(bodies, gravity, h, carried_work(h) - carried);
+    if (reports) report.add(contacts, share);
     joints.load_impulses(impulses);
   }
 
@@ -170,6 +179,7 @@ struct World {
   // Notes who touched, and keeps the impulses for the contacts found next.
   KFN void finish_contacts() {
     record_touches();
+    if (reports) report.place(bodies, contacts);
     contacts.store(keys, impulses);
     overflow += contacts.overflow;
   }
@@ -188,6 +198,8 @@ struct World {
     paper.apply_motors(bodies, scene, controls, params);
     thrusters.apply(bodies, dt);
     contacts.warm_start(bodies);
+    if (reports) report.begin(contacts);
+    if (reports) report.warm_start(contacts);
     paper.warm_start(bodies);
     real correction_rate = params.get(PARAM_COLLISION_CORRECTION) / dt, slop = params.get(PARAM_SLOP);
     for (int iteration = 0; iteration < iterations; ++iteration) {
@@ -195,6 +207,7 @@ struct World {
       contacts.solve_hard(bodies, correction_rate, slop);
     }
     bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
+    if (reports) report.add(contacts, real(1));
     finish_contacts();
     bodies.end_step();
   }

@@ -67,6 +67,16 @@ struct Math {
   }
 };
 
+struct Angle {
+  // The same direction within half a turn of another angle. As it is where it is so already.
+  KFN static real near(real angle, real middle) {
+    real away = angle - middle;
+    if (!(Math::abs(away) > HALF_TURN)) return angle;
+    real turns = rintf(away / (TURN_HIGH + TURN_LOW));
+    return (angle - turns * TURN_HIGH) - turns * TURN_LOW;
+  }
+};
+
 // Solves K x = v with K a symmetric 2 x 2 matrix; zero where it is singular.
 struct Symmetric {
   static KFN Vec2 solve(real k11, real k12, real k22, Vec2 v) {

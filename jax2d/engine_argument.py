@@ -66,6 +66,8 @@ class VariantEngine:
         """`engine` was built with this name of a backend, and for all effects; ValueError if for some of them."""
         if engine.effects != Effects.full(engine.capacity).known_to(engine.settings.solver):
             raise ValueError("the engine was compiled for some effects alone; use FixedEngine")
+        if engine.report_contacts:
+            raise ValueError("the engine reports contacts; use FixedEngine")
         variant = Variant(
             capacity=engine.capacity,
             backend=backend,

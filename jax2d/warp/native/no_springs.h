@@ -1,0 +1,12 @@
+// In the place of springs.h in kernels without springs: nothing, of which nothing is kept.
+
+struct Springs {
+  KFN void load(const Bodies&, const Column&, const IntColumn&, const Column&, const Column&) {}
+  KFN void load_impulses(const Column&) {}
+  KFN void store(const Column&) const {}
+  KFN void prepare(const Bodies&) {}
+  KFN void warm_start(Bodies&) {}
+  KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}
+  KFN real kinematic_work(const Bodies&) const { return real(0); }
+  KFN real work(const Bodies&) const { return real(0); }
+};

@@ -1,0 +1,54 @@
+"""Constraints of two bodies as rows of a Jacobian, which joints and springs share."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.solver_numbers import Scalar
+from jax2d.xla import vec2
+from jax2d.xla.bodies import Bodies, Pair, PairVelocities, pair_velocities, pick
+
+
+class Jacobian(NamedTuple):
+    """One row of each joint: speed = direction . (v_b - v_a) + lever_b omega_b - lever_a omega_a."""
+
+    direction: jax.Array  # [..., 2], zero for an angle
+    lever_a: jax.Array  # [...] m, 1 for an angle
+    lever_b: jax.Array
+
+
+def speed_along(row: Jacobian, of: PairVelocities) -> jax.Array:
+    angular = row.lever_b * of.omega_b - row.lever_a * of.omega_a
+    return vec2.dot(row.direction, of.velocity_b - of.velocity_a) + angular
+
+
+def push(of: PairVelocities, pair: Pair, row: Jacobian, impulse: jax.Array) -> PairVelocities:
+    """Velocities after an impulse [...] on b, and its opposite on a."""
+    linear = row.direction * impulse[..., None]
+    return PairVelocities(
+        velocity_a=of.velocity_a - linear * pair.mass_a[..., None],
+        velocity_b=of.velocity_b + linear * pair.mass_b[..., None],
+        omega_a=of.omega_a - pair.inertia_a * row.lever_a * impulse,
+        omega_b=of.omega_b + pair.inertia_b * row.lever_b * impulse,
+    )
+
+
+def inverse_mass(pair: Pair, row: Jacobian, other: Jacobian) -> jax.Array:
+    """What an impulse along one row does to the speed along another."""
+    linear = vec2.dot(row.direction, other.direction) * (pair.mass_a + pair.mass_b)
+    return linear + pair.inertia_a * row.lever_a * other.lever_a + pair.inertia_b * row.lever_b * other.lever_b
+
+
+def work_of_kinematic(
+    bodies: Bodies, pair: Pair, on_b: jax.Array, angular_a: jax.Array, angular_b: jax.Array
+) -> Scalar:
+    """J, what kinematic bodies have done with impulses `on_b` [k, 2] N s, their opposite on a, and what these are about
+    both centres of mass, [k] N m s."""
+    of = pair_velocities(pair, bodies.velocities)
+    by_a = vec2.dot(on_b, of.velocity_a) + angular_a * of.omega_a
+    by_b = vec2.dot(on_b, of.velocity_b) + angular_b * of.omega_b
+    is_a, is_b = (pick(body, bodies.is_kinematic.astype(on_b.dtype)) > 0 for body in (pair.is_a, pair.is_b))
+    return jnp.sum(jnp.where(is_a, by_a, 0) - jnp.where(is_b, by_b, 0))
