@@ -75,6 +75,16 @@ def backend_of(options: dict[str, Any]) -> Any:
     return partial(WarpBackend, options=CompileOptions(**options))
 
 
+def effects_of_levels(capacity: Any) -> dict[str, Any]:
+    """The engine that levels are stepped with, of revisions that have what levels never call for."""
+    try:
+        from jax2d import effects
+    except ImportError:  # before there were any
+        return {}
+    beyond = [name for name in ("kinematic_bodies", "brakes_and_servos", "springs") if name in effects.EFFECTS]
+    return {"effects": effects.Effects.full(capacity).without(*beyond)} if beyond else {}
+
+
 class Bench:
     """Worlds, and the compiled program that steps them."""
 
@@ -83,9 +93,8 @@ class Bench:
 
         options = json.loads(sys.argv[1]) if len(sys.argv) > 1 else {}
         settings = jax2d.preset(preset)
-        engine = jax2d.Engine(
-            jax2d.Capacity(**known_to(jax2d.Capacity, capacity)), settings=settings, backend=backend_of(options)
-        )
+        room = jax2d.Capacity(**known_to(jax2d.Capacity, capacity))
+        engine = jax2d.Engine(room, settings=settings, backend=backend_of(options), **effects_of_levels(room))
         with np.load(worlds) as file:
             fields = dict(file)
         starts = [fields.pop(name) for name in STARTS]

@@ -39,6 +39,7 @@ from kinetix_dist.benchmarks.published_engine import PublishedProcess
 from kinetix_dist.benchmarks.random_play import EPISODE_STEPS, random_play, take_worlds
 from kinetix_dist.benchmarks.results import Record, Results
 from kinetix_dist.errors import one_line
+from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import SIZES, Level
 
 # Over the range from bound by latency to bound by arithmetic. A core steps about as fast with 64 worlds as with more.
@@ -153,7 +154,9 @@ class OurEngine:
     """Our engine with packed worlds and the compiled program that steps them."""
 
     def __init__(self, options: Options, size: str, levels: Level, worlds: int, preset_name: str) -> None:
-        engine = Engine(SIZES[size], settings=preset(preset_name), backend=options.backend)
+        capacity, settings = SIZES[size], preset(preset_name)
+        effects = level_effects(capacity, settings)
+        engine = Engine(capacity, settings=settings, backend=options.backend, effects=effects)
         state = engine.initial_state(
             levels.scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity
         )

@@ -35,6 +35,7 @@ from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
 from kinetix_dist.env.stepper import GroupedStepper, Stepper
+from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import Level
 
 
@@ -66,7 +67,8 @@ class Environment:
         self.observation: Observation = OBSERVATIONS[self.config.observation]
         self.action_space: ActionSpace = ACTION_SPACES[self.config.action_space]
         settings = self.config.physics
-        self.engine = engine if engine is not None else Engine(capacity, settings=settings)
+        effects = level_effects(capacity, settings)
+        self.engine = engine if engine is not None else Engine(capacity, settings=settings, effects=effects)
         self.stepper: Stepper | GroupedStepper = Stepper(self.engine)
         if groups:
             if variants[-1] != Effects.full(capacity):
@@ -94,7 +96,7 @@ class Environment:
         for effects the engine was made without; inside jit `StepInfo.missing_effects` says so.
         """
         self._check_levels(levels)
-        if self.engine.effects != Effects.full(self.capacity):
+        if not self.engine.effects.covers(level_effects(self.capacity, self.engine.settings)):
             self.engine.pack_scene(levels.scene)  # names what is missing, if anything is
         return self._jit_prepare(levels)
 

@@ -17,6 +17,7 @@ import numpy as np
 from jax2d.engine import Engine
 from jax2d.scene import Array, Controls, Touching, touch_matrix
 from jax2d.settings import Settings, preset
+from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.roles import Role
@@ -64,7 +65,8 @@ def is_solved_without_actions(
 
 @functools.partial(jax.jit, static_argnames=("settings", "num_steps"))
 def _noop_solved(levels: Level, settings: Settings, num_steps: int) -> Array:
-    engine = Engine(capacity_of(levels), settings=settings)
+    capacity = capacity_of(levels)
+    engine = Engine(capacity, settings=settings, effects=level_effects(capacity, settings))
 
     def pack(levels: Level) -> tuple[Any, Any]:
         state = engine.initial_state(
