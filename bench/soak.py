@@ -87,7 +87,11 @@ class Soak:
         def one(world: Array) -> Level:
             return generate_level(jax.random.fold_in(key, world), self.engine.capacity, config)
 
-        return jax.lax.map(one, worlds, batch_size=min(DRAW_CHUNK, worlds.shape[0]))
+        # In chunks by hand: jax.lax.map with a batch size takes no fields without elements.
+        count, chunk = worlds.shape[0], min(DRAW_CHUNK, worlds.shape[0])
+        chunks = jnp.pad(worlds, (0, -count % chunk), mode="edge").reshape(-1, chunk)
+        levels = jax.lax.map(jax.vmap(one), chunks)
+        return jax.tree.map(lambda x: x.reshape(chunks.size, *x.shape[2:])[:count], levels)
 
     def _play(self, episode: Array, worlds: Array, levels: Level) -> Episode:
         """One episode; worlds [W] names whose actions are drawn."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jax2d import JointKind
+from jax2d import JointDrive, JointKind
 from jax2d.effects import EFFECTS, EXTENDED, effects_of
 from kinetix_dist.benchmarks import engine_growth
 from kinetix_dist.benchmarks.effect_cases import without
@@ -21,7 +21,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.level.sets import load_level_set
 from tests.helpers import REPOSITORY
 
-EFFECTS_OF_LEVELS = [name for name in EFFECTS if name not in EXTENDED]
+EFFECTS_OF_LEVELS = [name for name in EFFECTS if name not in ("springs", *EXTENDED)]  # levels have no room for those
 FIELDS = {"engine", "backend", "preset", "size", "worlds", "device", "physics_steps_per_second"}
 
 
@@ -78,13 +78,15 @@ def test_levels_edited_to_do_without_an_effect_do_not_call_for_it(effect: str) -
     a_motor = tuple(np.argwhere(scene.joints.motor_on & scene.joints.has_limits)[0])
     kinds = np.array(scene.joints.kind)
     kinds[a_motor] = JointKind.PRISMATIC  # with motor and limits: no designed level has a slider
+    drives = np.where(scene.joints.motor_on, JointDrive.BRAKE, scene.joints.drive).astype(np.int32)
     scene = scene.replace(
         shapes={"can_touch": everything_meets, "restitution": bounces, "kinematic": scene.shapes.inverse_mass == 0},
-        joints={"kind": kinds},
+        joints={"kind": kinds, "drive": drives},
     )
     before, after = effects_of(scene), effects_of(without(scene, effect))
-    # All that may touch calls for continuous collision.
+    # All that may touch calls for continuous collision; brakes are motors.
     gone = set() if effect == "continuous_collision" else {effect}
+    gone |= {"brakes_and_servos"} if effect == "motors" else set()
     assert all(getattr(before, name) for name in EFFECTS_OF_LEVELS)
     assert {name for name in EFFECTS_OF_LEVELS if not getattr(after, name)} == gone
 

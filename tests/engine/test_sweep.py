@@ -129,7 +129,7 @@ def motion(preset_name: str, *, sweeps: bool) -> dict[str, np.ndarray]:
         return jax.lax.scan(body, engine.pack_state(state), length=STEPS)[1]
 
     state, touching = jax.device_get(simulate(scene, state))
-    return {**vars(state), **vars(touching)}
+    return {name: x for name, x in (vars(state) | vars(touching)).items() if x is not None}
 
 
 @pytest.mark.parametrize("preset_name", ["standard", "paper"])
