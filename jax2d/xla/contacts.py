@@ -101,7 +101,9 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
     approach = vec2.dot(points.normal, velocity)
     pair_key = key >> C.feature_bits
     is_second = points.exists & (pair_key == jnp.roll(pair_key, 1)) & (jnp.arange(len(key)) > 0) & rules.is_soft
-    is_blow = (approach < -C.blow_speed) & (impulse[:, 0] == 0) & points.exists & rules.is_soft
+    # Discs have no corners to turn about: theirs are handed on (`blow_passes`) or left to the next sub-step.
+    has_blows = points.exists & rules.is_soft & ((rules.blow_passes > 0) | (b < context.capacity.polygons))
+    is_blow = (approach < -C.blow_speed) & (impulse[:, 0] == 0) & has_blows
     is_blow |= (is_second & jnp.roll(is_blow, 1)) | jnp.roll(is_second & is_blow, -1)  # both points or none
     if rules.is_soft:
         hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)

@@ -195,5 +195,5 @@ def test_no_state_moves_faster_than_the_limits_and_each_time_they_act_is_counted
         counted += int(touching.limited)
         fastest = max(fastest, abs(float(state.angular_velocity[rod])))
     assert counted > 0
-    assert fastest == pytest.approx(50.0)
+    assert 45 < fastest <= 50.0 * (1 + 1e-6)
     assert np.linalg.norm(state.velocity, axis=-1).max() <= 100.0 * (1 + 1e-6)

@@ -107,7 +107,8 @@ struct Contacts {
           }
         }
         c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
-        c.is_blow = SOFT_STEP && c.approach < -BLOW_SPEED && c.impulse_normal == real(0);
+        // Discs have no corners to turn about: theirs are handed on (SHARES_BLOWS) or left to the next sub-step.
+        c.is_blow = SOFT_STEP && c.approach < -BLOW_SPEED && c.impulse_normal == real(0) && (SHARES_BLOWS || b < NUM_POLYGONS);
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
         if (c.is_second) c.is_blow = list[count - 2].is_blow = c.is_blow || list[count - 2].is_blow;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
