@@ -56,9 +56,9 @@ class Settings:
     contact_hertz: float = 45.0  # stiffness, at most contact_hertz_share / h; at 30 a column of 15 boxes buckles
     contact_hertz_share: float = 0.1875
     contact_damping_ratio: float = 10.0
-    joint_hertz: float = 90.0
-    joint_hertz_share: float = 0.375
-    joint_damping_ratio: float = 6.0  # at 2 stretched chains and welded beams ring for seconds
+    joint_hertz: float = 88.0
+    joint_hertz_share: float = 0.367
+    joint_damping_ratio: float = 10.0  # at 2 stretched chains and welded beams ring for seconds
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
     joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed
     joint_turn_speed: float = 4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld
