@@ -124,7 +124,7 @@ class Constants:
         "slows down a servo before its position; the rest is for loads",
         "1: it overshoots with any load",
     )
-    # Bounces
+    # Joints
     joint_passes: int = _constant(
         2,
         "a pass with bias",
@@ -137,6 +137,7 @@ class Constants:
         "what anchors leave their circles by is foreseen to this share",
         "1: chains gain energy; 0: a pendulum loses a tenth of its energy a minute",
     )
+    # Bounces
     joint_passes_of_bounce: int = _constant(2, "a round", "along a chain a bounce goes joint by joint")
     bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")
     min_kept_share: float = _constant(

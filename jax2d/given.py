@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jax2d.shapes import polygon_integrals
+from jax2d.xla.vec2 import cross
 
 Point = Sequence[float]
 SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
@@ -84,7 +85,7 @@ def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
         if length <= 1e-6 * max(lengths.max(), 1e-30):
             raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
     area, _, _ = polygon_integrals(corners)
-    turns = _cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
+    turns = cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))
     if abs(area) < SMALLEST_AREA_M2:
         raise SceneError(f"the polygon has an area of {area:g} m^2; it needs at least {SMALLEST_AREA_M2:g}")
     if area < 0 and (turns <= 1e-9).all():
@@ -102,7 +103,3 @@ def _winding(edges: np.ndarray) -> int:
     headings = np.arctan2(edges[:, 1], edges[:, 0])
     turns = (np.diff(np.append(headings, headings[0])) + math.pi) % (2 * math.pi) - math.pi
     return round(float(turns.sum()) / (2 * math.pi))
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -15,6 +15,7 @@ import numpy as np
 
 from jax2d.fields import Field, field_of, fields_of
 from jax2d.scene import JointDrive, JointKind, Scene
+from jax2d.xla.vec2 import cross
 
 # Of a polygon's extent: what vertices may be off by, from rounding and from the public levels' own centres of mass.
 OFF_CENTRE = 1e-3
@@ -112,10 +113,6 @@ def _polygons(shape_active: np.ndarray, num_vertices: np.ndarray) -> np.ndarray:
     return shape_active[..., : num_vertices.shape[-1]]
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
 def _convex(vertices: np.ndarray, num_vertices: np.ndarray, shape_active: np.ndarray) -> np.ndarray:
     return _of_each(_is_convex, vertices, num_vertices, _polygons(shape_active, num_vertices))
 
@@ -148,7 +145,7 @@ def _is_convex(corner: np.ndarray) -> np.ndarray:
     """Left turns only, of one full turn in all, around some area."""
     edge = np.roll(corner, -1, 1) - corner
     next_edge = np.roll(edge, -1, 1)
-    turn = _cross(edge, next_edge)
+    turn = cross(edge, next_edge)
     length = np.abs(edge).sum(-1)
     rounding = ROUNDING * length.sum(-1, keepdims=True) * (length + np.roll(length, -1, 1))
     convex = (turn >= -rounding).all(-1) & (_twice_area(corner) > 0) & (length > 0).all(-1)
@@ -159,9 +156,11 @@ def _is_convex(corner: np.ndarray) -> np.ndarray:
 
 def _is_centred(corner: np.ndarray) -> np.ndarray:
     local = corner - corner[:, :1]
-    cross = _cross(local, np.roll(local, -1, 1))
-    twice_area = cross.sum(-1)
-    centre = corner[:, 0] + (cross[..., None] * (local + np.roll(local, -1, 1))).sum(1) / (3 * twice_area[:, None])
+    twice_areas = cross(local, np.roll(local, -1, 1))  # of the triangles from the first corner
+    twice_area = twice_areas.sum(-1)
+    centre = corner[:, 0] + (twice_areas[..., None] * (local + np.roll(local, -1, 1))).sum(1) / (
+        3 * twice_area[:, None]
+    )
     extent = np.abs(local).max((1, 2))
     # A sliver's centre of mass moves along it when its vertices are rounded.
     return np.abs(centre).max(-1) <= extent * (OFF_CENTRE + ROUNDING * extent**2 / twice_area)
@@ -169,7 +168,7 @@ def _is_centred(corner: np.ndarray) -> np.ndarray:
 
 def _twice_area(corner: np.ndarray) -> np.ndarray:
     local = corner - corner[:, :1]
-    return _cross(local, np.roll(local, -1, 1)).sum(-1)
+    return cross(local, np.roll(local, -1, 1)).sum(-1)
 
 
 SCENE_RULES = (

@@ -14,6 +14,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from jax2d.xla.vec2 import cross
+
 ROOT_SHARE = 0.5  # of the thickness, or of the neighbour's length: how far tiles reach over their joints
 LARGEST_TURN = math.radians(80)  # at a joint: a face and what of its neighbour's it reaches over make no corner beyond
 
@@ -23,7 +25,7 @@ def tiles(points: np.ndarray, thickness: float) -> Iterator[np.ndarray]:
     steps = np.diff(points, axis=0)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
     along = steps / lengths[:, None]
-    is_valley = _cross(along[:-1], along[1:]) >= 0
+    is_valley = cross(along[:-1], along[1:]) >= 0
     for i, direction in enumerate(along):
         top = [points[i], points[i + 1]]
         if i > 0:
@@ -45,7 +47,7 @@ def wrong_with(points: np.ndarray, thickness: float) -> str | None:
     if (lengths <= 1e-6 * lengths.max()).any():
         i = int(np.argmin(lengths))
         return f"points {i} and {i + 1} of the terrain are the same; drop one of them"
-    turns = np.arctan2(_cross(steps[:-1], steps[1:]), (steps[:-1] * steps[1:]).sum(-1))
+    turns = np.arctan2(cross(steps[:-1], steps[1:]), (steps[:-1] * steps[1:]).sum(-1))
     if (np.abs(turns) > LARGEST_TURN).any():
         i = int(np.argmax(np.abs(turns))) + 1
         return (
@@ -70,7 +72,7 @@ def _segments_cross(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> b
     """Touching counts."""
 
     def sides(line: Sequence[np.ndarray], points: Sequence[np.ndarray]) -> list[float]:
-        return [float(_cross(line[1] - line[0], point - line[0])) for point in points]
+        return [float(cross(line[1] - line[0], point - line[0])) for point in points]
 
     (a, b), (c, d) = sides(one, other), sides(other, one)
     if a == b == 0:  # on one line
@@ -78,7 +80,3 @@ def _segments_cross(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> b
         spans = [sorted((line[0][axis], line[1][axis])) for line in (one, other)]
         return spans[0][0] <= spans[1][1] and spans[1][0] <= spans[0][1]
     return a * b <= 0 and c * d <= 0
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -19,7 +19,7 @@ from jax2d.xla import joints as joints_of
 from jax2d.xla import vec2
 from jax2d.xla.active_set import ActiveSet
 from jax2d.xla.bodies import Bodies, Velocities, pair_velocities, scatter_velocities
-from jax2d.xla.branching import in_any_world
+from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contact_solver import (
     Row,
     current_separation,
@@ -88,7 +88,7 @@ def bounce(
                 now.friction_applied | with_friction,
                 now.friction_applied & converged,
             )
-            return jax.tree.map(lambda x, y: jnp.where(now.done, x, y), now, after), None
+            return choose(now.done, now, after), None
 
         leaving = BounceTargets(
             leaving_speed, rows_now(bodies, contacts, -0.5 * params.h).mass_normal, contacts.approach
@@ -180,7 +180,7 @@ def solve_bounces(
         friction_applied, tangent_total = solve_friction(pushed, c, normal_total)
         friction_applied, rolling_total = solve_rolling(friction_applied, c, normal_total)
         has_friction = with_friction | ~bounces
-        of = jax.tree.map(lambda x, y: jnp.where(has_friction, x, y), friction_applied, pushed)
+        of = choose(has_friction, friction_applied, pushed)
         tangent_total = jnp.where(has_friction, tangent_total, c.impulse_tangent)
         if rolling_total is not None:
             rolling_total = jnp.where(has_friction, rolling_total, c.rolling_impulse)

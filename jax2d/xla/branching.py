@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+
+
+def choose(condition: jax.Array, this: Any, other: Any) -> Any:
+    """Of two trees of the same structure, `this` where the condition holds; it broadcasts against every leaf."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
 
 
 @jax.custom_batching.custom_vmap

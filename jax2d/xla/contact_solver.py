@@ -24,7 +24,7 @@ from jax2d.xla.bodies import (
     relative_velocity,
     scatter_velocities,
 )
-from jax2d.xla.branching import in_any_world
+from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contacts import Contacts
 
 
@@ -108,7 +108,7 @@ def turned_arms(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Arra
 
 
 def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
-    """What a turn adds to an arm. 1 - cos is written so that it keeps its digits for small solve_order."""
+    """What a turn adds to an arm. 1 - cos is written so that it keeps its digits for small turns."""
     one_minus_cos = 2 * jnp.square(jnp.sin(0.5 * turn))
     return vec2.left(arm) * jnp.sin(turn)[:, None] - arm * one_minus_cos[:, None]
 
@@ -148,11 +148,11 @@ def solve_soft(
         own = solve_blow(before, Blow(c, bias, jnp.zeros_like(bias)))
         agreed, first, own = solve_both_points(own[0], first, own[1], is_second & is_blow & included)
         blow = (agreed, own.contact.impulse_normal, own.contact.impulse_tangent)
-        of, normal_total, tangent_total = _choose(is_blow, blow, (of, normal_total, tangent_total))
+        of, normal_total, tangent_total = choose(is_blow, blow, (of, normal_total, tangent_total))
         if not use_bias:
             of, rolling_total = solve_rolling(of, c, normal_total)
         totals = (normal_total, tangent_total, rolling_total)
-        of, totals = _choose(included, (of, totals), (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse)))
+        of, totals = choose(included, (of, totals), (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse)))
         velocities = scatter_velocities(velocities, c.pair, before, of)
         of_first = (first.contact.impulse_normal, first.contact.impulse_tangent)
         return (velocities, own), (*totals, *of_first, included & is_blow & (own.change > large))
@@ -193,17 +193,13 @@ def solve_both_points(
         unsettled = are_both & (jnp.maximum(first.change, second.change) > C.settled_speed)
         after, first_after = solve_blow(of, first)
         after, second_after = solve_blow(after, second)
-        return _choose(unsettled, (after, first_after, second_after), now), None
+        return choose(unsettled, (after, first_after, second_after), now), None
 
     def rounds() -> tuple:
         return jax.lax.scan(one_round, (of, first, second), length=C.point_rounds)[0]
 
     worst = jnp.maximum(first.change, second.change)
     return jax.lax.cond(in_any_world(are_both & (worst > C.settled_speed)), rounds, lambda: (of, first, second))
-
-
-def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
 
 
 def solve_blow(of: PairVelocities, blow: Blow) -> tuple[PairVelocities, Blow]:

@@ -64,12 +64,12 @@ class ContactCache(NamedTuple):
     rolling: jax.Array | None = None  # [K] N m s, of extended shapes
 
 
-def cache_of(contacts: Contacts, passes: jax.Array | bool = False) -> ContactCache:
+def cache_of(contacts: Contacts, transient: jax.Array | bool = False) -> ContactCache:
     """Impulses for warm starting, none of what does not last, [K]."""
     impulse = jnp.stack([contacts.impulse_normal, contacts.impulse_tangent], -1)
     rolling = contacts.rolling_impulse
-    rolling = None if rolling is None else jnp.where(passes, 0, rolling)
-    return ContactCache(contacts.key, jnp.where(jnp.asarray(passes)[..., None], 0, impulse), rolling)
+    rolling = None if rolling is None else jnp.where(transient, 0, rolling)
+    return ContactCache(contacts.key, jnp.where(jnp.asarray(transient)[..., None], 0, impulse), rolling)
 
 
 class Context(NamedTuple):

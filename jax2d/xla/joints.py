@@ -32,8 +32,9 @@ from jax2d.xla.bodies import (
     pick,
     scatter_velocities,
 )
+from jax2d.xla.branching import choose
 from jax2d.xla.drives import Servo, servo_of, speed_towards
-from jax2d.xla.rows import Jacobian, inverse_mass, push, speed_along, work_of_kinematic
+from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
 from jax2d.xla.springs import SpringImpulses, Springs
 
 
@@ -174,22 +175,8 @@ def store(joints: Joints, state: State) -> jax.Array:
     return jnp.where(joints.is_held[:, None], solved, state.joint_impulse)
 
 
-def arms(bodies: Bodies, joints: Joints) -> tuple[jax.Array, jax.Array]:
-    """From the centres of mass to the anchors as the bodies stand now, [J, 2] m."""
-    pair = joints.pair
-    arm_a = vec2.rotated(vec2.rotated(joints.local_a, joints.angle_a), pick(pair.is_a, bodies.turn))
-    arm_b = vec2.rotated(vec2.rotated(joints.local_b, joints.angle_b), pick(pair.is_b, bodies.turn))
-    return arm_a, arm_b
-
-
 def current_angle(bodies: Bodies, joints: Joints) -> jax.Array:
     return joints.start_angle + pick(joints.pair.is_b, bodies.turn) - pick(joints.pair.is_a, bodies.turn)
-
-
-def current_gap(bodies: Bodies, joints: Joints, arm_a: jax.Array, arm_b: jax.Array) -> jax.Array:
-    """Anchor of b from anchor of a, [J, 2] m."""
-    moved = pick(joints.pair.is_b, bodies.delta) - pick(joints.pair.is_a, bodies.delta)
-    return joints.centre_gap + moved + (arm_b - arm_a)
 
 
 class Constraints(NamedTuple):
@@ -326,7 +313,7 @@ def solve_soft(
         if not use_bias:
             last = row._replace(is_driven=row.is_driven & motor_last, is_fixed=jnp.zeros_like(row.is_fixed))
             of, impulses = solve_motor_or_angle(of, last, impulses, soft)
-        of, impulses = jax.tree.map(lambda x, y: jnp.where(included, x, y), (of, impulses), (before, unsolved))
+        of, impulses = choose(included, (of, impulses), (before, unsolved))
         return scatter_velocities(velocities, row.pair, before, of), (impulses, active.moves(before, of))
 
     included = active.includes(joints.pair)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jax2d.constants import CONSTANTS as C
 from jax2d.solver_numbers import Scalar
 from jax2d.xla import impact_plane, published, vec2
+from jax2d.xla.branching import choose
 from jax2d.xla.geometry import Polygons
 from jax2d.xla.manifolds import Points
 from jax2d.xla.rules import Rules
@@ -47,7 +48,7 @@ class Faces(NamedTuple):
 
     def choose(self, of_b: T, of_a: T) -> T:
         """`of_b` where the reference face is b's."""
-        return jax.tree.map(lambda x, y: jnp.where(self.flipped, x, y), of_b, of_a)
+        return choose(self.flipped, of_b, of_a)
 
     @property
     def base_feature(self) -> jax.Array:
@@ -197,7 +198,7 @@ def find_faces(
     onward = motion * impact_seconds
 
     def choose(of_b, of_a):
-        return jax.tree.map(lambda x, y: jnp.where(flipped, x, y), of_b, of_a)
+        return choose(flipped, of_b, of_a)
 
     ref, inc = choose(b, a), choose(a, b)
     ref_at, inc_at = choose(d, zero), choose(zero, d) + onward

@@ -11,6 +11,7 @@ import numpy as np
 
 from jax2d.scene import Capacity, Scene
 from jax2d.xla.bodies import Velocities
+from jax2d.xla.branching import choose
 from jax2d.xla.pairs import PairList, pair_list
 from jax2d.xla.published import is_fixed_pair
 from jax2d.xla.rules import Rules
@@ -123,7 +124,7 @@ def in_turn(
         due = pair._replace(is_a=pair.is_a & is_due[:, None], is_b=pair.is_b & is_due[:, None])
         row = rows._replace(pair=due, impulse_normal=normal, impulse_tangent=tangent)
         velocities, totals = solve(velocities, (row, wanted))
-        return (velocities, jax.tree.map(lambda x, y: jnp.where(is_due, x, y), totals, (normal, tangent))), None
+        return (velocities, choose(is_due, totals, (normal, tangent))), None
 
     batches = jnp.arange(num_batches)
     start = (velocities, (rows.impulse_normal, rows.impulse_tangent))

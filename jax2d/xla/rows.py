@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,36 @@ def inverse_mass(pair: Pair, row: Jacobian, other: Jacobian) -> jax.Array:
     """What an impulse along one row does to the speed along another."""
     linear = vec2.dot(row.direction, other.direction) * (pair.mass_a + pair.mass_b)
     return linear + pair.inertia_a * row.lever_a * other.lever_a + pair.inertia_b * row.lever_b * other.lever_b
+
+
+class Anchored(Protocol):
+    """What two bodies are held or pulled by, [k] of them."""
+
+    @property
+    def pair(self) -> Pair: ...
+    @property
+    def local_a(self) -> jax.Array: ...  # [k, 2] m, anchors in the bodies' frames
+    @property
+    def local_b(self) -> jax.Array: ...
+    @property
+    def angle_a(self) -> jax.Array: ...  # [k] rad, of the bodies at the start of the step
+    @property
+    def angle_b(self) -> jax.Array: ...
+    @property
+    def centre_gap(self) -> jax.Array: ...  # [k, 2] m, centre of b from centre of a at the start of the step
+
+
+def arms(bodies: Bodies, of: Anchored) -> tuple[jax.Array, jax.Array]:
+    """From the centres of mass to the anchors as the bodies stand now, [k, 2] m."""
+    arm_a = vec2.rotated(vec2.rotated(of.local_a, of.angle_a), pick(of.pair.is_a, bodies.turn))
+    arm_b = vec2.rotated(vec2.rotated(of.local_b, of.angle_b), pick(of.pair.is_b, bodies.turn))
+    return arm_a, arm_b
+
+
+def current_gap(bodies: Bodies, of: Anchored, arm_a: jax.Array, arm_b: jax.Array) -> jax.Array:
+    """Anchor of b from anchor of a, [k, 2] m."""
+    moved = pick(of.pair.is_b, bodies.delta) - pick(of.pair.is_a, bodies.delta)
+    return of.centre_gap + moved + (arm_b - arm_a)
 
 
 def work_of_kinematic(

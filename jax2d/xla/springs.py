@@ -20,8 +20,9 @@ from jax2d.scene import Scene, State
 from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.active_set import ActiveSet, marked
-from jax2d.xla.bodies import Bodies, Pair, Velocities, pair_up, pair_velocities, pick, scatter_velocities
-from jax2d.xla.rows import Jacobian, inverse_mass, push, speed_along, work_of_kinematic
+from jax2d.xla.bodies import Bodies, Pair, Velocities, pair_up, pair_velocities, scatter_velocities
+from jax2d.xla.branching import choose
+from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
 
 
 class SpringImpulses(NamedTuple):
@@ -88,11 +89,8 @@ def store(springs: Springs, state: State) -> jax.Array:
 
 def line(bodies: Bodies, springs: Springs) -> tuple[Jacobian, jax.Array]:
     """(rows [S] along the lines, lengths [S] m) as the bodies stand now."""
-    pair = springs.pair
-    arm_a = vec2.rotated(vec2.rotated(springs.local_a, springs.angle_a), pick(pair.is_a, bodies.turn))
-    arm_b = vec2.rotated(vec2.rotated(springs.local_b, springs.angle_b), pick(pair.is_b, bodies.turn))
-    moved = pick(pair.is_b, bodies.delta) - pick(pair.is_a, bodies.delta)
-    gap = springs.centre_gap + moved + (arm_b - arm_a)
+    arm_a, arm_b = arms(bodies, springs)
+    gap = current_gap(bodies, springs, arm_a, arm_b)
     length = vec2.length(gap)
     # Anchors in one place are pushed apart upwards, as circles in one place are.
     apart = (length > C.coincident_distance)[:, None]
@@ -168,7 +166,7 @@ def solve(
         longest = limit(row.longest_room, -speed_along(row.line, of), impulses.longest, row.has_longest)
         of = push(of, row.pair, row.line, impulses.longest - longest)
         solved = SpringImpulses(force, shortest, longest)
-        of, solved = jax.tree.map(lambda x, y: jnp.where(included, x, y), (of, solved), (before, impulses))
+        of, solved = choose(included, (of, solved), (before, impulses))
         return scatter_velocities(velocities, row.pair, before, of), (solved, active.moves(before, of))
 
     included = active.includes(springs.pair)

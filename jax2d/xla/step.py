@@ -17,7 +17,7 @@ from jax2d.xla import joints as joints_of
 from jax2d.xla import springs as springs_of
 from jax2d.xla.active_set import ActiveSet
 from jax2d.xla.bodies import Bodies
-from jax2d.xla.branching import in_any_world
+from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contacts import ContactCache, Contacts
 from jax2d.xla.joints import Joints
 from jax2d.xla.prediction import outruns_contacts
@@ -111,14 +111,14 @@ def soft_step(
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
         # Of a sub-step that was stopped, bodies have had the impulses already.
         found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
-        bodies, contacts, joints, max_energy = _choose(
+        bodies, contacts, joints, max_energy = choose(
             is_found,
             (found, found_contacts, found_joints, found_energy),
             (bodies, contacts, joints, max_energy),
         )
         if tally is not None:
-            tally = _choose(is_found, reports.begin(tally, contacts), tally)
-            tally = _choose(interrupted, tally, reports.warm_start(tally))
+            tally = choose(is_found, reports.begin(tally, contacts), tally)
+            tally = choose(interrupted, tally, reports.warm_start(tally))
         every_substep = jnp.where((substep == 0) & ~interrupted, contacts.each_substep, every_substep)
 
         driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
@@ -127,14 +127,14 @@ def soft_step(
         driven = bodies_of.apply_damping(driven, scene, h)
         driven = joints_of.warm_start(driven, joints)
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
-        bodies, contacts = _choose(interrupted, (bodies, contacts), (driven, warm_contacts))
+        bodies, contacts = choose(interrupted, (bodies, contacts), (driven, warm_contacts))
         bodies, joints, contacts = _solve_passes(bodies, joints, contacts, params, rules, use_bias=True)
         # Where a body would now go farther than was predicted, contacts are found again before anything moves.
         can_touch, reach = scene.shapes.can_touch, params.speculative_distance
         outruns = outruns_contacts(bodies, contacts.predicted, contacts.pair, can_touch, reach, left)
         interrupted = outruns & (interruptions < C.max_interruptions)
         moved = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed)
-        bodies = _choose(interrupted, bodies, moved)
+        bodies = choose(interrupted, bodies, moved)
         substep = jnp.where(interrupted, substep, substep + 1)
         interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
         bodies, joints, contacts = _solve_passes(bodies, joints, contacts, params, rules, use_bias=False)
@@ -153,11 +153,11 @@ def soft_step(
             tally = reports.add_impulse(tally, contacts, jnp.where(is_end, bounce_impulses, 0))
         progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy, tally)
         ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_blow | (leaving > 0))
-        return StepState(_choose(is_end, ended, progress), substep, interrupted, is_end, every_substep, interruptions)
+        return StepState(choose(is_end, ended, progress), substep, interrupted, is_end, every_substep, interruptions)
 
     def solve_unless_done(now: StepState, _: None) -> tuple[StepState, None]:
         is_left = now.substep < rules.substeps
-        return jax.lax.cond(in_any_world(is_left), lambda: _choose(is_left, solve(now), now), lambda: now), None
+        return jax.lax.cond(in_any_world(is_left), lambda: choose(is_left, solve(now), now), lambda: now), None
 
     start = _begin(scene, state, controls, params)
     no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]))
@@ -205,12 +205,12 @@ def _solve_passes(
         limited = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed)
         is_limited = (limited.limited > bodies.limited) & jnp.any(contacts.key >= 0) & (index < C.limited_passes)
         limited = limited._replace(limited=jnp.where(now.was_limited, bodies.limited, limited.limited))  # counted once
-        next_active = _choose(is_limited, everything, next_active)
+        next_active = choose(is_limited, everything, next_active)
         return Pass(limited, joints, contacts, next_active, follows | is_limited, now.was_limited | is_limited)
 
     def one_pass(now: Pass, index: jax.Array) -> tuple[Pass, None]:
         def solved() -> Pass:
-            return _choose(now.follows, solve(now, index), now)
+            return choose(now.follows, solve(now, index), now)
 
         return jax.lax.cond(in_any_world(now.follows), solved, lambda: now), None
 
@@ -270,16 +270,12 @@ def _nothing_recorded(
     return touch, overflow, jnp.zeros((), dtype), reports.nothing(capacity, dtype) if rules.report_contacts else None
 
 
-def _choose(condition: jax.Array, this: tuple, other: tuple) -> tuple:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
-
-
-def _finish_contacts(progress: Progress, passes: jax.Array | bool = False) -> Progress:
+def _finish_contacts(progress: Progress, transient: jax.Array | bool = False) -> Progress:
     """Records who touched, and keeps the impulses for the contacts found next, none of blows and bounces."""
     contacts, tally = progress.contacts, progress.tally
     return progress._replace(
         tally=None if tally is None else reports.place(tally, progress.bodies, contacts),
-        cache=contacts_of.cache_of(contacts, passes),
+        cache=contacts_of.cache_of(contacts, transient),
         touch=progress.touch | touching(contacts),
         overflow=progress.overflow + contacts.overflow,
     )

@@ -96,7 +96,7 @@ class Environment:
         for effects the engine was made without; inside jit `StepInfo.missing_effects` says so.
         """
         self._check_levels(levels)
-        if not self.engine.effects.covers(level_effects(self.capacity, self.engine.settings)):
+        if self.engine.effects != Effects.full(self.capacity):
             self.engine.pack_scene(levels.scene)  # names what is missing, if anything is
         return self._jit_prepare(levels)
 

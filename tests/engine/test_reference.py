@@ -315,13 +315,22 @@ def test_float64_agrees_with_float32_within_its_rounding() -> None:
     settings = preset("standard")
     scene, state, controls = snapshots("s", settings)
     a, _ = engine("s", settings, "xla").step(scene, state, controls)
+    rng = np.random.default_rng(0)
     with jax.enable_x64(True):
         double = Engine(SIZES["s"], settings=settings, backend="xla", dtype=jnp.float64)
         b, _ = double.step(scene, state, controls)
+        nudged = []
+        for _ in range(3):
+            moved = {
+                field: getattr(state, field) + size * rng.uniform(-1, 1, getattr(state, field).shape)
+                for field, size in {"position": 2.4e-7, "angle": 1e-7}.items()
+            }
+            nudged.append(double.step(scene, dataclasses.replace(state, **moved), controls)[0])
     assert b.position.dtype == np.float64
     for field, tolerance in TOLERANCE.items():
-        # What both float32 programs round alike (corners at 5 m from the origin to 4e-7 m) shows here only.
-        assert quantile_at_threshold(differences(a, b, field)) <= 10 * tolerance, field
+        # Contacts at a threshold of float64 too: what a nudge of float32's rounding (5e-7 m at 5 m) does to it.
+        threshold = np.max([differences(state, b, field) for state in nudged], 0)
+        assert quantile_at_threshold(differences(a, b, field) - threshold) <= tolerance, field
         assert np.median(differences(a, b, field)) <= 0.1 * tolerance, field
 
 

@@ -79,7 +79,7 @@ def test_in_a_valley_each_joint_takes_what_the_polyline_says(engine: Engine, kin
         assert joints >= speed
         speed_left = np.linalg.norm(velocity[-1])
         # A box straddles a joint for a while, and turns meanwhile: it loses less.
-        assert speed_left == pytest.approx(speed * share**joints, rel=0.015 if kind == "box" else 1e-3)
+        assert speed_left == pytest.approx(speed * share**joints, rel=0.02 if kind == "box" else 1e-3)
         if kind != "box":
             assert (np.diff(heading) > -1e-4).all()  # nothing throws it back
 
