@@ -197,12 +197,9 @@ def find_faces(
     motion = jnp.where(flipped, -relative_velocity, relative_velocity)
     onward = motion * impact_seconds
 
-    def choose(of_b, of_a):
-        return choose(flipped, of_b, of_a)
-
-    ref, inc = choose(b, a), choose(a, b)
-    ref_at, inc_at = choose(d, zero), choose(zero, d) + onward
-    edge = jnp.where(is_impact, impact_edge, choose(edge_b, edge_a))
+    ref, inc = choose(flipped, b, a), choose(flipped, a, b)
+    ref_at, inc_at = choose(flipped, d, zero), choose(flipped, zero, d) + onward
+    edge = jnp.where(is_impact, impact_edge, jnp.where(flipped, edge_b, edge_a))
     n = ref.normal[edge]
     start, end = ref.corner[edge] + ref_at, ref.following[edge] + ref_at
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax2d import MissingEffectError
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.level.generator import generate_levels
@@ -183,6 +184,13 @@ def test_levels_of_another_size_and_single_levels_are_refused(env: Environment) 
         Environment(EnvConfig(size="m"), engine=None).prepare(batch(RESTS))
     with pytest.raises(ValueError, match="takes a batch"):
         env.prepare(RESTS)
+
+
+def test_levels_with_what_the_engine_was_made_without_are_refused(env: Environment) -> None:
+    is_disc = np.arange(MEETS.scene.shapes.kinematic.shape[-1]) == DISC_1
+    carried = dataclasses.replace(MEETS, scene=MEETS.scene.replace(shapes={"kinematic": is_disc}))
+    with pytest.raises(MissingEffectError, match="scene 1 calls for kinematic_bodies"):
+        env.prepare(batch(RESTS, carried))
 
 
 @pytest.mark.parametrize(
