@@ -95,6 +95,12 @@ class Constants:
     settled_speed: float = _constant(
         0.03, "m/s", "a blow is shared out when no contact changes by more", "0: time only"
     )
+    leaving_speed: float = _constant(
+        0.2,
+        "m/s",
+        "what comes apart faster is not warm-started",
+        "0.1: a house of cards falls; 0.4: what a blow left behind throws piles apart",
+    )
     # Contacts found ahead of motion
     safe_core_share: float = _constant(
         0.5, "of the smaller core", "a pair that moves farther in a step could pass through", "1: thin pairs tunnel"
@@ -138,6 +144,12 @@ class Constants:
         "1: chains gain energy; 0: a pendulum loses a tenth of its energy a minute",
     )
     # Bounces
+    max_impacts: int = _constant(
+        32,
+        "a step",
+        "an impact is passed on from disc to disc so many times",
+        "fewer: what is left of it stops in a long row of discs",
+    )
     joint_passes_of_bounce: int = _constant(2, "a round", "along a chain a bounce goes joint by joint")
     bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")
     min_kept_share: float = _constant(

@@ -32,6 +32,7 @@ from jax2d.xla.contact_solver import (
     with_impulses,
 )
 from jax2d.xla.contacts import Contacts
+from jax2d.xla.impact_propagation import skips_bounces
 from jax2d.xla.joints import Joints
 from jax2d.xla.rules import Rules
 
@@ -167,10 +168,11 @@ def solve_bounces(
     """A relax pass in which what bounces leaves with its speed, with friction where asked. Also whether all of it
     already left, as far as any push can make it."""
     separation = current_separation(bodies, contacts)
-    apart = jnp.maximum(separation, 0) / params.h
+    # Where an impact went through, nothing is left to be closed.
+    apart = jnp.where(contacts.of_disc & contacts.is_blow, 0, jnp.maximum(separation, 0) / params.h)
 
-    def solve(velocities: Velocities, row: tuple[Row, BounceTargets, jax.Array]) -> tuple[Velocities, tuple]:
-        c, bounce, apart = row
+    def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
+        c, bounce, apart, skips = row
         before = of = pair_velocities(c.pair, velocities)
         vn = normal_speed(of, c)
         bounces = bounce.speed > 0
@@ -184,17 +186,15 @@ def solve_bounces(
         tangent_total = jnp.where(has_friction, tangent_total, c.impulse_tangent)
         if rolling_total is not None:
             rolling_total = jnp.where(has_friction, rolling_total, c.rolling_impulse)
+        totals = (normal_total, tangent_total, rolling_total)
+        of, totals = choose(skips, (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse)), (of, totals))
         after = BounceTargets(bounce.speed, mass, vn)
-        return scatter_velocities(velocities, c.pair, before, of), (
-            normal_total,
-            tangent_total,
-            rolling_total,
-            after,
-            has_converged | ~bounces,
-        )
+        return scatter_velocities(velocities, c.pair, before, of), (*totals, after, has_converged | ~bounces)
 
     velocities, (normal, tangent, rolling, leaving, converged) = jax.lax.scan(
-        solve, bodies.velocities, (rows_now(bodies, contacts, -0.5 * params.h), leaving, apart)
+        solve,
+        bodies.velocities,
+        (rows_now(bodies, contacts, -0.5 * params.h), leaving, apart, skips_bounces(contacts, separation)),
     )
     contacts = with_impulses(contacts._replace(rolling_impulse=rolling), normal, tangent)
     return bodies._replace(velocities=velocities), contacts, leaving, jnp.all(converged)
@@ -227,7 +227,7 @@ def leaving_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, params
 def impact_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, h: Scalar) -> jax.Array:
     """Speed at the moment of impact, which falls somewhere inside the step, [K] m/s.
 
-    StepState a closing acceleration a, semi-implicit Euler keeps u^2/2 + a h u/2 + a s (u approach speed, s separation)
+    Under a closing acceleration a, semi-implicit Euler keeps u^2/2 + a h u/2 + a s (u approach speed, s separation)
     exactly, so a bounce that leaves from where the body now is with the same value neither gains nor loses energy.
     """
     pair = contacts.pair

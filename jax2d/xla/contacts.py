@@ -48,6 +48,7 @@ class Contacts(NamedTuple):
     kinematic_b: jax.Array
     is_blow: jax.Array  # [K] bool, they meet fast, and were apart before
     is_second: jax.Array  # [K] bool, of two points of one pair
+    of_disc: jax.Array  # [K] bool, b is a disc: the two meet in one point
     overflow: jax.Array  # [] int32, points that found no slot
     each_substep: jax.Array  # [] bool, what is found does not hold for the whole step: something turns or hits too fast
     predicted: TravelPrediction
@@ -81,8 +82,16 @@ class Context(NamedTuple):
     capacity: Capacity
 
 
-def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Context, dt: Scalar) -> Contacts:
-    """Points of all pairs that may touch within `dt`, compacted into the slots of `cache`."""
+def find(
+    bodies: Bodies,
+    geometry: Geometry,
+    cache: ContactCache,
+    context: Context,
+    dt: Scalar,
+    is_start: jax.Array | bool = True,
+) -> Contacts:
+    """Points of all pairs that may touch within `dt`, compacted into the slots of `cache`. `is_start` [] bool: nothing
+    has acted yet in this sub-step."""
     scene, params, rules, _ = context
     predicted = predict_travel(bodies, geometry, dt)
     points, a, b, overflow, each_substep, solve_order = _points_in_use(
@@ -95,10 +104,12 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
     arm_a = points.point - half_gap
     arm_b = points.point + half_gap - (bodies.position[b] - bodies.position[a])
     key = jnp.where(points.exists, (a << C.feature_bits + C.shape_bits) | (b << C.feature_bits) | points.feature, -1)
-    impulse = jnp.where(params.warm_start, _remembered(key, cache, cache.impulse), 0)
     velocity = relative_velocity(pair_velocities(pair, bodies.velocities), arm_a, arm_b)
     dynamic = bodies.is_dynamic
     approach = vec2.dot(points.normal, velocity)
+    # What a blow next to it has left of an impulse would throw apart what it no longer holds.
+    is_lasting = (params.warm_start > 0) & ~(rules.is_soft & is_start & (approach > C.leaving_speed))
+    impulse = jnp.where(is_lasting[:, None], _remembered(key, cache, cache.impulse), 0)
     pair_key = key >> C.feature_bits
     is_second = points.exists & (pair_key == jnp.roll(pair_key, 1)) & (jnp.arange(len(key)) > 0) & rules.is_soft
     # Discs have no corners to turn about: theirs are handed on (`blow_passes`) or left to the next sub-step.
@@ -121,7 +132,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         mass_tangent=pair_mass(pair, arm_a, arm_b, vec2.right(points.normal)),
         impulse_normal=impulse[:, 0],
         impulse_tangent=impulse[:, 1],
-        **_of_extended_shapes(scene, a, b, key, cache, params),
+        **_of_extended_shapes(scene, a, b, key, cache, is_lasting),
         friction=mix_friction(friction_a, friction_b, params, rules),
         restitution=jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b]),
         approach=approach,
@@ -129,6 +140,7 @@ def find(bodies: Bodies, geometry: Geometry, cache: ContactCache, context: Conte
         against_fixed=~(dynamic[a] & dynamic[b]),
         is_blow=is_blow,
         is_second=is_second,
+        of_disc=points.exists & (b >= context.capacity.polygons),
         kinematic_a=bodies.is_kinematic[a] & points.exists,
         kinematic_b=bodies.is_kinematic[b] & points.exists,
         overflow=overflow,
@@ -198,7 +210,7 @@ def _hits_hard(
 
 
 def _of_extended_shapes(
-    scene: Scene, a: jax.Array, b: jax.Array, key: jax.Array, cache: ContactCache, params: SolverNumbers
+    scene: Scene, a: jax.Array, b: jax.Array, key: jax.Array, cache: ContactCache, is_lasting: jax.Array
 ) -> dict[str, jax.Array | None]:
     """Fields of `Contacts` that only a capacity with extended shapes has."""
     shapes = scene.shapes
@@ -210,7 +222,7 @@ def _of_extended_shapes(
     return {
         "surface_speed": shapes.surface_speed[a] + shapes.surface_speed[b],
         "rolling_arm": share * jnp.maximum(radius[a], radius[b]),
-        "rolling_impulse": jnp.where(params.warm_start, remembered, 0),
+        "rolling_impulse": jnp.where(is_lasting, remembered, 0),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +11,22 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, pack_bits
 from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla import bodies as bodies_of
-from jax2d.xla import bounces, contact_solver, forces, geometry, paper, paper_contacts, published, reports
+from jax2d.xla import (
+    bounces,
+    contact_solver,
+    forces,
+    geometry,
+    impact_propagation,
+    paper,
+    paper_contacts,
+    published,
+    reports,
+)
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
 from jax2d.xla import springs as springs_of
 from jax2d.xla.active_set import ActiveSet
-from jax2d.xla.bodies import Bodies
+from jax2d.xla.bodies import Bodies, Velocities
 from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contacts import ContactCache, Contacts
 from jax2d.xla.joints import Joints
@@ -33,6 +43,7 @@ class Progress(NamedTuple):
     cache: ContactCache  # of contacts solved before
     touch: jax.Array  # [n, n] bool, who touched whom in this step
     overflow: jax.Array  # [] int32
+    came_with: Velocities  # when contacts were found
     max_energy: jax.Array  # [] J, what bounces may leave the world with
     tally: reports.Tally | None  # of what contacts did, if that is reported
 
@@ -98,23 +109,23 @@ def soft_step(
     thrusters = forces.load(bodies_of.load(scene, state), scene, controls, params)
     context = contacts_of.Context(scene, params, rules, capacity)
 
-    def find(bodies: Bodies, cache: ContactCache, dt: jax.Array) -> Contacts:
-        return contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, dt)
+    def find(bodies: Bodies, cache: ContactCache, dt: jax.Array, is_start: jax.Array) -> Contacts:
+        return contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, dt, is_start)
 
     def solve(now: StepState) -> StepState:
-        bodies, joints, contacts, cache, touch, overflow, max_energy, tally = now.progress
+        bodies, joints, contacts, cache, touch, overflow, came_with, max_energy, tally = now.progress
         _, substep, interrupted, is_found, every_substep, interruptions = now
         left = h * jnp.where(every_substep, 1, rules.substeps - substep)
         found = bodies_of.end_step(bodies)
-        found_contacts = find(found, cache, left)
+        found_contacts = find(found, cache, left, ~interrupted)
         found_joints = joints_of.prepare(found, scene, joints.remembered(), controls, params)
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
         # Of a sub-step that was stopped, bodies have had the impulses already.
         found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
-        bodies, contacts, joints, max_energy = choose(
+        bodies, contacts, joints, came_with, max_energy = choose(
             is_found,
-            (found, found_contacts, found_joints, found_energy),
-            (bodies, contacts, joints, max_energy),
+            (found, found_contacts, found_joints, found.velocities, found_energy),
+            (bodies, contacts, joints, came_with, max_energy),
         )
         if tally is not None:
             tally = choose(is_found, reports.begin(tally, contacts), tally)
@@ -145,13 +156,14 @@ def soft_step(
 
         is_end = interrupted | every_substep | (substep == rules.substeps)
         leaving = jnp.where(is_end, bounces.leaving_speed(bodies, contacts, scene.gravity, params), 0)
+        leaving, contacts = impact_propagation.propagate(bodies, came_with, contacts, leaving)
         energy_limit = bounces.EnergyLimit(max_energy, carried, scene.gravity)
         bounced, bounce_impulses = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
         if tally is not None:
             tally = reports.add(tally, contacts)
             tally = reports.add_impulse(tally, contacts, jnp.where(is_end, bounce_impulses, 0))
-        progress = Progress(bodies, joints, contacts, cache, touch, overflow, max_energy, tally)
+        progress = Progress(bodies, joints, contacts, cache, touch, overflow, came_with, max_energy, tally)
         ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_blow | (leaving > 0))
         return StepState(choose(is_end, ended, progress), substep, interrupted, is_end, every_substep, interruptions)
 
@@ -160,9 +172,9 @@ def soft_step(
         return jax.lax.cond(in_any_world(is_left), lambda: choose(is_left, solve(now), now), lambda: now), None
 
     start = _begin(scene, state, controls, params)
-    no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]))
+    no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]), jnp.array(True))
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
-    progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, state.position.dtype, rules))
+    progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, start[0], rules))
     none, no = jnp.zeros((), jnp.int32), jnp.array(False)
     step_state = StepState(progress, substep=none, interrupted=no, find=~no, every_substep=no, interruptions=none)
     # One program for sub-steps, those that find contacts every_substep, and those that are stopped.
@@ -234,7 +246,7 @@ def paper_step(
     bodies = paper.apply_motors(bodies, joints, params)
     bodies = forces.apply(bodies, forces.load(bodies, scene, controls, params), params.dt)
     bodies, contacts = contact_solver.warm_start(bodies, contacts)
-    *recorded, tally = _nothing_recorded(capacity, state.position.dtype, rules)
+    *recorded, tally = _nothing_recorded(capacity, bodies, rules)
     if tally is not None:
         tally = reports.warm_start(reports.begin(tally, contacts))
     bodies, joints = paper.warm_start(bodies, joints)
@@ -263,11 +275,13 @@ def _begin(
 
 
 def _nothing_recorded(
-    capacity: Capacity, dtype: Any, rules: Rules
-) -> tuple[jax.Array, jax.Array, jax.Array, reports.Tally | None]:
-    """Touch matrix, overflow, energy and tally of a step that begins."""
+    capacity: Capacity, bodies: Bodies, rules: Rules
+) -> tuple[jax.Array, jax.Array, Velocities, jax.Array, reports.Tally | None]:
+    """Touch matrix, overflow, velocities, energy and tally of a step that begins."""
     touch, overflow = jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32)
-    return touch, overflow, jnp.zeros((), dtype), reports.nothing(capacity, dtype) if rules.report_contacts else None
+    dtype = bodies.angle.dtype
+    tally = reports.nothing(capacity, dtype) if rules.report_contacts else None
+    return touch, overflow, bodies.velocities, jnp.zeros((), dtype), tally
 
 
 def _finish_contacts(progress: Progress, transient: jax.Array | bool = False) -> Progress:

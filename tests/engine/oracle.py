@@ -76,3 +76,22 @@ def sticking_blow(
     about_point = squared_radius * spin + centre[0] * velocity[1] - centre[1] * velocity[0]
     after = about_point / (squared_radius + centre @ centre)
     return after * np.array([-centre[1], centre[0]]), float(after)
+
+
+def speeds_after_collisions(
+    centres: np.ndarray, speeds: np.ndarray, masses: np.ndarray, radii: np.ndarray, restitution: float
+) -> np.ndarray:
+    """[n] m/s of discs in a row, from left to right, after all of their collisions in order of time."""
+    x, v = np.array(centres, np.float64), np.array(speeds, np.float64)
+    for _ in range(10_000):
+        gaps, closing = np.maximum(np.diff(x) - radii[1:] - radii[:-1], 0), v[:-1] - v[1:]
+        approaches = closing > 1e-9
+        if not approaches.any():
+            return v
+        seconds = np.where(approaches, gaps / np.where(approaches, closing, 1), np.inf)
+        i = int(np.argmin(seconds))
+        x += v * seconds[i]
+        impulse = (1 + restitution) * closing[i] * masses[i] * masses[i + 1] / (masses[i] + masses[i + 1])
+        v[i] -= impulse / masses[i]
+        v[i + 1] += impulse / masses[i + 1]
+    raise AssertionError("collisions without end")

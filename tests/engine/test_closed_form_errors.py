@@ -245,9 +245,7 @@ def test_a_name_that_two_scenes_have_is_refused():
 
 @pytest.mark.parametrize("name", sorted(CLOSED_FORMS))
 def test_standard_stays_within_its_worst_known_error(name: str):
-    """One scene is known to be worse: an impact is passed on from ball to ball as if they were one body."""
-    worst = {"newtons_cradle": 0.35}
-    assert standard_errors()[name] < worst.get(name, 0.04)
+    assert standard_errors()[name] < 0.04
 
 
 @functools.cache

@@ -169,11 +169,11 @@ def gained(records: Sequence[Trajectory]) -> np.ndarray:
 
 
 @pytest.mark.also_gpu
-@pytest.mark.parametrize(("name", "most"), [("standard", 1.0), ("fine", 0.01)])
+@pytest.mark.parametrize(("name", "most", "worst"), [("standard", 0.35, 0.7), ("fine", 0.01, 0.1)])
 @pytest.mark.parametrize("tilted", [False, True])
-def test_blows_make_no_energy(name: str, most: float, tilted: bool):
+def test_blows_make_no_energy(name: str, most: float, worst: float, tilted: bool):
     """Of some 15 J/kg that they fall with. `fine` sways by what free flight does in a sub-step; `standard` stops what
     hits alone, and a stack is then lifted by what it has not yet been told (`blow_passes=2`: 0.15, 4: 0.09 J/kg)."""
     worlds = [pile(seed, 1, False, tilted, 3)[0] for seed in range(64)]
     gains = np.sort(gained(record_worlds(engine(name), worlds, seconds=1.0)))
-    assert gains[-4] < most and gains[-1] < most + 0.1, gains[-8:]
+    assert gains[-4] < most and gains[-1] < worst, gains[-8:]

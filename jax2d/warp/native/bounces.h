@@ -6,11 +6,12 @@
 // Energy is that of semi-implicit Euler, which keeps m |v + g h / 2|^2 / 2 - m g.x in free flight to the last digit.
 
 struct Bounces {
-  Vec2 velocity[BOUNCE_SHAPES];  // before anything bounced
+  Vec2 velocity[BOUNCE_SHAPES];  // when contacts were found; later before anything bounced
   real omega[BOUNCE_SHAPES];
   real max_energy;               // J, energy allowed; zero of height is where each body was when contacts were found
 
   KFN void begin(const Bodies& bodies, Vec2 gravity, real h) {
+    keep_velocities(bodies);
     max_energy = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
@@ -25,6 +26,18 @@ struct Bounces {
       int i = each.shape;
       velocity[i] = bodies.velocity(i);
       omega[i] = bodies.omega(i);
+    }
+  }
+
+  KFN void swap_velocities(Bodies& bodies) {
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
+      Vec2 v = bodies.velocity(i);
+      real w = bodies.omega(i);
+      bodies.set_velocity(i, velocity[i]);
+      bodies.set_omega(i, omega[i]);
+      velocity[i] = v;
+      omega[i] = w;
     }
   }
 

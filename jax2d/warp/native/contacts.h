@@ -36,10 +36,11 @@ struct Contacts {
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << (FEATURE_BITS + SHAPE_BITS)) | (slot_b << FEATURE_BITS) | feature; }
 
   // Looks at the pairs near each other in the order of slots, so that keys ascend and old impulses are found by one
-  // walk over the old list. `reach` is the distance at which a contact is prepared.
+  // walk over the old list. `reach` is the distance at which a contact is prepared; `is_start`: nothing has acted yet in
+  // this sub-step.
   KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
                 const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
-                bool ahead) {
+                bool ahead, bool is_start) {
     count = 0;
     overflow = 0;
     each_substep = may_bounce = any_exceeds = false;
@@ -107,6 +108,8 @@ struct Contacts {
           }
         }
         c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
+        // What a blow next to it has left of an impulse would throw apart what it no longer holds.
+        if (SOFT_STEP && is_start && c.approach > LEAVING_SPEED) forget(count - 1);
         // Discs have no corners to turn about: theirs are handed on (SHARES_BLOWS) or left to the next sub-step.
         c.is_blow = SOFT_STEP && c.approach < -BLOW_SPEED && c.impulse_normal == real(0) && (SHARES_BLOWS || b < NUM_POLYGONS);
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
@@ -194,6 +197,11 @@ struct Contacts {
     return {c.arm_a + apart * c.follows_b, c.arm_b - apart * (real(1) - c.follows_b)};
   }
 
+  KFN void forget(int k) {
+    list[k].impulse_normal = list[k].impulse_tangent = real(0);
+    surfaces.forget(k);
+  }
+
   // Whether the same impulse is to be expected again: not that of a blow or bounce.
   KFN static bool lasts(const Contact& c) { return c.bounce == real(0) && !c.is_blow; }
 
@@ -227,10 +235,7 @@ struct Contacts {
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
-      if (!lasts(c)) {
-        c.impulse_normal = c.impulse_tangent = real(0);
-        surfaces.forget(i);
-      }
+      if (!lasts(c)) forget(i);
       Pair pair = Pair::of(bodies, c.a, c.b);
       Arms arms = arms_now(c, moved(bodies, c));
       pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
@@ -275,8 +280,12 @@ struct Contacts {
       // With bias the sub-step is to come, in the relax pass it is past.
       if (HAS_KINEMATIC_BODIES && c.against_kinematic)
         arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
+      // A disc that has not come yet is hit in the next step, by what then has left.
+      if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && separation > real(0) && c.restitution > real(0) && c.max_impulse == real(0)) continue;
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
-      if (separation > real(0)) {
+      if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && c.is_blow) {
+        // The impact went through here.
+      } else if (separation > real(0)) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more
       } else if (use_bias) {
         const Softness& of = c.against_fixed ? soft.fixed : soft.contact;
@@ -395,6 +404,72 @@ struct Contacts {
       any = true;
     }
     return any;
+  }
+
+  // Bodies that meet in one point pass an impact on; what else is solved together bounces as if it were one.
+  KFN static bool passes_on(const Contact& c) { return c.b >= NUM_POLYGONS && c.max_impulse > real(0); }
+
+  // Whether what was hit touches something that is hit next.
+  KFN bool passes_impacts_on() const {
+    unsigned int hit[SHAPE_WORDS];
+    for (int word = 0; word < SHAPE_WORDS; ++word) hit[word] = 0u;
+    for (int i = 0; i < count; ++i)
+      for (int word = 0; word < SHAPE_WORDS && passes_on(list[i]) && list[i].bounce > real(0); ++word) hit[word] |= both(list[i], word);
+    for (int i = 0; i < count; ++i) {
+      const Contact& c = list[i];
+      if (!passes_on(c) || c.against_fixed || c.bounce > real(0) || c.restitution == real(0)) continue;
+      if (Bodies::has(hit, c.a) || Bodies::has(hit, c.b)) return true;
+    }
+    return false;
+  }
+
+  // Impact after impact, the fastest first, from the velocities with which bodies came, which it changes: what that
+  // leaves of a contact's speed is what its bounce aims at. True if anything bounces still.
+  KFN bool propagate_impacts(Bodies& bodies) {
+    unsigned int once[SHAPE_WORDS], again[SHAPE_WORDS];
+    for (int word = 0; word < SHAPE_WORDS; ++word) once[word] = again[word] = 0u;
+    real factor = real(1);  // the moment of the impact falls inside the step: its speed is that of the bounce
+    for (int impact = 0; impact < MAX_IMPACTS; ++impact) {
+      int next = -1;
+      real speed = SETTLED_SPEED;
+      for (int i = 0; i < count; ++i) {
+        real closing = passes_on(list[i]) ? -normal_speed(bodies, list[i]) : real(0);
+        if (closing <= speed) continue;
+        speed = closing;
+        next = i;
+      }
+      if (next < 0) break;
+      const Contact& c = list[next];
+      if (impact == 0 && c.bounce > real(0)) factor = c.bounce / (c.restitution * speed);
+      Pair pair = Pair::of(bodies, c.a, c.b);
+      real impulse = (real(1) + c.restitution) * speed * pair.mass(c.arm_a, c.arm_b, c.normal);
+      pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
+      pair.write_back(bodies);
+      for (int word = 0; word < SHAPE_WORDS; ++word) {
+        again[word] |= once[word] & both(c, word);
+        once[word] |= both(c, word);
+      }
+    }
+    bool any = false;
+    for (int i = 0; i < count; ++i) {
+      Contact& c = list[i];
+      bool took_part = (bodies.is_dynamic(c.a) && Bodies::has(again, c.a)) || (bodies.is_dynamic(c.b) && Bodies::has(again, c.b));
+      if (passes_on(c) && took_part) {
+        real speed = normal_speed(bodies, c);
+        c.bounce = speed > SETTLED_SPEED ? factor * speed : real(0);
+        c.is_blow = true;  // its impulse does not last
+      }
+      any |= c.bounce > real(0);
+    }
+    return any;
+  }
+
+  KFN static unsigned int both(const Contact& c, int word) {
+    return (c.a / 32 == word ? 1u << (c.a % 32) : 0u) | (c.b / 32 == word ? 1u << (c.b % 32) : 0u);
+  }
+
+  KFN static real normal_speed(const Bodies& bodies, const Contact& c) {
+    return c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
   }
 
   // Speed at the moment of impact, which falls somewhere inside the step. Under a closing acceleration a,

@@ -72,7 +72,7 @@ struct World {
         geometry.build(scene, ints, bodies, first);
         geometry.predict_travel(bodies, left, h);
         first = false;
-        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true);
+        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true, !interrupted);
         joints.prepare(bodies, scene, controls, params, h);
         if (substep == 0 && !interrupted) every_substep = contacts.each_substep;
         if (contacts.may_bounce) {
@@ -159,6 +159,11 @@ struct World {
       if (reports) report.add(contacts, real(1));
       if (!is_last) break;
       if (contacts.may_bounce) bouncing = contacts.begin_bounces(bodies, params, gravity, h);
+      if (HAS_RESTITUTION && bouncing && contacts.passes_impacts_on()) {
+        bounces.swap_velocities(bodies);
+        bouncing = contacts.propagate_impacts(bodies);
+        bounces.swap_velocities(bodies);
+      }
       finish_contacts();
       if (!bouncing) break;
       contacts.converged = false;
@@ -192,7 +197,7 @@ struct World {
     bodies.apply_gravity(scene.get2(SCENE_GRAVITY), dt);
     geometry.build(scene, ints, bodies, first);
     first = false;
-    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, real(0), dt, false);
+    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, real(0), dt, false, true);
     joints.prepare(bodies, scene, controls, params, dt);
     PaperJoints paper = {joints};
     paper.apply_motors(bodies, scene, controls, params);
