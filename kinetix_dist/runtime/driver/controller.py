@@ -30,13 +30,15 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.checkpoint import Checkpoint, CheckpointError, flatten_arrays, save_checkpoint, select_arrays
+from kinetix_dist.checkpoint import Checkpoint, flatten_arrays, remove_dead_drafts, select_arrays
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.runtime.driver.clock import RoleClock
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
+from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.saving import Saver
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 
@@ -72,10 +74,16 @@ class Controller:
         self._scoring_seconds: float | None = None  # of the buffer in use
         self._physics = PhysicsWatch()
         self._recovery_seconds = 0.0
-        self._saved_at: int | None = None
+        self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
+        self._topology: dict[str, Any] = {}
 
     def restore(self, *, resume: bool) -> None:
-        """Starts the trainer: from the newest good checkpoint if the run goes on, else afresh."""
+        """Starts the trainer: from the newest good checkpoint if the run goes on, else afresh.
+
+        Raises CheckpointError where the run has checkpoints and none can be used.
+        """
+        if drafts := remove_dead_drafts(self.run.checkpoints):
+            self.run.event("drafts_removed", drafts=drafts)
         checkpoint = newest_checkpoint(self.run, self.config, self.reporter) if resume else None
         if checkpoint is not None:
             self.seconds_before = checkpoint.description["training_seconds"]
@@ -91,7 +99,7 @@ class Controller:
             except WorkerLostError as error:
                 self._recover(error)
         self.training_seconds_at_end = self.training_seconds
-        self._save()
+        self.save_now()
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
         """Solve rates by level set."""
@@ -177,6 +185,7 @@ class Controller:
         }
 
     def _report(self, metrics: dict[str, float]) -> None:
+        self._saver.collect()
         span, shares = self.clock.lap()
         restarts = self.num_restarts + (self.curator.num_restarts if self.curator is not None else 0)
         metrics = metrics | {
@@ -192,6 +201,8 @@ class Controller:
             metrics["curriculum/buffer_is_stale"] = float(self._is_stale)
         if self._scoring_seconds is not None:
             metrics["curriculum/scoring_seconds"] = self._scoring_seconds
+        if self._saver.seconds is not None:
+            metrics["runtime/save_seconds"] = self._saver.seconds
         if self._recovery_seconds:
             metrics["runtime/recovery_seconds"] = self._recovery_seconds
         self.reporter.metrics(self.num_updates, metrics, self._seconds_left())
@@ -219,9 +230,7 @@ class Controller:
     # Checkpoints and recovery
 
     def _save(self) -> None:
-        """A failed save is an event, not the end of the run: the older checkpoints are still there."""
-        if self._saved_at == self.num_updates:
-            return
+        """Begins a save of this update. A failed one is an event: the older checkpoints are still there."""
         with self.clock.role("checkpoint"):
             arrays = self.trainer.snapshot() | self._in_flight()
             description = {
@@ -232,16 +241,24 @@ class Controller:
                 "refresh_in_flight": self._pending[0] if self._pending is not None else None,
                 "buffer_is_stale": self._is_stale,
                 "scoring_seconds": self._scoring_seconds,
+                "versions": versions(),
+                "topology": self._topology,
             }
-            try:
-                save_checkpoint(
-                    self.run.checkpoints, self.num_updates, arrays, description, keep=self.config.run.keep_checkpoints
-                )
-                self._saved_at = self.num_updates
-            except (OSError, CheckpointError, ValueError) as error:
-                text = " ".join(str(error).split())
-                self.run.event("checkpoint_failed", update=self.num_updates, error=text)
-                self.reporter.note(f"checkpoint at update {self.num_updates} failed, training goes on: {text}")
+            self._saver.save(self.num_updates, arrays, description)
+
+    def save_now(self) -> bool:
+        """Saves this update unless that is done, and waits for it; whether there is such a checkpoint now."""
+        with self.clock.role("checkpoint"):
+            self._saver.wait()
+        if self._saver.saved_at != self.num_updates:
+            self._save()
+            with self.clock.role("checkpoint"):
+                self._saver.wait()
+        return self._saver.saved_at == self.num_updates
+
+    def close(self) -> None:
+        """Lets a save in flight come to its end."""
+        self._saver.close()
 
     def _in_flight(self) -> dict[str, np.ndarray]:
         if self._pending is None or self.curator is None:
@@ -253,13 +270,18 @@ class Controller:
         if checkpoint is None:
             self.num_updates, self._is_stale, self._scoring_seconds = 0, False, None
             self.trainer.start(0, None)
+            self._topology = self.trainer.topology()
             return
         description = checkpoint.description
-        self.num_updates = self._saved_at = description["num_updates"]
+        self.num_updates = self._saver.saved_at = description["num_updates"]
         self._is_stale = description["buffer_is_stale"]
         self._scoring_seconds = description.get("scoring_seconds")
         self.trainer.start(self.num_updates, checkpoint.arrays)
-        self.run.event("resumed", update=self.num_updates)
+        self._topology = self.trainer.topology()
+        differs = what_differs(description, self._topology)
+        self.run.event("resumed", update=self.num_updates, differs=differs)
+        if differs:
+            self.reporter.note(f"resumed with {', '.join(differs)}: works, but is not bit for bit the unbroken run")
         version = description["refresh_in_flight"]
         if version is not None and self.curator is not None:
             self._request(version, nested(select_arrays(checkpoint.arrays, PENDING)))
@@ -274,6 +296,7 @@ class Controller:
         began = time.monotonic()
         if self.curator is not None:
             self.curator.cancel()
+        self._saver.wait()
         lost_at = self.num_updates
         self._start_from(newest_checkpoint(self.run, self.config, self.reporter))
         self._recovery_seconds = time.monotonic() - began

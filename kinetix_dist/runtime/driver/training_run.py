@@ -5,10 +5,9 @@ config -> placement -> backend (this process or Ray) -> trainer, curator -> cont
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
 import time
+from collections.abc import Callable
 from typing import Any
 
 from kinetix_dist.config import TrainConfig, to_dict
@@ -16,6 +15,7 @@ from kinetix_dist.env.physics import describe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
 from kinetix_dist.runtime.driver.roles import Trainer
@@ -24,8 +24,6 @@ from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
-
-_PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
 
 
 class RunFailedError(RuntimeError):
@@ -43,11 +41,12 @@ def train(
     began = time.monotonic()
     reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
     recorder = Recorder(run)
-    started: list[Any] = []
+    started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
         backend, trainer, curator = _start_roles(config, run)
-        started = [role for role in (curator, trainer, backend) if role is not None]
+        started = [role.stop for role in (curator, trainer, backend) if role is not None]
         controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder)
+        started.insert(0, controller.close)
         controller.restore(resume=resume)
         run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
         evaluations = _earlier_evaluations(run) if controller.num_updates else {}
@@ -63,6 +62,11 @@ def train(
         if config.recording.num_rollouts:
             reporter.phase("recording")
             controller.record(config.recording.num_rollouts)
+        if not controller.save_now():
+            raise RunFailedError(
+                f"the last checkpoint, of update {controller.num_updates}, could not be saved (see events.jsonl); "
+                f"free space under {run.path}, then go on from the one before it with --run {run.path} --resume"
+            )
         controller.clock.lap()
         facts = trainer.facts()
         facts["processes"] += curator.facts() if curator is not None else []
@@ -76,8 +80,8 @@ def train(
     except (ProcessFailedError, WorkerLostError) as error:
         raise _failed_run(run, error) from error
     finally:
-        for role in started:
-            role.stop()
+        for stop in started:
+            stop()
         reporter.close()
 
 
@@ -162,16 +166,6 @@ def _report(
         "seconds_by_role": seconds,
         "physics": {"settings": describe(config.env.physics), **controller.physics},
         **facts,
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": versions(),
         "config_hash": config.hash,
     }
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in _PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
