@@ -12,13 +12,16 @@ previous checkpoint as the newest, and a draft that the next run removes.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import errno
 import json
+import logging
 import os
 import re
 import shutil
 import socket
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +34,7 @@ FORMAT = 1
 DESCRIPTION_NAME = "checkpoint.json"
 ARRAYS_NAME = "arrays"
 _DIGITS = 8
+_OVERHEAD_BYTES = 1 << 18  # of Orbax's database, description and manifest: 100 kB with 60 arrays
 
 
 class CheckpointError(Exception):
@@ -70,6 +74,7 @@ def save_checkpoint(
     try:
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir()
+        _check_space(draft, arrays)
         _save_arrays(draft / ARRAYS_NAME, arrays)
         content = {"format": FORMAT, "num_updates": num_updates, "num_arrays": len(arrays), **description}
         (draft / DESCRIPTION_NAME).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
@@ -164,13 +169,33 @@ def _fault(path: Path) -> str | None:
     return None if found == FORMAT else f"has format {found!r}; this version reads format {FORMAT}"
 
 
+def _check_space(directory: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raises OSError where the arrays cannot fit: Orbax's threads would write a traceback each to the console."""
+    needed = sum(np.asarray(array).nbytes for array in arrays.values()) + _OVERHEAD_BYTES
+    if (free := shutil.disk_usage(directory).free) < needed:
+        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: it needs {needed:,} bytes, {free:,} are free")
+
+
 def _save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     import orbax.checkpoint as ocp
 
     empty = [name for name, array in arrays.items() if np.asarray(array).size == 0]
     if empty:
         raise ValueError(f"array {empty[0]} is empty; leave empty arrays out of a checkpoint")
-    ocp.PyTreeCheckpointer().save(path.absolute(), dict(arrays))
+    with _without_its_log():
+        ocp.PyTreeCheckpointer().save(path.absolute(), dict(arrays))
+
+
+@contextlib.contextmanager
+def _without_its_log() -> Generator[None]:
+    """What Orbax cannot write it raises, and its threads log it with a traceback as well: once is enough."""
+    log = logging.getLogger("absl")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _load_arrays(path: Path) -> dict[str, np.ndarray]:

@@ -93,6 +93,12 @@ _ALL = (
     Metric("runtime/recovery_seconds", "s", "time the last replacement took"),
     Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, beside training"),
     Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
+    # Telemetry
+    Metric(
+        "telemetry/dropped_rows",
+        "rows",
+        "rows of metrics that metrics.jsonl or TensorBoard did not take, since the start of this session",
+    ),
     # Evaluation
     Metric("evaluation/<set>/solve_rate", "share", "first episodes solved on a level set"),
     Metric("evaluation/<set>/low", "share", "lower end of its 95 % Wilson interval"),

@@ -5,13 +5,14 @@ config -> placement -> backend (this process or Ray) -> trainer, curator -> cont
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.env.physics import describe
+from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
@@ -48,30 +49,13 @@ def train(
         controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder)
         started.insert(0, controller.close)
         controller.restore(resume=resume)
-        run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
-        evaluations = _earlier_evaluations(run) if controller.num_updates else {}
-        if controller.num_updates == 0:
-            reporter.phase("evaluating")
-            evaluations["random_policy"] = controller.evaluate(use_policy=False)
-            evaluations["before"] = controller.evaluate(use_policy=True)
-            run.write_json(run.path / "evaluations.json", evaluations)
-        controller.train()
-        reporter.phase("evaluating")
-        evaluations["after"] = controller.evaluate(use_policy=True)
-        run.write_json(run.path / "evaluations.json", evaluations)
-        if config.recording.num_rollouts:
-            reporter.phase("recording")
-            controller.record(config.recording.num_rollouts)
-        if not controller.save_now():
-            raise RunFailedError(
-                f"the last checkpoint, of update {controller.num_updates}, could not be saved (see events.jsonl); "
-                f"free space under {run.path}, then go on from the one before it with --run {run.path} --resume"
-            )
+        _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
+        evaluations = _from_first_to_last_update(controller, run, reporter)
         controller.clock.lap()
         facts = trainer.facts()
         facts["processes"] += curator.facts() if curator is not None else []
         report = _report(config, controller, evaluations, facts, wall_seconds=time.monotonic() - began)
-        run.write_json(run.report_path, report)
+        _write_or_fail(run, run.report_path, report)
         # Last, since drawing needs libraries that nothing else of a run does.
         if config.recording.num_rollouts and config.recording.make_pictures:
             recorder.make_pictures()
@@ -83,6 +67,47 @@ def train(
         for stop in started:
             stop()
         reporter.close()
+
+
+def _from_first_to_last_update(controller: Controller, run: RunDirectory, reporter: RunReporter) -> dict[str, Any]:
+    """Evaluates, trains, evaluates, records; returns the evaluations."""
+    evaluations = _earlier_evaluations(run) if controller.num_updates else {}
+    if controller.num_updates == 0:
+        reporter.phase("evaluating")
+        evaluations["random_policy"] = controller.evaluate(use_policy=False)
+        evaluations["before"] = controller.evaluate(use_policy=True)
+        _write_evaluations(run, reporter, evaluations)
+    controller.train()
+    reporter.phase("evaluating")
+    evaluations["after"] = controller.evaluate(use_policy=True)
+    _write_evaluations(run, reporter, evaluations)
+    if num_rollouts := controller.config.recording.num_rollouts:
+        reporter.phase("recording")
+        controller.record(num_rollouts)
+    if not controller.save_now():
+        raise RunFailedError(
+            f"the last checkpoint, of update {controller.num_updates}, could not be saved (see events.jsonl); "
+            f"free space under {run.path}, then go on from the one before it with --run {run.path} --resume"
+        )
+    return evaluations
+
+
+def _write_evaluations(run: RunDirectory, reporter: RunReporter, evaluations: dict[str, Any]) -> None:
+    """They are in the report too, and written again after training: no reason to end a run."""
+    try:
+        run.write_json(run.evaluations_path, evaluations)
+    except OSError as error:
+        run.event("file_failed", file=run.evaluations_path.name, error=one_line(error))
+        reporter.note(f"evaluations.json cannot be written, the run goes on: {one_line(error)}")
+
+
+def _write_or_fail(run: RunDirectory, path: Path, content: Any) -> None:
+    try:
+        run.write_json(path, content)
+    except OSError as error:
+        raise RunFailedError(
+            f"{path} cannot be written: {one_line(error)}; free space there, then --run {run.path} --resume"
+        ) from error
 
 
 def hold_to_cpu(config: TrainConfig) -> None:
@@ -108,7 +133,10 @@ def _failed_run(run: RunDirectory, error: ProcessFailedError | WorkerLostError) 
     run.event("run_failed", error=str(error))
     where = ""
     if isinstance(error, ProcessFailedError):
-        where = f"; traceback in {run.write_log(error.process.replace(' ', '_'), error.details)}"
+        try:
+            where = f"; traceback in {run.write_log(error.process.replace(' ', '_'), error.details)}"
+        except OSError as fault:
+            where = f"; its traceback could not be written ({one_line(fault)})"
     return RunFailedError(f"{error}{where}; checkpoints are kept, go on with --run {run.path} --resume")
 
 
@@ -142,8 +170,13 @@ def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Train
 
 
 def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:
-    path = run.path / "evaluations.json"
-    return json.loads(path.read_text()) if path.exists() else {}
+    found = run.read_json(run.evaluations_path, is_whole=_are_evaluations)
+    return found if found is not None else {}
+
+
+def _are_evaluations(content: Any) -> bool:
+    """{"before": {level set: {"rate": ...}}}"""
+    return isinstance(content, dict) and all(isinstance(sets, dict) for sets in content.values())
 
 
 def _report(
