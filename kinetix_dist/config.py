@@ -110,6 +110,7 @@ class RunConfig:
     keep_checkpoints: int = 3
     max_restarts: int = 3  # of a lost process, before the run gives up
     heartbeat_seconds: float = 60.0  # a process that was silent for so long, outside of compilation, is taken for hung
+    stop_seconds: float = 25.0  # after SIGTERM or Ctrl-C, for the update in progress, its checkpoint and the end of Ray
     plugins: tuple[str, ...] = ()  # modules that register parts of your own; every process of the run imports them
     compile_cache: str = ""  # directory of compiled programs; "": the user's cache directory; "off": none
 
@@ -127,6 +128,7 @@ class RunConfig:
             ("checkpoint_every", 1),
             ("keep_checkpoints", 1),
             ("max_restarts", 0),
+            ("stop_seconds", 0),
         ):
             if getattr(self, name) < least:
                 raise ConfigError(f"RunConfig.{name} is {getattr(self, name)}; it must be {least} or more")

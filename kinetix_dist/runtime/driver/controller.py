@@ -39,6 +39,7 @@ from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.saving import Saver
+from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 
@@ -57,6 +58,7 @@ class Controller:
         reporter: Reporter,
         *,
         on_rollouts: Callable[[list[Any]], None] = lambda rollouts: None,
+        stop: StopSignals | None = None,
     ) -> None:
         self.config = config
         self.run = run
@@ -64,6 +66,7 @@ class Controller:
         self.curator = curator
         self.reporter = reporter
         self.clock = RoleClock()
+        self.stop = stop or StopSignals()
         self.num_updates = 0
         self.seconds_before = 0.0  # training time of earlier sessions
         self.training_seconds_at_end = 0.0
@@ -90,16 +93,27 @@ class Controller:
         self._start_from(checkpoint)
 
     def train(self) -> None:
-        """Updates until the configured end; saves a checkpoint there."""
+        """Updates until the configured end; saves a checkpoint there.
+
+        Raises StoppedError at the end of an update in which that was asked for, after a checkpoint is saved.
+        """
         self.reporter.phase("compiling")
         self.clock.start()
         while not self._is_over():
             try:
-                self._one_update()
+                with self.stop.deferred():
+                    self._one_update()
             except WorkerLostError as error:
+                if self.stop.requested is not None:  # a signal to all processes of a terminal or a job, say
+                    self._stop_without_saving(error)
                 self._recover(error)
+            except StopRequested:
+                pass  # while waiting for the curator, with the last update complete
+            if self.stop.requested is not None:
+                self._stop()
         self.training_seconds_at_end = self.training_seconds
-        self.save_now()
+        with self.stop.deferred():
+            self.save_now()
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
         """Solve rates by level set."""
@@ -132,6 +146,9 @@ class Controller:
         self.clock.add(seconds)
         self.num_updates += 1
         self.reporter.phase("training")
+        if self.stop.requested is not None:
+            self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
+            return
         if _is_due(self.config.evaluation.every, self.num_updates):
             metrics |= self._evaluate_metrics()
         if _is_due(self.config.recording.every, self.num_updates):
@@ -162,7 +179,7 @@ class Controller:
         assert self.curator is not None
         if self._pending[0] == 0:
             self.reporter.phase("curating")
-        with self.clock.role("curate"):
+        with self.clock.role("curate"), self.stop.interruptible():
             refresh = self.curator.take()
         self._is_stale = refresh is None
         if refresh is None:
@@ -255,6 +272,25 @@ class Controller:
             with self.clock.role("checkpoint"):
                 self._saver.wait()
         return self._saver.saved_at == self.num_updates
+
+    def _stop_without_saving(self, error: WorkerLostError) -> None:
+        self.run.event("stopped", signal=self.stop.requested, update=self.num_updates, saved=False)
+        raise StoppedError(
+            f"stopped by {self.stop.requested} in the update after {self.num_updates}, which was lost ({error})"
+        ) from error
+
+    def _stop(self) -> None:
+        """Saves the last update and ends the run. Before the first one there is nothing to save."""
+        with self.stop.deferred():
+            is_saved = self.num_updates > 0 and self.save_now()
+        self.run.event("stopped", signal=self.stop.requested, update=self.num_updates, saved=is_saved)
+        if self.num_updates > 0 and not is_saved:
+            raise StopFailedError(
+                f"stopped by {self.stop.requested} after update {self.num_updates}, which could not be saved (see "
+                f"events.jsonl); go on from the checkpoint before it"
+            )
+        what = f"after update {self.num_updates}, which is saved" if is_saved else "before the first update"
+        raise StoppedError(f"stopped by {self.stop.requested} {what}")
 
     def close(self) -> None:
         """Lets a save in flight come to its end."""

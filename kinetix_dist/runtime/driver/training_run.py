@@ -21,6 +21,7 @@ from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
@@ -32,21 +33,28 @@ class RunFailedError(RuntimeError):
 
 
 def train(
-    config: TrainConfig, run: RunDirectory, *, resume: bool, console: ConsoleSink | None = None
+    config: TrainConfig,
+    run: RunDirectory,
+    *,
+    resume: bool,
+    console: ConsoleSink | None = None,
+    stop: StopSignals | None = None,
 ) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
 
-    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed, and
-    RunFailedError where a process failed.
+    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed,
+    RunFailedError where a process failed, and StoppedError where `stop` was asked for.
     """
     began = time.monotonic()
+    stop = stop or StopSignals()
     reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
     recorder = Recorder(run)
     started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
         backend, trainer, curator = _start_roles(config, run)
+        stop.install()
         started = [role.stop for role in (curator, trainer, backend) if role is not None]
-        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder)
+        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder, stop=stop)
         started.insert(0, controller.close)
         controller.restore(resume=resume)
         _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
@@ -63,10 +71,20 @@ def train(
         return report
     except (ProcessFailedError, WorkerLostError) as error:
         raise _failed_run(run, error) from error
+    except StopFailedError as error:
+        raise RunFailedError(f"{error} with --run {run.path} --resume") from error
+    except StoppedError as error:
+        raise StoppedError(f"{error}; go on with --run {run.path} --resume") from None
+    except StopRequested:
+        run.event("stopped", signal=stop.requested, update=None, saved=False)
+        raise StoppedError(
+            f"stopped by {stop.requested} outside of updates; go on with --run {run.path} --resume"
+        ) from None
     finally:
-        for stop in started:
-            stop()
-        reporter.close()
+        with stop.deferred():
+            for end in started:
+                end()
+            reporter.close()
 
 
 def _from_first_to_last_update(controller: Controller, run: RunDirectory, reporter: RunReporter) -> dict[str, Any]:
