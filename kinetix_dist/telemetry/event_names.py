@@ -32,6 +32,9 @@ EVENTS: dict[str, str] = {
     "recording_dropped": "rollouts were not recorded, since the disk is slower than they come",
     "recording_failed": "a recording could not be written: why",
     # Numbers
+    "steps_skipped": "some gradient steps of an update were skipped as not finite, for the first time in the session",
+    "update_skipped": "no gradient step of an update was finite: nothing was learned in it",
+    "rolled_back": "too many updates were skipped in a row: training goes on from the last checkpoint",
     "physics_warning": "a counter of the physics that should be zero is not, for the first time",
 }
 

@@ -83,6 +83,7 @@ _ALL = (
     Metric("learner/grad_norm", "1", "global norm of the gradients before clipping"),
     Metric("learner/explained_variance", "share", "of the variance of returns that the value function explains"),
     Metric("learner/skipped_steps", "gradient steps", "skipped in this update because a gradient was not finite"),
+    Metric("learner/skipped_updates", "updates", "skipped as a whole, since the start of this session"),
     # Runtime
     Metric(
         "runtime/policy_lag", "updates", "versions between the policy that acted and the policy that was updated, mean"

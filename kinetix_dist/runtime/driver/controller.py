@@ -39,6 +39,7 @@ from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.saving import Saver
+from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
@@ -79,6 +80,9 @@ class Controller:
         self._recovery_seconds = 0.0
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
         self._topology: dict[str, Any] = {}
+        self._skipped = SkippedUpdates(
+            steps_per_update=config.ppo.epochs * config.ppo.minibatches, limit=config.run.max_skipped_updates
+        )
 
     def restore(self, *, resume: bool) -> None:
         """Starts the trainer: from the newest good checkpoint if the run goes on, else afresh.
@@ -95,7 +99,8 @@ class Controller:
     def train(self) -> None:
         """Updates until the configured end; saves a checkpoint there.
 
-        Raises StoppedError at the end of an update in which that was asked for, after a checkpoint is saved.
+        Raises StoppedError at the end of an update in which that was asked for, after a checkpoint is saved, and
+        NotFiniteError where nothing can be learned.
         """
         self.reporter.phase("compiling")
         self.clock.start()
@@ -111,6 +116,9 @@ class Controller:
                 pass  # while waiting for the curator, with the last update complete
             if self.stop.requested is not None:
                 self._stop()
+            if self._skipped.must_go_back(self.num_updates):
+                self._go_back()
+        self._skipped.check_end()
         self.training_seconds_at_end = self.training_seconds
         with self.stop.deferred():
             self.save_now()
@@ -154,7 +162,9 @@ class Controller:
         if _is_due(self.config.recording.every, self.num_updates):
             self.record(self.config.recording.num_rollouts)
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
-        if _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
+        # What the updates that are skipped began from is what to go back to.
+        is_well = self._skipped.in_a_row == 0
+        if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._save()
 
     def _curate(self) -> None:
@@ -203,6 +213,7 @@ class Controller:
 
     def _report(self, metrics: dict[str, float]) -> None:
         self._saver.collect()
+        self._watch_skipped(metrics["learner/skipped_steps"])
         span, shares = self.clock.lap()
         restarts = self.num_restarts + (self.curator.num_restarts if self.curator is not None else 0)
         metrics = metrics | {
@@ -212,6 +223,7 @@ class Controller:
             "progress/env_steps_per_second": self.config.rollout.steps_per_update / max(span, 1e-9),
             "runtime/dropped_steps": self.trainer.dropped_steps,
             "runtime/restarts": restarts,
+            "learner/skipped_updates": self._skipped.num_skipped,
             **{f"time/{role}": share for role, share in shares.items()},
         }
         if self.curator is not None:
@@ -227,6 +239,21 @@ class Controller:
         for kind, count, warning in self._physics.add(metrics, physics_steps):
             self.run.event("physics_warning", counter=kind, count=count, update=self.num_updates)
             self.reporter.note(warning)
+
+    def _watch_skipped(self, skipped_steps: float) -> None:
+        if self._skipped.is_new_kind(skipped_steps):
+            self.run.event("steps_skipped", update=self.num_updates, steps=int(skipped_steps))
+        if self._skipped.add(skipped_steps):
+            self.run.event("update_skipped", update=self.num_updates, in_a_row=self._skipped.in_a_row)
+            if self._skipped.in_a_row == 1:
+                self.reporter.note(f"update {self.num_updates} was skipped: no gradient was finite")
+
+    def _go_back(self) -> None:
+        """To the last checkpoint, after too many updates were skipped in a row."""
+        left_at = self.num_updates
+        self._restart()
+        self.run.event("rolled_back", from_update=left_at, to_update=self.num_updates)
+        self.reporter.note(f"the updates before {left_at} were skipped: back to the checkpoint of {self.num_updates}")
 
     def _is_over(self) -> bool:
         run = self.config.run
@@ -286,11 +313,16 @@ class Controller:
         self.run.event("stopped", signal=self.stop.requested, update=self.num_updates, saved=is_saved)
         if self.num_updates > 0 and not is_saved:
             raise StopFailedError(
-                f"stopped by {self.stop.requested} after update {self.num_updates}, which could not be saved (see "
-                f"events.jsonl); go on from the checkpoint before it"
+                f"stopped by {self.stop.requested} after update {self.num_updates}, which could not be saved "
+                f"({self.save_error}); go on from the checkpoint before it"
             )
         what = f"after update {self.num_updates}, which is saved" if is_saved else "before the first update"
         raise StoppedError(f"stopped by {self.stop.requested} {what}")
+
+    @property
+    def save_error(self) -> str | None:
+        """Why the last save failed; None where it did not."""
+        return self._saver.error
 
     def close(self) -> None:
         """Lets a save in flight come to its end."""
@@ -330,13 +362,17 @@ class Controller:
         if self.num_restarts > self.config.run.max_restarts:
             raise WorkerLostError(f"{error}, once more than run.max_restarts {self.config.run.max_restarts}") from error
         began = time.monotonic()
+        lost_at = self.num_updates
+        self._restart()
+        self._recovery_seconds = time.monotonic() - began
+        self.run.event("recovered", from_update=lost_at, to_update=self.num_updates, seconds=self._recovery_seconds)
+
+    def _restart(self) -> None:
+        """Everything from the newest good checkpoint."""
         if self.curator is not None:
             self.curator.cancel()
         self._saver.wait()
-        lost_at = self.num_updates
         self._start_from(newest_checkpoint(self.run, self.config, self.reporter))
-        self._recovery_seconds = time.monotonic() - began
-        self.run.event("recovered", from_update=lost_at, to_update=self.num_updates, seconds=self._recovery_seconds)
 
 
 def _is_due(every: int, num_updates: int) -> bool:

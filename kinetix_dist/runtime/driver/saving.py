@@ -13,10 +13,12 @@ from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist.checkpoint import save_checkpoint
 from kinetix_dist.errors import one_line
+from kinetix_dist.runtime.cores.stored import LEARNER
 from kinetix_dist.runtime.driver.roles import Reporter
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
@@ -32,6 +34,7 @@ class Saver:
         self._in_flight: tuple[int, Future[float]] | None = None  # update, seconds that it takes
         self.saved_at: int | None = None  # update of the newest checkpoint of this session, or resumed from
         self.seconds: float | None = None  # that writing and verifying the last one took
+        self.error: str | None = None  # why the last save failed; None where it did not
 
     def save(self, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any]) -> None:
         """Begins a save; waits only for the one before it."""
@@ -50,12 +53,12 @@ class Saver:
         (num_updates, future), self._in_flight = self._in_flight, None
         error = future.exception()
         if error is None:
-            self.saved_at, self.seconds = num_updates, future.result()
+            self.saved_at, self.seconds, self.error = num_updates, future.result(), None
             return
         # Whatever it is: Orbax has errors of many kinds for a disk that is full. Training goes on from memory.
-        text = one_line(error)
-        self._run.event("checkpoint_failed", update=num_updates, error=text)
-        self._reporter.note(f"checkpoint at update {num_updates} failed, training goes on: {text}")
+        self.error = one_line(error)
+        self._run.event("checkpoint_failed", update=num_updates, error=self.error)
+        self._reporter.note(f"checkpoint at update {num_updates} failed, training goes on: {self.error}")
 
     def close(self) -> None:
         """Waits for a save in flight, also where the run ends by an error."""
@@ -64,5 +67,11 @@ class Saver:
 
     def _write(self, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any]) -> float:
         began = time.monotonic()
+        if name := next((name for name in arrays if name.startswith(f"{LEARNER}/") and _has_nan(arrays[name])), None):
+            raise ValueError(f"{name} is not finite: nothing could go on from it")
         save_checkpoint(self._run.checkpoints, num_updates, arrays, description, keep=self._keep)
         return time.monotonic() - began
+
+
+def _has_nan(array: np.ndarray) -> bool:
+    return bool(jnp.issubdtype(array.dtype, jnp.floating)) and not bool(np.isfinite(array).all())

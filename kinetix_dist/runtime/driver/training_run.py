@@ -21,6 +21,7 @@ from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.skipped_updates import NotFiniteError
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
@@ -71,6 +72,9 @@ def train(
         return report
     except (ProcessFailedError, WorkerLostError) as error:
         raise _failed_run(run, error) from error
+    except NotFiniteError as error:
+        run.event("run_failed", error=str(error))
+        raise RunFailedError(f"{error}; checkpoints before them are kept in {run.checkpoints}") from error
     except StopFailedError as error:
         raise RunFailedError(f"{error} with --run {run.path} --resume") from error
     except StoppedError as error:
@@ -104,8 +108,8 @@ def _from_first_to_last_update(controller: Controller, run: RunDirectory, report
         controller.record(num_rollouts)
     if not controller.save_now():
         raise RunFailedError(
-            f"the last checkpoint, of update {controller.num_updates}, could not be saved (see events.jsonl); "
-            f"free space under {run.path}, then go on from the one before it with --run {run.path} --resume"
+            f"the last checkpoint, of update {controller.num_updates}, could not be saved: "
+            f"{controller.save_error}; go on from the one before it with --run {run.path} --resume"
         )
     return evaluations
 
