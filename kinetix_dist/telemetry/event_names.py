@@ -12,6 +12,7 @@ EVENTS: dict[str, str] = {
     "process_started": "a process began: who, where, with how much memory",
     "worker_lost": "a process of the training group died or fell silent",
     "recovered": "the group was started again from a checkpoint: from and to which update, seconds",
+    "token_secured": "Ray's token file could be read by others, and cannot any more",
     "stopped": "SIGTERM or Ctrl-C ended the run: after which update, and whether that is saved",
     "run_failed": "the run ended by an error: which",
     # Curriculum
