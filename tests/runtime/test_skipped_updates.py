@@ -59,6 +59,7 @@ def test_a_run_that_cannot_learn_does_not_end_with_0(tmp_path, capsys):
     assert [row["update"] for row in _events(tmp_path / "all", "update_skipped")] == [1, 2]
 
 
+@pytest.mark.slow
 def test_where_going_back_does_not_help_the_run_ends(tmp_path):
     config = tiny_config(num_updates=9, max_skipped_updates=2)
     config = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, value_coefficient=1e38))

@@ -54,6 +54,7 @@ def test_sigterm_finishes_the_update_and_saves_it(tmp_path):
     assert [row["saved"] for row in events(run, "stopped")] == [True]
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_goes_on_bit_for_bit(finished_run, tmp_path):
     config = tiny_config(num_updates=1000, checkpoint_every=1000)
     backend = LocalBackend()
@@ -82,6 +83,28 @@ def test_while_it_starts_a_run_ends_at_once(tmp_path):
     status, seconds, line = _stopped(process, signal.SIGINT)
     assert (status, seconds < LIMIT_S) == (EXIT_STOPPED, True)
     assert ("stopped by SIGINT" in line and "--resume" in line) or "before the run began" in line
+
+
+SWALLOWED = """
+import os, signal, time
+from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
+class Dying:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+with StopSignals() as stop:
+    try:
+        Dying()
+        time.sleep(60)
+    except StopRequested:
+        print("asked", stop.requested)
+"""
+
+
+def test_a_signal_while_an_object_is_collected_is_not_swallowed():
+    """Python prints what is raised there and goes on."""
+    done = subprocess.run([sys.executable, "-c", SWALLOWED], cwd=REPOSITORY, capture_output=True, timeout=20)
+    assert (done.stdout, done.stderr) == (b"asked SIGTERM\n", b"")
 
 
 SLOW = """

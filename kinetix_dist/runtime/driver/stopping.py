@@ -20,6 +20,8 @@ from typing import Any
 
 EXIT_STOPPED = 75  # sysexits.h EX_TEMPFAIL, "try again later": the run can go on with --resume
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
+_SWALLOWING = ("_xla_gc_callback", "__del__")  # the first is JAX's
+_AGAIN_S = 0.05
 _SHOW_CURSOR = "\x1b[?25h"  # the live line of the console hides it
 
 
@@ -50,7 +52,7 @@ class StopSignals:
     def __enter__(self) -> StopSignals:
         if threading.current_thread() is not threading.main_thread():
             return self
-        self._former = {number: signal.getsignal(number) for number in _SIGNALS}
+        self._former = {number: signal.getsignal(number) for number in (*_SIGNALS, signal.SIGALRM)}
         self._pipe = os.pipe()
         os.set_blocking(self._pipe[1], False)
         signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
@@ -61,6 +63,7 @@ class StopSignals:
     def __exit__(self, *exception: object) -> None:
         if self._pipe is None:
             return
+        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in self._former.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(-1)
@@ -72,6 +75,7 @@ class StopSignals:
         if self._pipe is not None:
             for number in _SIGNALS:
                 signal.signal(number, self._handle)
+            signal.signal(signal.SIGALRM, self._again)
 
     @contextmanager
     def deferred(self) -> Generator[None]:
@@ -96,11 +100,21 @@ class StopSignals:
             self._is_deferred = before
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        del frame
         if self.requested is None:
             self.requested = signal.Signals(number).name
-            if not self._is_deferred:
-                raise StopRequested
+            self._raise_unless_deferred(frame)
+
+    def _again(self, number: int, frame: FrameType | None) -> None:
+        del number
+        self._raise_unless_deferred(frame)
+
+    def _raise_unless_deferred(self, frame: FrameType | None) -> None:
+        if self._is_deferred:
+            return
+        if _is_swallowed(frame):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
+        raise StopRequested
 
     def _watch(self, pipe: int) -> None:
         """Ends the process at the second signal, or when the time after the first is over."""
@@ -119,6 +133,15 @@ class StopSignals:
 
     def _reach_limit(self, name: str) -> None:
         _end(EXIT_STOPPED, f"not done {self._limit_s:g} s after {name}: ended where it was{self._hint}")
+
+
+def _is_swallowed(frame: FrameType | None) -> bool:
+    """Whether Python would print what is raised in this frame and go on: callbacks of the garbage collector."""
+    while frame is not None:
+        if frame.f_code.co_name in _SWALLOWING:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _end(status: int, text: str) -> None:
