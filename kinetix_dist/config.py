@@ -109,7 +109,9 @@ class RunConfig:
     checkpoint_every: int = 50  # updates
     keep_checkpoints: int = 3
     max_restarts: int = 3  # of a lost process, before the run gives up
+    max_skipped_updates: int = 5  # in a row, for gradients that are not finite, before going back to a checkpoint
     heartbeat_seconds: float = 60.0  # a process that was silent for so long, outside of compilation, is taken for hung
+    stop_seconds: float = 25.0  # after SIGTERM or Ctrl-C, for the update in progress, its checkpoint and the end of Ray
     plugins: tuple[str, ...] = ()  # modules that register parts of your own; every process of the run imports them
     compile_cache: str = ""  # directory of compiled programs; "": the user's cache directory; "off": none
 
@@ -127,6 +129,8 @@ class RunConfig:
             ("checkpoint_every", 1),
             ("keep_checkpoints", 1),
             ("max_restarts", 0),
+            ("max_skipped_updates", 1),
+            ("stop_seconds", 0),
         ):
             if getattr(self, name) < least:
                 raise ConfigError(f"RunConfig.{name} is {getattr(self, name)}; it must be {least} or more")

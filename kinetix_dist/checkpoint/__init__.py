@@ -8,6 +8,7 @@ from kinetix_dist.checkpoint.store import (
     list_checkpoints,
     load_checkpoint,
     newest_good,
+    remove_dead_drafts,
     save_checkpoint,
 )
 
@@ -20,6 +21,7 @@ __all__ = [
     "list_checkpoints",
     "load_checkpoint",
     "newest_good",
+    "remove_dead_drafts",
     "save_checkpoint",
     "select_arrays",
     "unflatten_arrays",

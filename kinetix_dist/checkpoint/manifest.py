@@ -26,18 +26,19 @@ def write_manifest(directory: Path) -> None:
 def manifest_fault(directory: Path) -> str | None:
     """What is wrong with the files of a checkpoint, in words; None when every file is what was written."""
     try:
-        listed = json.loads((directory / MANIFEST_NAME).read_text())["files"]
+        files = json.loads((directory / MANIFEST_NAME).read_text())["files"]
+        listed = {name: (expected["bytes"], expected["sha256"]) for name, expected in files.items()}
     except FileNotFoundError:
         return f"it has no {MANIFEST_NAME}: it was never finished"
-    except (ValueError, KeyError, OSError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
         return f"its {MANIFEST_NAME} cannot be read ({error})"
-    for name, expected in listed.items():
+    for name, (num_bytes, sha256) in listed.items():
         path = directory / name
         if not path.is_file():
             return f"file {name} is missing"
-        if path.stat().st_size != expected["bytes"]:
-            return f"file {name} has {path.stat().st_size} bytes instead of {expected['bytes']}"
-        if _sha256(path) != expected["sha256"]:
+        if path.stat().st_size != num_bytes:
+            return f"file {name} has {path.stat().st_size} bytes instead of {num_bytes}"
+        if _sha256(path) != sha256:
             return f"file {name} does not have the SHA-256 that was written"
     return None
 

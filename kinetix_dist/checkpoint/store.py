@@ -5,18 +5,23 @@
         checkpoint.json              format, update, whatever the caller describes it by
         manifest.json                SHA-256 of every other file, written last
 
-A checkpoint is written into a hidden directory beside its place, read back, verified, and only then renamed; older
-ones are pruned after that. So a process that dies while saving leaves the previous checkpoint as the newest.
+A checkpoint is written into a hidden directory beside its place (a draft, `.saving-00000040-PID@HOST`), read back,
+verified, and only then renamed; older ones are pruned after that. So a process that dies while saving leaves the
+previous checkpoint as the newest, and a draft that the next run removes.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import errno
 import json
+import logging
 import os
 import re
 import shutil
-from collections.abc import Mapping
+import socket
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +34,7 @@ FORMAT = 1
 DESCRIPTION_NAME = "checkpoint.json"
 ARRAYS_NAME = "arrays"
 _DIGITS = 8
+_OVERHEAD_BYTES = 1 << 18  # of Orbax's database, description and manifest: 100 kB with 60 arrays
 
 
 class CheckpointError(Exception):
@@ -55,18 +61,20 @@ class Rejected:
 def save_checkpoint(
     directory: Path, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any], *, keep: int
 ) -> Path:
-    """Writes, verifies and publishes one checkpoint, then prunes to the newest `keep`; returns its path.
+    """Writes, verifies and publishes one checkpoint, then prunes to the newest `keep` that verify; returns its path.
 
-    Raises OSError or CheckpointError when it could not be made durable; the older ones are then untouched.
+    Raises when it could not be made durable (OSError, CheckpointError, or what Orbax makes of a full disk); the older
+    ones are then untouched.
     """
     if keep < 1:
         raise ValueError(f"keep is {keep}; at least 1 checkpoint must be kept")
     directory.mkdir(parents=True, exist_ok=True)
     final = directory / f"{num_updates:0{_DIGITS}d}"
-    draft = directory / f".saving-{final.name}-{os.getpid()}"
+    draft = directory / f".saving-{final.name}-{os.getpid()}@{socket.gethostname()}"
     try:
         shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir()
+        _check_space(draft, arrays)
         _save_arrays(draft / ARRAYS_NAME, arrays)
         content = {"format": FORMAT, "num_updates": num_updates, "num_arrays": len(arrays), **description}
         (draft / DESCRIPTION_NAME).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
@@ -80,8 +88,7 @@ def save_checkpoint(
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-    for old in list_checkpoints(directory)[:-keep]:
-        shutil.rmtree(old, ignore_errors=True)
+    _prune(directory, keep)
     return final
 
 
@@ -94,13 +101,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if not path.is_dir():
         known = ", ".join(pretrained_names()) or "none"
         raise CheckpointError(f"there is no checkpoint {path}; pretrained policies here: {known}")
-    if fault := manifest_fault(path):
-        raise CheckpointError(f"checkpoint {path} is damaged: {fault}")
+    if fault := _fault(path):
+        raise CheckpointError(f"checkpoint {path} {fault}")
     description = json.loads((path / DESCRIPTION_NAME).read_text())
-    if description.get("format") != FORMAT:
-        raise CheckpointError(
-            f"checkpoint {path} has format {description.get('format')!r}; this version reads format {FORMAT}"
-        )
     return Checkpoint(path=path, arrays=_load_arrays(path / ARRAYS_NAME), description=description)
 
 
@@ -122,13 +125,77 @@ def list_checkpoints(directory: Path) -> list[Path]:
     return sorted(path for path in directory.iterdir() if path.is_dir() and re.fullmatch(r"\d+", path.name))
 
 
+def remove_dead_drafts(directory: Path) -> list[str]:
+    """Removes what processes left that died while saving; returns the names. For whoever holds the run's lock.
+
+    A draft of a living process of this host stays. One of this process goes: in a container the next process often
+    has the number of the one before it, and a run removes drafts before it saves anything. So does one of another host,
+    whose process has lost the lock.
+    """
+    removed = []
+    for path in sorted(directory.glob(".saving-*")) if directory.is_dir() else []:
+        match = re.fullmatch(r"\.saving-\d+-(\d+)(?:@(.+))?", path.name)
+        if match is None or not _is_alive_here(int(match[1]), match[2]):
+            shutil.rmtree(path, ignore_errors=True)
+            removed.append(path.name)
+    return removed
+
+
+def _is_alive_here(pid: int, host: str | None) -> bool:
+    """Whether another process of this host has this number. host None: a draft of an earlier version."""
+    if pid == os.getpid() or host not in (None, socket.gethostname()):
+        return False
+    return Path(f"/proc/{pid}").exists()
+
+
+def _prune(directory: Path, keep: int) -> None:
+    """Removes what is older than the newest `keep` good checkpoints. A bad one is counted by nobody."""
+    num_good = 0
+    for path in reversed(list_checkpoints(directory)):
+        if num_good >= keep:
+            shutil.rmtree(path, ignore_errors=True)
+        elif _fault(path) is None:
+            num_good += 1
+
+
+def _fault(path: Path) -> str | None:
+    """What is wrong with a checkpoint on disk, in words; None for a good one. Arrays are compared by checksum."""
+    try:
+        if fault := manifest_fault(path):
+            return f"is damaged: {fault}"
+        found = json.loads((path / DESCRIPTION_NAME).read_text()).get("format")
+    except (OSError, ValueError, AttributeError) as error:
+        return f"cannot be read ({error})"
+    return None if found == FORMAT else f"has format {found!r}; this version reads format {FORMAT}"
+
+
+def _check_space(directory: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raises OSError where the arrays cannot fit: Orbax's threads would write a traceback each to the console."""
+    needed = sum(np.asarray(array).nbytes for array in arrays.values()) + _OVERHEAD_BYTES
+    if (free := shutil.disk_usage(directory).free) < needed:
+        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: it needs {needed:,} bytes, {free:,} are free")
+
+
 def _save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     import orbax.checkpoint as ocp
 
     empty = [name for name, array in arrays.items() if np.asarray(array).size == 0]
     if empty:
         raise ValueError(f"array {empty[0]} is empty; leave empty arrays out of a checkpoint")
-    ocp.PyTreeCheckpointer().save(path.absolute(), dict(arrays))
+    with _without_its_log():
+        ocp.PyTreeCheckpointer().save(path.absolute(), dict(arrays))
+
+
+@contextlib.contextmanager
+def _without_its_log() -> Generator[None]:
+    """What Orbax cannot write it raises, and its threads log it with a traceback as well: once is enough."""
+    log = logging.getLogger("absl")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _load_arrays(path: Path) -> dict[str, np.ndarray]:

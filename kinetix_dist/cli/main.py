@@ -10,7 +10,7 @@ and, only where the flags depend on what else is given (a recipe that sets defau
 before, so `kinetix-dist doctor` still answers on a machine where ray, warp or jax cannot be imported.
 
 Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was given something wrong
-(one line on stderr says what and what to do), 130 interrupted.
+(one line on stderr says what and what to do), 130 interrupted; 75 training was stopped by a signal and can go on.
 """
 
 from __future__ import annotations

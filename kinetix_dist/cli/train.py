@@ -22,6 +22,7 @@ from kinetix_dist.cli.errors import UserError, one_line, user_errors
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
     from kinetix_dist.runtime.driver.run_directory import RunDirectory
+    from kinetix_dist.runtime.driver.stopping import StopSignals
 
 RUNS = Path("runs")
 DEFAULT_RECIPE = "quickstart"
@@ -85,11 +86,31 @@ def parse(argv: Sequence[str]) -> Args:
 
 
 def run(args: Args) -> int:
+    from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, StopRequested, StopSignals
+    from kinetix_dist.runtime.driver.training_run import RunFailedError
+
+    hint = "; go on with --resume"
+    with StopSignals(limit_s=args.config.run.stop_seconds, hint=hint) as stop:
+        try:
+            _run(args, stop)
+            return 0
+        except RunFailedError as error:
+            print(f"kinetix-dist: {one_line(error)}", file=sys.stderr)
+            return 1
+        except StoppedError as error:
+            print(f"kinetix-dist: {one_line(error)}", file=sys.stderr)
+            return EXIT_STOPPED
+        except StopRequested:
+            print(f"kinetix-dist: stopped by {stop.requested} before the run began", file=sys.stderr)
+            return EXIT_STOPPED
+
+
+def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.driver.training_run import RunFailedError, hold_to_cpu, train
+    from kinetix_dist.runtime.driver.training_run import hold_to_cpu, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
 
     config = args.config
@@ -112,14 +133,10 @@ def run(args: Args) -> int:
             flush=True,
         )
         with user_errors(CheckpointError, PlacementError, FileNotFoundError):
-            report = train(config, directory, resume=args.resume)
+            report = train(config, directory, resume=args.resume, stop=stop)
         _print_report(report, directory.path)
-    except RunFailedError as error:
-        print(f"kinetix-dist: {one_line(error)}", file=sys.stderr)
-        return 1
     finally:
         directory.close()
-    return 0
 
 
 def _override(base: TrainConfig, overrides: list[str]) -> TrainConfig:

@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.telemetry.whole_writes import WholeWrites
+
 Row = dict[str, Any]
 
 
@@ -40,14 +42,12 @@ def read_lines(path: Path, is_row: Callable[[Row], bool] = lambda row: True) -> 
 
 
 def append_line(path: Path, row: Mapping[str, Any]) -> None:
-    """Adds a row on a line of its own, also after an unfinished one."""
-    with path.open("a+b") as file:
-        file.seek(0, os.SEEK_END)
-        if file.tell():
-            file.seek(-1, os.SEEK_END)
-            if file.read(1) != b"\n":
-                file.write(b"\n")
-        file.write(_encode(row))
+    """Adds a row on a line of its own, also after an unfinished one: whole, or not at all where OSError is raised."""
+    file = WholeWrites(path)
+    try:
+        file.write((b"" if file.last_byte() in (b"", b"\n") else b"\n") + _encode(row))
+    finally:
+        file.close()
 
 
 def mend_lines(path: Path, *, is_row: Callable[[Row], bool], keep: Callable[[Row], bool]) -> int:
@@ -70,6 +70,30 @@ def mend_lines(path: Path, *, is_row: Callable[[Row], bool], keep: Callable[[Row
 def damaged_path(path: Path) -> Path:
     """metrics.jsonl -> metrics.damaged"""
     return path.with_suffix(".damaged")
+
+
+def set_aside_unless_readable(path: Path) -> Path | None:
+    """Renames what cannot be read as a file (a directory, say): metrics.jsonl -> metrics.jsonl.damaged, or
+    .damaged-2, ... where there is one; returns the new name. None: it can be read, or is not there."""
+    if not path.exists() and not path.is_symlink():
+        return None
+    try:
+        if path.is_file():
+            path.read_bytes()
+            return None
+    except OSError:
+        pass  # a disk that cannot read it any more, or a file of somebody else
+    return set_aside_file(path)
+
+
+def set_aside_file(path: Path) -> Path:
+    """The same in any case."""
+    aside = path.with_name(f"{path.name}.damaged")
+    number = 1
+    while aside.exists():
+        number += 1
+        aside = path.with_name(f"{path.name}.damaged-{number}")
+    return path.rename(aside)
 
 
 def replace_file(path: Path, content: bytes) -> None:

@@ -41,7 +41,7 @@ _ALL = (
     Metric("time/curate", "share", "the learner waiting for (or, in local mode, doing) the scoring of levels"),
     Metric("time/evaluate", "share", "evaluating on held-out and designed levels"),
     Metric("time/record", "share", "recording rollouts"),
-    Metric("time/checkpoint", "share", "writing checkpoints"),
+    Metric("time/checkpoint", "share", "copying what a checkpoint holds, and waiting for the one before it"),
     Metric("time/idle", "share", "everything else: dispatch, transfers, waiting"),
     # Training episodes
     Metric("train/episodes", "episodes", "episodes that ended in this update's rollout"),
@@ -83,6 +83,7 @@ _ALL = (
     Metric("learner/grad_norm", "1", "global norm of the gradients before clipping"),
     Metric("learner/explained_variance", "share", "of the variance of returns that the value function explains"),
     Metric("learner/skipped_steps", "gradient steps", "skipped in this update because a gradient was not finite"),
+    Metric("learner/skipped_updates", "updates", "skipped as a whole, since the start of this session"),
     # Runtime
     Metric(
         "runtime/policy_lag", "updates", "versions between the policy that acted and the policy that was updated, mean"
@@ -91,7 +92,14 @@ _ALL = (
     Metric("runtime/dropped_steps", "env steps", "rolled out but not trained on, since the start of this session"),
     Metric("runtime/restarts", "processes", "replaced after a failure, since the start of this session"),
     Metric("runtime/recovery_seconds", "s", "time the last replacement took"),
+    Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, beside training"),
     Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
+    # Telemetry
+    Metric(
+        "telemetry/dropped_rows",
+        "rows",
+        "rows of metrics that metrics.jsonl or TensorBoard did not take, since the start of this session",
+    ),
     # Evaluation
     Metric("evaluation/<set>/solve_rate", "share", "first episodes solved on a level set"),
     Metric("evaluation/<set>/low", "share", "lower end of its 95 % Wilson interval"),

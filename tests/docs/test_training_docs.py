@@ -1,4 +1,4 @@
-"""docs/training.md has every configuration field with its default, docs/operating.md every metric with its unit."""
+"""docs/training.md has every configuration field with its default, docs/operating.md every metric and event."""
 
 import dataclasses
 import math
@@ -8,6 +8,7 @@ import pytest
 
 from kinetix_dist.config import RunConfig, TrainConfig
 from kinetix_dist.recipes import RECIPES
+from kinetix_dist.telemetry.event_names import EVENTS
 from kinetix_dist.telemetry.names import METRICS
 from tests.helpers import REPOSITORY
 
@@ -50,3 +51,8 @@ def test_every_recipe_is_documented():
 @pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS)
 def test_every_metric_is_documented(metric):
     assert f"| `{metric.name}` | {metric.unit} | {metric.meaning} |" in OPERATING
+
+
+@pytest.mark.parametrize("event", EVENTS)
+def test_every_event_is_documented(event):
+    assert f"| `{event}` | {EVENTS[event]} |" in OPERATING

@@ -34,6 +34,17 @@ class QuietReporter:
         self._at_update(num_updates)
 
 
+class NotingReporter(QuietReporter):
+    """Keeps what it is told, too."""
+
+    def __init__(self, at_update: Callable[[int], None] = lambda number: None) -> None:
+        super().__init__(at_update)
+        self.notes: list[str] = []
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+
 def tiny_config(*, num_updates: int, **run: Any) -> TrainConfig:
     """The recipe `tiny` for `num_updates` updates."""
     config = recipe("tiny")

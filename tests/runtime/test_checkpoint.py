@@ -1,6 +1,8 @@
 """A checkpoint restores exactly what was saved, and a damaged one is never used."""
 
 import shutil
+import socket
+import subprocess
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from kinetix_dist.checkpoint import (
     list_checkpoints,
     load_checkpoint,
     newest_good,
+    remove_dead_drafts,
     save_checkpoint,
     unflatten_arrays,
 )
@@ -102,3 +105,59 @@ def test_arrays_of_another_structure_are_refused_by_name():
     del arrays["counters/1"]
     with pytest.raises(ArrayMismatchError, match="counters/1 is missing"):
         unflatten_arrays(_state(0), arrays)
+
+
+# Pruning
+
+
+def test_pruning_counts_good_checkpoints_only_and_keeps_the_newest_good_one(tmp_path):
+    """Bad ones with high numbers once crowded out what was saved after them: a save deleted its own checkpoint."""
+    for number in (10, 20, 30):
+        _flip_a_byte(_save(tmp_path, number))
+    _save(tmp_path, 4, keep=2)
+    _save(tmp_path, 6, keep=2)
+    assert [path.name for path in list_checkpoints(tmp_path)] == [f"{n:08d}" for n in (4, 6, 10, 20, 30)]
+    _save(tmp_path, 8, keep=2)
+    assert [path.name for path in list_checkpoints(tmp_path)][:2] == ["00000006", "00000008"]
+    _save(tmp_path, 31, keep=1)
+    assert [path.name for path in list_checkpoints(tmp_path)] == ["00000031"]
+
+
+def test_a_manifest_that_makes_no_sense_is_a_reason_not_a_traceback(tmp_path):
+    path = _save(tmp_path, 1)
+    for content in ("[]", '{"files": [1]}', '{"files": {"checkpoint.json": 3}}', "\x00"):
+        (path / "manifest.json").write_text(content)
+        with pytest.raises(CheckpointError, match=r"manifest\.json cannot be read"):
+            load_checkpoint(path)
+
+
+# Drafts
+
+
+def test_drafts_of_dead_processes_are_removed_and_those_of_living_ones_stay(tmp_path):
+    living = subprocess.Popen(["sleep", "60"])
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    host = socket.gethostname()
+    names = {
+        "living": f".saving-00000002-{living.pid}@{host}",
+        "older version": f".saving-00000004-{living.pid}",
+        "dead": f".saving-00000002-{dead.pid}@{host}",
+        "same number, another host": f".saving-00000002-{living.pid}@elsewhere",
+        "nonsense": ".saving-x",
+    }
+    try:
+        for name in names.values():
+            (tmp_path / name / "arrays").mkdir(parents=True)
+        _save(tmp_path, 1)
+        removed = remove_dead_drafts(tmp_path)
+        assert set(removed) == {names["dead"], names["same number, another host"], names["nonsense"]}
+        left = {path.name for path in tmp_path.iterdir()}
+        assert left == {names["living"], names["older version"], "00000001"}
+    finally:
+        living.kill()
+        living.wait()
+
+
+def test_there_are_no_drafts_where_there_is_no_directory(tmp_path):
+    assert remove_dead_drafts(tmp_path / "nothing") == []

@@ -9,21 +9,9 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.telemetry.json_lines import append_line, damaged_path, mend_lines, read_lines
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink, read_jsonl
+from tests.runtime.conftest import NUM_UPDATES, STEPS
 
-NUM_UPDATES, STEPS = 4, 128  # of the recipe `tiny`: a checkpoint every 2 updates
 GARBAGE = (b"\x00\xff\xfe not text", b'{"update": 7, "train/', b"[1, 2]", b'{"other": 1}', b"[" * 5000, b'"half')
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A real run of four updates; copies of it are cut."""
-    path = tmp_path_factory.mktemp("runs") / "finished"
-    assert main(["train", "--run", str(path), *_options(NUM_UPDATES)]) == 0
-    return path
-
-
-def _options(num_updates):
-    return ["--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.total_env_steps", str(num_updates * STEPS)]
 
 
 def _last_lines(path, count):
@@ -32,8 +20,8 @@ def _last_lines(path, count):
     return b"".join(lines[:-count]), b"".join(lines[-count:])
 
 
-def test_metrics_cut_at_every_byte_go_on_with_whole_rows(finished, tmp_path):
-    before, last = _last_lines(finished / "metrics" / "metrics.jsonl", 1)
+def test_metrics_cut_at_every_byte_go_on_with_whole_rows(finished_run, tmp_path):
+    before, last = _last_lines(finished_run / "metrics" / "metrics.jsonl", 1)
     path = tmp_path / "metrics.jsonl"
     for cut in range(len(last) + 1):
         path.write_bytes(before + last[:cut])
@@ -56,8 +44,8 @@ def _ends(last):
     return [index + 1 for index, byte in enumerate(last) if byte == ord("}") and last[index + 1 : index + 2] == b"\n"]
 
 
-def test_events_cut_at_every_byte_never_join_with_the_next(finished, tmp_path):
-    before, last = _last_lines(finished / "events.jsonl", 2)
+def test_events_cut_at_every_byte_never_join_with_the_next(finished_run, tmp_path):
+    before, last = _last_lines(finished_run / "events.jsonl", 2)
     (tmp_path / "config.json").write_text("{}")
     for cut in range(len(last) + 1):
         (tmp_path / "events.jsonl").write_bytes(before + last[:cut])
@@ -83,9 +71,9 @@ def test_an_event_after_a_half_one_stands_on_a_line_of_its_own(tmp_path):
     assert [row["event"] for row in read_lines(path).rows] == ["a", "c"]
 
 
-def test_garbage_in_the_middle_is_set_aside_and_counted(finished, tmp_path):
+def test_garbage_in_the_middle_is_set_aside_and_counted(finished_run, tmp_path):
     path = tmp_path / "metrics.jsonl"
-    lines = (finished / "metrics" / "metrics.jsonl").read_bytes().splitlines()
+    lines = (finished_run / "metrics" / "metrics.jsonl").read_bytes().splitlines()
     path.write_bytes(b"\n".join([lines[0], *GARBAGE[:3], lines[1], *GARBAGE[3:], *lines[2:], b""]))
     assert [row["update"] for row in read_jsonl(path)] == [1, 2, 3, 4]
     sink = JsonlSink(path, resume_at=3)
@@ -116,9 +104,9 @@ def test_a_kill_while_rewriting_leaves_the_old_file_and_loses_nothing(tmp_path, 
 
 
 @pytest.mark.parametrize("damage", ["half a row", "garbage in the middle", "half an event"])
-def test_the_command_resumes_a_run_whose_files_were_cut(finished, tmp_path, damage, capsys):
+def test_the_command_resumes_a_run_whose_files_were_cut(finished_run, tmp_path, damage, capsys):
     path = tmp_path / "run"
-    shutil.copytree(finished, path)
+    shutil.copytree(finished_run, path)
     metrics, events = path / "metrics" / "metrics.jsonl", path / "events.jsonl"
     if damage == "half a row":
         metrics.write_bytes(metrics.read_bytes()[:-40])

@@ -4,6 +4,7 @@ import json
 import shutil
 
 from kinetix_dist.level.paths import levels_root
+from tests.runtime.sockets import listening, places_of
 from tests.runtime.train_process import TINY, kill_newest, rows, start, wait_for
 
 COLOCATED = [*TINY, "--run.placement", "colocated"]
@@ -33,13 +34,27 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     assert f"traceback in {log}; checkpoints are kept, go on with --run {tmp_path / 'run'} --resume" in line
     assert "load_level_set" in log.read_text()
     events = [json.loads(text) for text in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
-    assert [event["event"] for event in events] == ["process_started", "run_failed"]
+    kinds = [event["event"] for event in events if event["event"] != "token_secured"]  # of the user's own Ray
+    assert kinds == ["process_started", "run_failed"]
 
 
-def test_a_worker_that_is_lost_more_often_than_allowed(tmp_path):
+def test_a_run_on_ray_is_seen_by_nobody_else_and_ends_when_a_worker_is_lost_too_often(tmp_path, monkeypatch):
+    """Two workers: JAX's coordinator and the sockets of collectives are there too."""
     run = tmp_path / "run"
-    process = start(run, *COLOCATED, "--run.max_restarts", "0", "--run.total_env_steps", "10000000")
+    monkeypatch.setenv("HOME", str(tmp_path))  # there is no token yet
+    for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH", "RAY_AUTH_MODE", "RAY_ADDRESS"):
+        monkeypatch.delenv(name, raising=False)
+    options = ["--run.num_workers", "2", "--run.max_restarts", "0", "--run.total_env_steps", "10000000"]
+    process = start(run, *COLOCATED, *options)
     wait_for(lambda: bool(rows(run)), process, "an update")
+    found = listening(process.pid)
+    assert found.keys() <= {"127.0.0.1", "::1"}, found
+    assert {"gcs_server", "raylet"} <= {name for names in found.values() for name in names}
+    token = tmp_path / ".ray" / "auth_token"
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert len(token.read_text()) == 64
+    assert not places_of(token.read_text(), process.pid)
     kill_newest(run, "worker 0")
     line = _the_line(process)
     assert "a process died" in line and "once more than run.max_restarts 0" in line and "--resume" in line
+    assert not any(token.read_text() in file.read_text(errors="replace") for file in run.rglob("*") if file.is_file())

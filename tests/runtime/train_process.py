@@ -22,8 +22,9 @@ GPU_MEMORY_GIB = 10
 LIMIT_S = 280.0
 
 
-def start(run: Path, *options: str, device: str = "cpu") -> subprocess.Popen[str]:
-    """Starts training in `run`. On a GPU it computes the same bits every time, at some cost of speed."""
+def start(run: Path, *options: str, device: str = "cpu", new_session: bool = False) -> subprocess.Popen[str]:
+    """Starts training in `run`. On a GPU it computes the same bits every time, at some cost of speed. new_session: as
+    a terminal would, in a process group that signals can be sent to."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_PLATFORMS", "XLA_"))}
     command = [sys.executable, "-m", "kinetix_dist.cli.main", "train", "--run", str(run), "--run.device", device]
     if device == "gpu":
@@ -38,6 +39,7 @@ def start(run: Path, *options: str, device: str = "cpu") -> subprocess.Popen[str
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=new_session,
     )
 
 

@@ -17,6 +17,12 @@ from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
+def learning_devices(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Of what a process that learns says of itself."""
+    device = facts["device"]
+    return {"devices": device["count"], "platform": device["platform"], "kind": device["kind"]}
+
+
 class ColocatedTrainer:
     """A `roles.Trainer` of one or more workers that do everything together."""
 
@@ -57,6 +63,13 @@ class ColocatedTrainer:
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         return self._first("record", num_rollouts, num_updates)
+
+    def topology(self) -> dict[str, Any]:
+        return {
+            "placement": self._config.run.placement,
+            "processes": len(self._handles),
+            **learning_devices(self._first("facts")),
+        }
 
     def facts(self) -> dict[str, Any]:
         return {**self._first("facts"), "processes": self._backend.facts(self._handles)}

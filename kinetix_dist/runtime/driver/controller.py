@@ -30,13 +30,17 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.checkpoint import Checkpoint, CheckpointError, flatten_arrays, save_checkpoint, select_arrays
+from kinetix_dist.checkpoint import Checkpoint, flatten_arrays, remove_dead_drafts, select_arrays
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.runtime.driver.clock import RoleClock
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
+from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.saving import Saver
+from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
+from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 
@@ -55,6 +59,7 @@ class Controller:
         reporter: Reporter,
         *,
         on_rollouts: Callable[[list[Any]], None] = lambda rollouts: None,
+        stop: StopSignals | None = None,
     ) -> None:
         self.config = config
         self.run = run
@@ -62,6 +67,7 @@ class Controller:
         self.curator = curator
         self.reporter = reporter
         self.clock = RoleClock()
+        self.stop = stop or StopSignals()
         self.num_updates = 0
         self.seconds_before = 0.0  # training time of earlier sessions
         self.training_seconds_at_end = 0.0
@@ -72,26 +78,50 @@ class Controller:
         self._scoring_seconds: float | None = None  # of the buffer in use
         self._physics = PhysicsWatch()
         self._recovery_seconds = 0.0
-        self._saved_at: int | None = None
+        self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
+        self._topology: dict[str, Any] = {}
+        self._skipped = SkippedUpdates(
+            steps_per_update=config.ppo.epochs * config.ppo.minibatches, limit=config.run.max_skipped_updates
+        )
 
     def restore(self, *, resume: bool) -> None:
-        """Starts the trainer: from the newest good checkpoint if the run goes on, else afresh."""
+        """Starts the trainer: from the newest good checkpoint if the run goes on, else afresh.
+
+        Raises CheckpointError where the run has checkpoints and none can be used.
+        """
+        if drafts := remove_dead_drafts(self.run.checkpoints):
+            self.run.event("drafts_removed", drafts=drafts)
         checkpoint = newest_checkpoint(self.run, self.config, self.reporter) if resume else None
         if checkpoint is not None:
             self.seconds_before = checkpoint.description["training_seconds"]
         self._start_from(checkpoint)
 
     def train(self) -> None:
-        """Updates until the configured end; saves a checkpoint there."""
+        """Updates until the configured end; saves a checkpoint there.
+
+        Raises StoppedError at the end of an update in which that was asked for, after a checkpoint is saved, and
+        NotFiniteError where nothing can be learned.
+        """
         self.reporter.phase("compiling")
         self.clock.start()
         while not self._is_over():
             try:
-                self._one_update()
+                with self.stop.deferred():
+                    self._one_update()
             except WorkerLostError as error:
+                if self.stop.requested is not None:  # a signal to all processes of a terminal or a job, say
+                    self._stop_without_saving(error)
                 self._recover(error)
+            except StopRequested:
+                pass  # while waiting for the curator, with the last update complete
+            if self.stop.requested is not None:
+                self._stop()
+            if self._skipped.must_go_back(self.num_updates):
+                self._go_back()
+        self._skipped.check_end()
         self.training_seconds_at_end = self.training_seconds
-        self._save()
+        with self.stop.deferred():
+            self.save_now()
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
         """Solve rates by level set."""
@@ -124,12 +154,17 @@ class Controller:
         self.clock.add(seconds)
         self.num_updates += 1
         self.reporter.phase("training")
+        if self.stop.requested is not None:
+            self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
+            return
         if _is_due(self.config.evaluation.every, self.num_updates):
             metrics |= self._evaluate_metrics()
         if _is_due(self.config.recording.every, self.num_updates):
             self.record(self.config.recording.num_rollouts)
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
-        if _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
+        # What the updates that are skipped began from is what to go back to.
+        is_well = self._skipped.in_a_row == 0
+        if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._save()
 
     def _curate(self) -> None:
@@ -154,7 +189,7 @@ class Controller:
         assert self.curator is not None
         if self._pending[0] == 0:
             self.reporter.phase("curating")
-        with self.clock.role("curate"):
+        with self.clock.role("curate"), self.stop.interruptible():
             refresh = self.curator.take()
         self._is_stale = refresh is None
         if refresh is None:
@@ -177,6 +212,8 @@ class Controller:
         }
 
     def _report(self, metrics: dict[str, float]) -> None:
+        self._saver.collect()
+        self._watch_skipped(metrics["learner/skipped_steps"])
         span, shares = self.clock.lap()
         restarts = self.num_restarts + (self.curator.num_restarts if self.curator is not None else 0)
         metrics = metrics | {
@@ -186,12 +223,15 @@ class Controller:
             "progress/env_steps_per_second": self.config.rollout.steps_per_update / max(span, 1e-9),
             "runtime/dropped_steps": self.trainer.dropped_steps,
             "runtime/restarts": restarts,
+            "learner/skipped_updates": self._skipped.num_skipped,
             **{f"time/{role}": share for role, share in shares.items()},
         }
         if self.curator is not None:
             metrics["curriculum/buffer_is_stale"] = float(self._is_stale)
         if self._scoring_seconds is not None:
             metrics["curriculum/scoring_seconds"] = self._scoring_seconds
+        if self._saver.seconds is not None:
+            metrics["runtime/save_seconds"] = self._saver.seconds
         if self._recovery_seconds:
             metrics["runtime/recovery_seconds"] = self._recovery_seconds
         self.reporter.metrics(self.num_updates, metrics, self._seconds_left())
@@ -199,6 +239,21 @@ class Controller:
         for kind, count, warning in self._physics.add(metrics, physics_steps):
             self.run.event("physics_warning", counter=kind, count=count, update=self.num_updates)
             self.reporter.note(warning)
+
+    def _watch_skipped(self, skipped_steps: float) -> None:
+        if self._skipped.is_new_kind(skipped_steps):
+            self.run.event("steps_skipped", update=self.num_updates, steps=int(skipped_steps))
+        if self._skipped.add(skipped_steps):
+            self.run.event("update_skipped", update=self.num_updates, in_a_row=self._skipped.in_a_row)
+            if self._skipped.in_a_row == 1:
+                self.reporter.note(f"update {self.num_updates} was skipped: no gradient was finite")
+
+    def _go_back(self) -> None:
+        """To the last checkpoint, after too many updates were skipped in a row."""
+        left_at = self.num_updates
+        self._restart()
+        self.run.event("rolled_back", from_update=left_at, to_update=self.num_updates)
+        self.reporter.note(f"the updates before {left_at} were skipped: back to the checkpoint of {self.num_updates}")
 
     def _is_over(self) -> bool:
         run = self.config.run
@@ -219,9 +274,7 @@ class Controller:
     # Checkpoints and recovery
 
     def _save(self) -> None:
-        """A failed save is an event, not the end of the run: the older checkpoints are still there."""
-        if self._saved_at == self.num_updates:
-            return
+        """Begins a save of this update. A failed one is an event: the older checkpoints are still there."""
         with self.clock.role("checkpoint"):
             arrays = self.trainer.snapshot() | self._in_flight()
             description = {
@@ -232,16 +285,48 @@ class Controller:
                 "refresh_in_flight": self._pending[0] if self._pending is not None else None,
                 "buffer_is_stale": self._is_stale,
                 "scoring_seconds": self._scoring_seconds,
+                "versions": versions(),
+                "topology": self._topology,
             }
-            try:
-                save_checkpoint(
-                    self.run.checkpoints, self.num_updates, arrays, description, keep=self.config.run.keep_checkpoints
-                )
-                self._saved_at = self.num_updates
-            except (OSError, CheckpointError, ValueError) as error:
-                text = " ".join(str(error).split())
-                self.run.event("checkpoint_failed", update=self.num_updates, error=text)
-                self.reporter.note(f"checkpoint at update {self.num_updates} failed, training goes on: {text}")
+            self._saver.save(self.num_updates, arrays, description)
+
+    def save_now(self) -> bool:
+        """Saves this update unless that is done, and waits for it; whether there is such a checkpoint now."""
+        with self.clock.role("checkpoint"):
+            self._saver.wait()
+        if self._saver.saved_at != self.num_updates:
+            self._save()
+            with self.clock.role("checkpoint"):
+                self._saver.wait()
+        return self._saver.saved_at == self.num_updates
+
+    def _stop_without_saving(self, error: WorkerLostError) -> None:
+        self.run.event("stopped", signal=self.stop.requested, update=self.num_updates, saved=False)
+        raise StoppedError(
+            f"stopped by {self.stop.requested} in the update after {self.num_updates}, which was lost ({error})"
+        ) from error
+
+    def _stop(self) -> None:
+        """Saves the last update and ends the run. Before the first one there is nothing to save."""
+        with self.stop.deferred():
+            is_saved = self.num_updates > 0 and self.save_now()
+        self.run.event("stopped", signal=self.stop.requested, update=self.num_updates, saved=is_saved)
+        if self.num_updates > 0 and not is_saved:
+            raise StopFailedError(
+                f"stopped by {self.stop.requested} after update {self.num_updates}, which could not be saved "
+                f"({self.save_error}); go on from the checkpoint before it"
+            )
+        what = f"after update {self.num_updates}, which is saved" if is_saved else "before the first update"
+        raise StoppedError(f"stopped by {self.stop.requested} {what}")
+
+    @property
+    def save_error(self) -> str | None:
+        """Why the last save failed; None where it did not."""
+        return self._saver.error
+
+    def close(self) -> None:
+        """Lets a save in flight come to its end."""
+        self._saver.close()
 
     def _in_flight(self) -> dict[str, np.ndarray]:
         if self._pending is None or self.curator is None:
@@ -253,13 +338,18 @@ class Controller:
         if checkpoint is None:
             self.num_updates, self._is_stale, self._scoring_seconds = 0, False, None
             self.trainer.start(0, None)
+            self._topology = self.trainer.topology()
             return
         description = checkpoint.description
-        self.num_updates = self._saved_at = description["num_updates"]
+        self.num_updates = self._saver.saved_at = description["num_updates"]
         self._is_stale = description["buffer_is_stale"]
         self._scoring_seconds = description.get("scoring_seconds")
         self.trainer.start(self.num_updates, checkpoint.arrays)
-        self.run.event("resumed", update=self.num_updates)
+        self._topology = self.trainer.topology()
+        differs = what_differs(description, self._topology)
+        self.run.event("resumed", update=self.num_updates, differs=differs)
+        if differs:
+            self.reporter.note(f"resumed with {', '.join(differs)}: works, but is not bit for bit the unbroken run")
         version = description["refresh_in_flight"]
         if version is not None and self.curator is not None:
             self._request(version, nested(select_arrays(checkpoint.arrays, PENDING)))
@@ -272,12 +362,17 @@ class Controller:
         if self.num_restarts > self.config.run.max_restarts:
             raise WorkerLostError(f"{error}, once more than run.max_restarts {self.config.run.max_restarts}") from error
         began = time.monotonic()
-        if self.curator is not None:
-            self.curator.cancel()
         lost_at = self.num_updates
-        self._start_from(newest_checkpoint(self.run, self.config, self.reporter))
+        self._restart()
         self._recovery_seconds = time.monotonic() - began
         self.run.event("recovered", from_update=lost_at, to_update=self.num_updates, seconds=self._recovery_seconds)
+
+    def _restart(self) -> None:
+        """Everything from the newest good checkpoint."""
+        if self.curator is not None:
+            self.curator.cancel()
+        self._saver.wait()
+        self._start_from(newest_checkpoint(self.run, self.config, self.reporter))
 
 
 def _is_due(every: int, num_updates: int) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.sinks.mcap import McapSink
@@ -23,6 +24,12 @@ class Recorder:
         if not rollouts:
             return
         self.last = list(rollouts)
+        try:
+            self._write(rollouts)
+        except OSError as error:  # training is worth more than a recording of it
+            self._run.event("recording_failed", path=str(self._run.recordings), error=one_line(error))
+
+    def _write(self, rollouts: Sequence[Rollout]) -> None:
         self._run.recordings.mkdir(exist_ok=True)
         stem = f"update_{rollouts[0].policy_version:06d}"
         path = self._run.recordings / f"{stem}.mcap"

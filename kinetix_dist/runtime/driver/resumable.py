@@ -9,14 +9,21 @@ from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 
 def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter) -> Checkpoint | None:
-    """None where there is none. Bad ones are passed over, with an event and a note.
+    """None where none was written yet. Bad ones are passed over, with an event and a note.
 
-    Raises CheckpointError where the newest good one is of another config, or of a version with other fields.
+    Raises CheckpointError where all are bad, or where the newest good one is of another config, or of a version with
+    other fields.
     """
     checkpoint, rejected = newest_good(run.checkpoints)
     for bad in rejected:
         run.event("checkpoint_rejected", checkpoint=bad.path.name, reason=bad.reason)
         reporter.note(f"checkpoint {bad.path.name} passed over: {bad.reason}")
+    if checkpoint is None and rejected:
+        # Going on at update 0 would overwrite what is left of the run: that is for a person to decide.
+        raise CheckpointError(
+            f"none of the {len(rejected)} checkpoints in {run.checkpoints} can be used (see above); nothing was "
+            f"changed: put back a good copy of one, or start a new run with another --run"
+        )
     if checkpoint is None or checkpoint.description["config_hash"] == config.hash:
         return checkpoint
     try:

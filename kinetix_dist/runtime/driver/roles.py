@@ -36,6 +36,9 @@ class Trainer(Protocol):
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
 
+    def topology(self) -> dict[str, Any]:
+        """What computes, for checkpoints: "placement", "processes", and "devices", "platform", "kind" that learn."""
+
     def facts(self) -> dict[str, Any]:
         """For the report: "device" (platform, kind and number of those that learn), "compile_seconds", "processes"."""
 

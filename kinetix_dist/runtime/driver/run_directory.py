@@ -20,11 +20,19 @@ import fcntl
 import json
 import os
 import re
-import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from kinetix_dist.telemetry.json_lines import append_line, damaged_path, mend_lines, replace_file
+from kinetix_dist.errors import one_line
+from kinetix_dist.runtime.driver.event_log import EventLog, now
+from kinetix_dist.telemetry.json_lines import (
+    damaged_path,
+    mend_lines,
+    replace_file,
+    set_aside_file,
+    set_aside_unless_readable,
+)
 
 
 class RunDirectoryError(Exception):
@@ -37,6 +45,7 @@ class RunDirectory:
     def __init__(self, path: Path, lock: IO[str]) -> None:
         self.path = path
         self._lock = lock
+        self._event_log = EventLog(self.events)
 
     @property
     def config_path(self) -> Path:
@@ -57,6 +66,10 @@ class RunDirectory:
     @property
     def metrics(self) -> Path:
         return self.path / "metrics"
+
+    @property
+    def evaluations_path(self) -> Path:
+        return self.path / "evaluations.json"
 
     @property
     def recordings(self) -> Path:
@@ -82,7 +95,15 @@ class RunDirectory:
         if not (path / "config.json").is_file():
             raise RunDirectoryError(f"{path} holds no run (no config.json); start one without --resume")
         run = cls(path, _lock(path))
-        run.set_aside(run.events, mend_lines(run.events, is_row=lambda row: "event" in row, keep=lambda row: True))
+        try:
+            aside = set_aside_unless_readable(run.events)
+            num_damaged = mend_lines(run.events, is_row=lambda row: "event" in row, keep=lambda row: True)
+        except OSError as error:
+            run.close()
+            raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
+        if aside is not None:
+            run.event("file_set_aside", file=run.events.name, to=aside.name, reason="it cannot be read")
+        run.set_aside(run.events, num_damaged)
         return run
 
     @classmethod
@@ -108,9 +129,12 @@ class RunDirectory:
         return None
 
     def event(self, kind: str, **details: Any) -> None:
-        """Appends to events.jsonl: time, kind, details."""
-        row = {"time": _now(), "event": kind, **details}
-        append_line(self.events, row)
+        """Appends to events.jsonl: time, kind (of `telemetry.event_names`), details. Never raises for the disk."""
+        self._event_log.add(kind, **details)
+
+    def write_pending_events(self) -> None:
+        """Tries again what the disk did not take."""
+        self._event_log.write_pending()
 
     def set_aside(self, path: Path, num_lines: int) -> None:
         """Notes that damaged lines of a file of this run were moved to the file beside it."""
@@ -123,14 +147,30 @@ class RunDirectory:
         path = self.path / "logs" / f"{name}.log"
         path.parent.mkdir(exist_ok=True)
         with path.open("a") as file:
-            file.write(f"{_now()}\n{text.rstrip()}\n")
+            file.write(f"{now()}\n{text.rstrip()}\n")
         return path
 
     def write_json(self, path: Path, content: Any) -> None:
         """Writes JSON by a rename: no reader ever sees half a file, and no kill leaves one."""
         replace_file(path, (json.dumps(content, indent=2) + "\n").encode())
 
+    def read_json(self, path: Path, *, is_whole: Callable[[Any], bool]) -> Any:
+        """What `write_json` wrote; None where there is no such file. One that cannot be read, or is not `is_whole`, is
+        renamed, with an event."""
+        try:
+            content = json.loads(path.read_text())
+            if is_whole(content):
+                return content
+            reason = "it holds something else"
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, RecursionError) as error:
+            reason = one_line(error)
+        self.event("file_set_aside", file=path.name, to=set_aside_file(path).name, reason=reason)
+        return None
+
     def close(self) -> None:
+        self._event_log.write_pending()
         self._lock.close()
 
 
@@ -146,10 +186,6 @@ def newest_run(parent: Path, name: str) -> Path | None:
         if match and (path / "config.json").is_file():
             numbered[int(match[1] or 1)] = path
     return numbered[max(numbered)] if numbered else None
-
-
-def _now() -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
 def _lock(path: Path) -> IO[str]:

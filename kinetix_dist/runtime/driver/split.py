@@ -23,6 +23,7 @@ from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
 from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
+from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
@@ -115,6 +116,10 @@ class SplitTrainer:
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         return self._ask_learner("record", num_rollouts, num_updates)
+
+    def topology(self) -> dict[str, Any]:
+        devices = learning_devices(self._ask_learner("facts"))
+        return {"placement": "split", "processes": 1 + len(self._actors), **devices}
 
     def facts(self) -> dict[str, Any]:
         assert self._learner is not None

@@ -5,27 +5,28 @@ config -> placement -> backend (this process or Ray) -> trainer, curator -> cont
 
 from __future__ import annotations
 
-import importlib.metadata
-import json
-import platform
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.env.physics import describe
+from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.skipped_updates import NotFiniteError
+from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
-
-_PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
 
 
 class RunFailedError(RuntimeError):
@@ -33,41 +34,37 @@ class RunFailedError(RuntimeError):
 
 
 def train(
-    config: TrainConfig, run: RunDirectory, *, resume: bool, console: ConsoleSink | None = None
+    config: TrainConfig,
+    run: RunDirectory,
+    *,
+    resume: bool,
+    console: ConsoleSink | None = None,
+    stop: StopSignals | None = None,
 ) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
 
-    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed, and
-    RunFailedError where a process failed.
+    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed,
+    RunFailedError where a process failed, and StoppedError where `stop` was asked for.
     """
     began = time.monotonic()
+    stop = stop or StopSignals()
     reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
     recorder = Recorder(run)
-    started: list[Any] = []
+    started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
         backend, trainer, curator = _start_roles(config, run)
-        started = [role for role in (curator, trainer, backend) if role is not None]
-        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder)
+        stop.install()
+        started = [role.stop for role in (curator, trainer, backend) if role is not None]
+        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder, stop=stop)
+        started.insert(0, controller.close)
         controller.restore(resume=resume)
-        run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
-        evaluations = _earlier_evaluations(run) if controller.num_updates else {}
-        if controller.num_updates == 0:
-            reporter.phase("evaluating")
-            evaluations["random_policy"] = controller.evaluate(use_policy=False)
-            evaluations["before"] = controller.evaluate(use_policy=True)
-            run.write_json(run.path / "evaluations.json", evaluations)
-        controller.train()
-        reporter.phase("evaluating")
-        evaluations["after"] = controller.evaluate(use_policy=True)
-        run.write_json(run.path / "evaluations.json", evaluations)
-        if config.recording.num_rollouts:
-            reporter.phase("recording")
-            controller.record(config.recording.num_rollouts)
+        _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
+        evaluations = _from_first_to_last_update(controller, run, reporter)
         controller.clock.lap()
         facts = trainer.facts()
         facts["processes"] += curator.facts() if curator is not None else []
         report = _report(config, controller, evaluations, facts, wall_seconds=time.monotonic() - began)
-        run.write_json(run.report_path, report)
+        _write_or_fail(run, run.report_path, report)
         # Last, since drawing needs libraries that nothing else of a run does.
         if config.recording.num_rollouts and config.recording.make_pictures:
             recorder.make_pictures()
@@ -75,10 +72,64 @@ def train(
         return report
     except (ProcessFailedError, WorkerLostError) as error:
         raise _failed_run(run, error) from error
+    except NotFiniteError as error:
+        run.event("run_failed", error=str(error))
+        raise RunFailedError(f"{error}; checkpoints before them are kept in {run.checkpoints}") from error
+    except StopFailedError as error:
+        raise RunFailedError(f"{error} with --run {run.path} --resume") from error
+    except StoppedError as error:
+        raise StoppedError(f"{error}; go on with --run {run.path} --resume") from None
+    except StopRequested:
+        run.event("stopped", signal=stop.requested, update=None, saved=False)
+        raise StoppedError(
+            f"stopped by {stop.requested} outside of updates; go on with --run {run.path} --resume"
+        ) from None
     finally:
-        for role in started:
-            role.stop()
-        reporter.close()
+        with stop.deferred():
+            for end in started:
+                end()
+            reporter.close()
+
+
+def _from_first_to_last_update(controller: Controller, run: RunDirectory, reporter: RunReporter) -> dict[str, Any]:
+    """Evaluates, trains, evaluates, records; returns the evaluations."""
+    evaluations = _earlier_evaluations(run) if controller.num_updates else {}
+    if controller.num_updates == 0:
+        reporter.phase("evaluating")
+        evaluations["random_policy"] = controller.evaluate(use_policy=False)
+        evaluations["before"] = controller.evaluate(use_policy=True)
+        _write_evaluations(run, reporter, evaluations)
+    controller.train()
+    reporter.phase("evaluating")
+    evaluations["after"] = controller.evaluate(use_policy=True)
+    _write_evaluations(run, reporter, evaluations)
+    if num_rollouts := controller.config.recording.num_rollouts:
+        reporter.phase("recording")
+        controller.record(num_rollouts)
+    if not controller.save_now():
+        raise RunFailedError(
+            f"the last checkpoint, of update {controller.num_updates}, could not be saved: "
+            f"{controller.save_error}; go on from the one before it with --run {run.path} --resume"
+        )
+    return evaluations
+
+
+def _write_evaluations(run: RunDirectory, reporter: RunReporter, evaluations: dict[str, Any]) -> None:
+    """They are in the report too, and written again after training: no reason to end a run."""
+    try:
+        run.write_json(run.evaluations_path, evaluations)
+    except OSError as error:
+        run.event("file_failed", file=run.evaluations_path.name, error=one_line(error))
+        reporter.note(f"evaluations.json cannot be written, the run goes on: {one_line(error)}")
+
+
+def _write_or_fail(run: RunDirectory, path: Path, content: Any) -> None:
+    try:
+        run.write_json(path, content)
+    except OSError as error:
+        raise RunFailedError(
+            f"{path} cannot be written: {one_line(error)}; free space there, then --run {run.path} --resume"
+        ) from error
 
 
 def hold_to_cpu(config: TrainConfig) -> None:
@@ -104,7 +155,10 @@ def _failed_run(run: RunDirectory, error: ProcessFailedError | WorkerLostError) 
     run.event("run_failed", error=str(error))
     where = ""
     if isinstance(error, ProcessFailedError):
-        where = f"; traceback in {run.write_log(error.process.replace(' ', '_'), error.details)}"
+        try:
+            where = f"; traceback in {run.write_log(error.process.replace(' ', '_'), error.details)}"
+        except OSError as fault:
+            where = f"; its traceback could not be written ({one_line(fault)})"
     return RunFailedError(f"{error}{where}; checkpoints are kept, go on with --run {run.path} --resume")
 
 
@@ -138,8 +192,13 @@ def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Train
 
 
 def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:
-    path = run.path / "evaluations.json"
-    return json.loads(path.read_text()) if path.exists() else {}
+    found = run.read_json(run.evaluations_path, is_whole=_are_evaluations)
+    return found if found is not None else {}
+
+
+def _are_evaluations(content: Any) -> bool:
+    """{"before": {level set: {"rate": ...}}}"""
+    return isinstance(content, dict) and all(isinstance(sets, dict) for sets in content.values())
 
 
 def _report(
@@ -162,16 +221,6 @@ def _report(
         "seconds_by_role": seconds,
         "physics": {"settings": describe(config.env.physics), **controller.physics},
         **facts,
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": versions(),
         "config_hash": config.hash,
     }
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in _PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions

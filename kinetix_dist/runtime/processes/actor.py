@@ -67,6 +67,7 @@ class ProcessActor:
                 coordinator,
                 num_processes,
                 rank,
+                coordinator_bind_address=coordinator,  # of rank 0; else it would listen on all interfaces
                 cluster_detection_method="deactivate",
                 heartbeat_timeout_seconds=HEARTBEAT_TIMEOUT_S,
             )

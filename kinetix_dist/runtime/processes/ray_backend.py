@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import os
@@ -17,6 +18,7 @@ from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 from kinetix_dist.runtime.processes.actor import ProcessActor
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
+from kinetix_dist.runtime.processes.ray_access import joining, secure_token
 from kinetix_dist.runtime.processes.supervise import Heartbeats, gather, wait_until_gone
 from kinetix_dist.runtime.processes.watchdog import Watchdog
 
@@ -82,6 +84,8 @@ class RayBackend:
             os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
             options |= {"address": address}
         else:
+            if (path := secure_token()) is not None:
+                on_event("token_secured", path=str(path))
             self._watchdog = Watchdog(os.getpid())
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
             options |= {
@@ -91,7 +95,7 @@ class RayBackend:
                 "include_dashboard": False,
                 "_node_ip_address": "127.0.0.1",
             }
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), joining(address) if address else contextlib.nullcontext():
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
             ray.init(**options)

@@ -8,26 +8,35 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.telemetry.json_lines import mend_lines, read_lines
+from kinetix_dist.telemetry.json_lines import damaged_path, mend_lines, read_lines, set_aside_unless_readable
 from kinetix_dist.telemetry.names import check_metrics
+from kinetix_dist.telemetry.whole_writes import WholeWrites
 
 
 class JsonlSink:
     """Appends to `path`; lines of updates after `resume_at` (of a killed session) are removed first.
 
-    num_damaged: lines that were no metrics, and stand in `metrics.damaged` beside it now.
+    num_damaged: lines that were no metrics, and stand in `damaged_path` beside it now.
+    set_aside: what `path` was renamed to where it could not be read at all; else None.
     """
 
-    def __init__(self, path: Path, *, resume_at: int = 0) -> None:
+    def __init__(self, path: Path, *, resume_at: int | None = 0) -> None:
+        """resume_at None: this session has written to it already, and goes on."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.num_damaged = mend_lines(path, is_row=_is_metrics, keep=lambda row: row["update"] <= resume_at)
-        self._file = path.open("a", buffering=1)  # line buffered: a reader sees whole lines
+        self.num_damaged = 0
+        self.damaged_path = damaged_path(path)
+        self.set_aside: Path | None = None
+        if resume_at is not None:
+            self.set_aside = set_aside_unless_readable(path)
+            self.num_damaged = mend_lines(path, is_row=_is_metrics, keep=lambda row: row["update"] <= resume_at)
+        self._file = WholeWrites(path)
 
     def write(self, update: int, metrics: Mapping[str, float]) -> None:
-        """One line. A value that is not finite is written as null: JSON has no nan."""
+        """One line, whole or not at all. A value that is not finite is written as null: JSON has no nan."""
         values = check_metrics(metrics)
         row = {"update": update} | {k: v if math.isfinite(v) else None for k, v in values.items()}
-        self._file.write(json.dumps(row) + "\n")
+        line = json.dumps(row).encode() + b"\n"
+        self._file.write(line if self._file.last_byte() in (b"", b"\n") else b"\n" + line)
 
     def close(self) -> None:
         self._file.close()

@@ -1,0 +1,47 @@
+"""Every event that a run can write to events.jsonl, and what it means. A name that is not here is refused."""
+
+from __future__ import annotations
+
+
+class UnknownEventError(ValueError):
+    """An event was reported that `EVENTS` does not describe."""
+
+
+EVENTS: dict[str, str] = {
+    # Processes
+    "process_started": "a process began: who, where, with how much memory",
+    "worker_lost": "a process of the training group died or fell silent",
+    "recovered": "the group was started again from a checkpoint: from and to which update, seconds",
+    "token_secured": "Ray's token file could be read by others, and cannot any more",
+    "stopped": "SIGTERM or Ctrl-C ended the run: after which update, and whether that is saved",
+    "run_failed": "the run ended by an error: which",
+    # Curriculum
+    "buffer_adopted": "a refresh of the curriculum is used from an update on",
+    "refresh_lost": "a refresh was given up; the buffer before it stays in use",
+    # Checkpoints
+    "resumed": "training goes on from a checkpoint; `differs` lists other devices and versions than made it",
+    "checkpoint_failed": "a checkpoint could not be saved: why; older ones stay",
+    "checkpoint_rejected": "a checkpoint cannot be used: why",
+    "drafts_removed": "unfinished checkpoints of processes that are gone were removed",
+    # Files
+    "lines_set_aside": "damaged lines were moved into the `.damaged` file beside",
+    "file_set_aside": "a file that cannot be read was renamed: to what, and why",
+    "sink_failing": "rows of metrics begin to be dropped: by which sink, and why",
+    "sink_recovered": "a sink takes rows again: how many were dropped in between",
+    "events_dropped": "events that could not be written and were too many to keep in memory: how many",
+    "file_failed": "a file of the run could not be written: why; training goes on",
+    "recording_dropped": "rollouts were not recorded, since the disk is slower than they come",
+    "recording_failed": "a recording could not be written: why",
+    # Numbers
+    "steps_skipped": "some gradient steps of an update were skipped as not finite, for the first time in the session",
+    "update_skipped": "no gradient step of an update was finite: nothing was learned in it",
+    "rolled_back": "too many updates were skipped in a row: training goes on from the last checkpoint",
+    "physics_warning": "a counter of the physics that should be zero is not, for the first time",
+}
+
+
+def check_event(name: str) -> str:
+    """The name; raises UnknownEventError for one that nobody described."""
+    if name not in EVENTS:
+        raise UnknownEventError(f"event {name!r} is not described; add it to kinetix_dist/telemetry/event_names.py")
+    return name

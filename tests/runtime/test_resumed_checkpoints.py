@@ -1,0 +1,96 @@
+"""What a resumed run makes of its checkpoints: all bad, of other devices or versions, drafts of a killed process."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, save_checkpoint
+from kinetix_dist.checkpoint.manifest import write_manifest
+from kinetix_dist.cli.main import main
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.saving import Saver
+from kinetix_dist.telemetry.json_lines import read_lines
+from tests.runtime.conftest import NUM_UPDATES, STEPS
+from tests.runtime.runs import NotingReporter
+
+
+@pytest.fixture
+def copy(finished_run, tmp_path):
+    shutil.copytree(finished_run, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def _resume(path):
+    return main(["train", "--run", str(path), "--resume", "--run.total_env_steps", str((NUM_UPDATES + 2) * STEPS)])
+
+
+def _events(path, kind):
+    return [row for row in read_lines(path / "events.jsonl").rows if row["event"] == kind]
+
+
+def test_where_all_checkpoints_are_bad_the_run_is_refused_and_nothing_is_overwritten(copy, capsys):
+    for number, path in enumerate(list_checkpoints(copy / "checkpoints")):
+        (path / ("checkpoint.json" if number else "manifest.json")).unlink()
+    events = copy / "events.jsonl"
+    before = {file: file.read_bytes() for file in copy.rglob("*") if file.is_file() and file.name != "lock"}
+    assert _resume(copy) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert "checkpoint 00000004 passed over" in lines[-3] and "checkpoint.json is missing" in lines[-3]
+    assert "checkpoint 00000002 passed over" in lines[-2] and "it has no manifest.json" in lines[-2]
+    assert lines[-1].startswith("kinetix-dist: none of the 2 checkpoints in ")
+    assert "put back a good copy of one, or start a new run with another --run" in lines[-1]
+    after = {file: file.read_bytes() for file in copy.rglob("*") if file.is_file() and file.name != "lock"}
+    assert after.pop(events).startswith(before.pop(events))  # what happened is added
+    assert after == before
+    assert [row["checkpoint"] for row in _events(copy, "checkpoint_rejected")] == ["00000004", "00000002"]
+
+
+def test_a_checkpoint_says_what_made_it_and_the_same_devices_go_on_without_a_word(copy, capsys):
+    description = load_checkpoint(list_checkpoints(copy / "checkpoints")[-1]).description
+    assert {"python", "engine", "kinetix-dist", "jax", "numpy"} <= description["versions"].keys()
+    topology = description["topology"]
+    assert (topology["placement"], topology["processes"], topology["devices"]) == ("local", 1, 1)
+    (copy / "checkpoints" / ".saving-00000006-4194305").mkdir()  # beyond the largest process number
+    assert _resume(copy) == 0
+    assert "not bit for bit" not in capsys.readouterr().err
+    assert _events(copy, "resumed")[-1]["differs"] == []
+    assert _events(copy, "drafts_removed")[-1]["drafts"] == [".saving-00000006-4194305"]
+    assert not list((copy / "checkpoints").glob(".saving-*"))
+
+
+def test_other_devices_and_versions_are_said_in_one_line(copy, capsys):
+    path = list_checkpoints(copy / "checkpoints")[-1]
+    description = json.loads((path / "checkpoint.json").read_text())
+    description["topology"] |= {"devices": 4, "processes": 4}
+    description["versions"]["jax"] = "0.0.1"
+    (path / "checkpoint.json").write_text(json.dumps(description))
+    write_manifest(path)
+    assert _resume(copy) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "not bit for bit" in line]
+    assert "processes 1 instead of 4, devices 1 instead of 4, jax " in line and "instead of 0.0.1: works" in line
+    assert len(_events(copy, "resumed")[-1]["differs"]) == 3
+
+
+def test_a_save_goes_on_beside_training_and_its_failure_is_heard_at_the_next_update(tmp_path):
+    """The directory cannot be written: a file is in its place. Real writes, no time limit that could be missed."""
+    run = RunDirectory.create(tmp_path / "run", numbered=False)
+    reporter = NotingReporter()
+    saver = Saver(run, reporter, keep=2)
+    arrays = {"a": np.arange(4.0)}
+    run.checkpoints.write_text("")
+    saver.save(2, arrays, {})
+    saver.wait()
+    assert saver.saved_at is None
+    (failed,) = _events(run.path, "checkpoint_failed")
+    assert failed["update"] == 2 and "checkpoints" in failed["error"]
+    assert "training goes on" in reporter.notes[0]
+    run.checkpoints.unlink()
+    saver.save(4, arrays, {})
+    saver.save(6, arrays, {})  # waits for the one before
+    saver.close()
+    assert saver.saved_at == 6 and saver.seconds > 0
+    assert [path.name for path in list_checkpoints(run.checkpoints)] == ["00000004", "00000006"]
+    save_checkpoint(run.checkpoints, 8, arrays, {}, keep=1)
+    run.close()
