@@ -24,7 +24,7 @@ from tests.engine.test_angles import wheel
 from tests.engine.test_extended_shapes import everything
 from tests.engine.test_momentum import FAMILIES, errors, unlimited, worlds_of
 from tests.engine.test_prismatic import all_kinds
-from tests.engine.test_springs import flying
+from tests.engine.test_springs import ball_before_a_platform, flying
 
 CAPACITY = Capacity(polygons=6, circles=6, joints=5, thrusters=1, springs=6, extended_shapes=True)
 BATCH = 16  # worlds a call; what is missing is filled with the last one
@@ -111,6 +111,7 @@ def test_drives(drive: str, control: float):
     assert (abs(moved[2]) > 0.1) == (control != 0)
 
 
+@pytest.mark.also_gpu
 def test_joints_of_every_kind():
     m, exact = (motion.trajectory for motion in both(all_kinds(CAPACITY), motor=1.0))
     np.testing.assert_allclose(m.position[:21], exact.position[:21], atol=2e-4)
@@ -139,6 +140,14 @@ def test_springs():
     for trajectory, tolerance in ((m, 2e-5), (exact, 1e-11)):
         assert np.ptp(trajectory.momentum(), axis=0).max() < tolerance * exchanged
         assert np.ptp(trajectory.angular_momentum()) < tolerance * exchanged
+
+
+def test_ball_leaves_what_a_platform_pushes_on_a_rod_with_twice_its_speed():
+    """In float64 too; test_springs.py has the kernel. Nothing but the disc can have moved the ball."""
+    world, disc, ball = ball_before_a_platform(CAPACITY)
+    ((_, end),) = follow([world], is_exact=True)
+    assert end.velocity[ball, 0] == pytest.approx(6.0, rel=0.02)
+    assert end.velocity[disc, 0] == pytest.approx(3.0, rel=0.01)
 
 
 def test_momentum_of_isolated_worlds_is_kept_to_the_rounding_of_float64():
