@@ -32,7 +32,7 @@ def outcome(name: str) -> Any:
 @functools.cache
 def value_and_slope(name: str) -> Any:
     """`f(x, direction, scene, state, weights) -> (value, its derivative along a direction)`, in forward mode, whose
-    program compiles in a minute; that of `gradient` takes several."""
+    program compiles in a minute; that of `gradient` takes up to several."""
     value = outcome(name)
 
     @jax.jit
@@ -92,12 +92,12 @@ def corners() -> SceneBuilder:
     return b
 
 
-BOTH_SOLVERS = pytest.mark.parametrize("name", ["standard", pytest.param("paper", marks=pytest.mark.slow)])
+BOTH_SOLVERS = pytest.mark.parametrize("name", ["standard", "paper"])
 
 
 @BOTH_SOLVERS
 def test_derivatives_are_those_of_finite_differences(name: str) -> None:
-    """In forward mode; `test_reverse_mode_is_forward_mode` has the other, which takes minutes to compile."""
+    """In forward mode; `test_reverse_mode_is_forward_mode` has the other."""
     b, link, ball = arm_and_ball()
     with jax.enable_x64(True):
         case = gradient_case(b, name, motor=0.4, thruster=0.5)
@@ -129,8 +129,8 @@ def test_derivatives_are_finite_where_the_maths_has_corners(name: str) -> None:
     assert all(np.isfinite(x).all() for x in slopes.values())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["standard", "paper"])
+# Reverse mode of `standard` compiles for minutes, that of `paper` in less than one.
+@pytest.mark.parametrize("name", ["paper", pytest.param("standard", marks=pytest.mark.slow)])
 def test_reverse_mode_is_forward_mode(name: str) -> None:
     """Also where the maths has corners: there a branch not taken gives reverse mode 0 times infinity, if let."""
     with jax.enable_x64(True):
@@ -139,7 +139,7 @@ def test_reverse_mode_is_forward_mode(name: str) -> None:
             backwards, forwards = gradient(name)(*case), gradient_forwards(name, *case)
             assert all(bool(np.isfinite(x).all()) for x in jax.tree.leaves(backwards))
             for field, slopes in forwards.items():
-                np.testing.assert_allclose(backwards[field], slopes, rtol=1e-9, atol=1e-11, err_msg=field)
+                np.testing.assert_allclose(backwards[field], slopes, rtol=1e-8, atol=1e-9, err_msg=field)
 
 
 BALLS = Capacity(polygons=1, circles=3, joints=0, thrusters=0)
