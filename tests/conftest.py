@@ -40,14 +40,19 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # test processes share the GPU
 
 
-# Begun last, one of these would keep one of two processes busy for minutes after the other has nothing left to do.
+# The longest first: begun last, one of these would keep one of two processes busy for minutes after the other has
+# nothing left to do.
 LONGEST_FILES = (
     "test_gpu_run.py",
     "test_ray_run.py",
+    "test_ray_processes.py",
     "test_reference.py",
     "test_local_run.py",
     "test_failures.py",
-    "test_ray_processes.py",
+    "test_reference_alone.py",
+    "test_follows_float64.py",
+    "test_effects.py",
+    "test_hard_scenes.py",
 )
 
 

@@ -216,6 +216,8 @@ def work(bodies: Bodies, springs: Springs) -> Scalar:
 
 def kinematic_work(bodies: Bodies, springs: Springs) -> Scalar:
     """J, what kinematic bodies have done through them in this sub-step."""
+    if springs.rest_length.shape[0] == 0:
+        return jnp.zeros((), bodies.velocities.velocity.dtype)
     rows, impulse = line(bodies, springs)[0], springs.impulses.total
     return work_of_kinematic(
         bodies, springs.pair, rows.direction * impulse[:, None], rows.lever_a * impulse, rows.lever_b * impulse

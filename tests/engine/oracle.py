@@ -9,44 +9,47 @@ import numpy as np
 from jax2d import BuiltWorld
 
 
-def rotation(angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s], [s, c]])
+def rotation(angle: np.ndarray | float) -> np.ndarray:
+    """[..., 2, 2] of angles [...] rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.moveaxis(np.array([[c, -s], [s, c]]), (0, 1), (-2, -1))
 
 
-def corners_of(world: BuiltWorld, shape: int, position: np.ndarray, angle: float) -> np.ndarray:
-    """[k, 2] m: corners of a polygon of a scene where it stands."""
+def corners_of(world: BuiltWorld, shape: int, position: np.ndarray, angle: np.ndarray | float) -> np.ndarray:
+    """[..., k, 2] m: corners of a polygon of a scene where it stands, at [..., 2] m and [...] rad."""
     shapes = world.scene.shapes
     local = np.asarray(shapes.vertices[shape][: int(shapes.num_vertices[shape])], np.float64)
-    return local @ rotation(angle).T + position
+    return local @ np.swapaxes(rotation(angle), -1, -2) + position[..., None, :]
 
 
 def faces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Outward unit normals and starts of the faces of a counter-clockwise polygon."""
-    along = np.roll(corners, -1, 0) - corners
-    normals = np.stack([along[:, 1], -along[:, 0]], -1)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True), corners
+    """Outward unit normals and starts of the faces of counter-clockwise polygons [..., k, 2]."""
+    along = np.roll(corners, -1, -2) - corners
+    normals = np.stack([along[..., 1], -along[..., 0]], -1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True), corners
 
 
-def polygons_overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """m: depth of two convex polygons in each other, negative where they are apart (separating axes)."""
+def polygons_overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[...] m: depth of two convex polygons [..., k, 2] in each other, negative where they are apart (separating
+    axes)."""
 
-    def least(one: np.ndarray, other: np.ndarray) -> float:
+    def least(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         normals, starts = faces(one)
-        return float((((other[None] - starts[:, None]) * normals[:, None]).sum(-1)).min(1).max())
+        gaps = ((other[..., None, :, :] - starts[..., :, None, :]) * normals[..., :, None, :]).sum(-1)
+        return gaps.min(-1).max(-1)
 
-    return -max(least(a, b), least(b, a))
+    return -np.maximum(least(a, b), least(b, a))
 
 
-def disc_overlap(polygon: np.ndarray, centre: np.ndarray, radius: float) -> float:
-    """m: depth of a disc in a convex polygon, negative where they are apart."""
+def disc_overlap(polygon: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
+    """[...] m: depth of a disc at [..., 2] in a convex polygon [..., k, 2], negative where they are apart."""
     normals, starts = faces(polygon)
-    inside = ((centre - starts) * normals).sum(-1).max()
-    if inside <= 0:
-        return radius - float(inside)
-    edges = np.roll(polygon, -1, 0) - polygon
-    share = np.clip(((centre - polygon) * edges).sum(-1) / (edges * edges).sum(-1), 0, 1)
-    return radius - float(np.linalg.norm(centre - polygon - share[:, None] * edges, axis=1).min())
+    away = centre[..., None, :] - polygon
+    inside = ((centre[..., None, :] - starts) * normals).sum(-1).max(-1)
+    edges = np.roll(polygon, -1, -2) - polygon
+    share = np.clip((away * edges).sum(-1) / (edges * edges).sum(-1), 0, 1)
+    nearest = np.linalg.norm(away - share[..., None] * edges, axis=-1).min(-1)
+    return radius - np.where(inside <= 0, inside, nearest)
 
 
 def regained_height(num_facets: int, radius: float, start: int, bowl_radius: float, gravity: float) -> float:

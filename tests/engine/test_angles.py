@@ -6,7 +6,6 @@ import functools
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -22,8 +21,8 @@ def engine(name: str = "standard") -> Engine:
     return Engine(CAPACITY, settings=preset(name))
 
 
-def wheel(angular_velocity: float, angle: float = 0.0) -> BuiltWorld:
-    b = SceneBuilder(CAPACITY, gravity=(0, 0))
+def wheel(angular_velocity: float, angle: float = 0.0, capacity: Capacity = CAPACITY) -> BuiltWorld:
+    b = SceneBuilder(capacity, gravity=(0, 0))
     b.add_circle(radius=0.3, angle=angle, angular_velocity=angular_velocity)
     return b.build()
 
@@ -47,21 +46,6 @@ def test_wheel_that_turns_for_an_hour_is_where_float64_says(speed: float):
     assert abs(end.angle[WHEEL]) <= np.float32(math.pi)
     # 216,000 sums are each rounded by 1e-7 at most, mostly to the same side, since the same is added in each.
     assert math.remainder(float(end.angle[WHEEL]) - exact, math.tau) == pytest.approx(0, abs=0.01)
-
-
-def test_reference_wraps_alike_and_float64_loses_nothing():
-    b = SceneBuilder(Capacity(polygons=0, circles=1, joints=0, thrusters=0), gravity=(0, 0))
-    b.add_circle(radius=0.3, angle=-100.0, angular_velocity=45.0)
-    world = b.build()
-    with jax.enable_x64(True):
-        one = Engine(b.capacity, backend="xla", dtype=jnp.float64)
-        state, _ = one.step(world.scene, one.initial_state(*world), num_steps=600)
-        angle = float(state.angle[0])
-    assert abs(angle) <= math.pi
-    assert math.remainder(angle - (45.0 * 10 - 100.0), math.tau) == pytest.approx(0, abs=1e-10)
-    assert math.remainder(float(after(wheel(45.0, -100.0), 600).angle[WHEEL]) - angle, math.tau) == pytest.approx(
-        0, abs=3e-5
-    )
 
 
 def test_paper_counts_turns_as_its_appendix_does():

@@ -1,5 +1,5 @@
-"""Motors by what drives them, velocity, brake and servo, and in the units of an engineer: motions with a formula, the
-reference, momentum, what is refused."""
+"""Motors by what drives them, velocity, brake and servo, and in the units of an engineer: motions with a formula,
+what is refused. test_follows_float64.py has the reference and momentum."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import functools
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -205,37 +204,7 @@ def test_negative_speed_turns_a_servo_round():
     assert motion(other, 0.5, 2.0).angle[-1, bar] == pytest.approx(-0.4, abs=1e-5)
 
 
-# Reference, effects, momentum
-
-
-def two_links(drive: str) -> BuiltWorld:
-    """A lift that carries an arm, in free flight of the whole."""
-    b = SceneBuilder(CAPACITY, gravity=(0, 0))
-    base = b.add_box(width=0.6, height=0.4, density=2, angular_velocity=1.0, velocity=(0.3, 0))
-    cart = b.add_box(width=0.3, height=0.3, position=(0.5, 0.1), angle=0.4)
-    bar = b.add_box(width=0.8, height=0.1, position=(0.9, 0.1), density=3)
-    b.add_prismatic_joint(
-        base, cart, at=(0.45, 0.1), axis_angle=0.3, speed=0.7, max_force=3, drive=drive, limits=(-0.3, 0.5)
-    )
-    b.add_revolute_joint(cart, bar, at=(0.55, 0.1), speed=-1.5, max_torque=0.4, drive=drive, limits=(-1, 1))
-    return b.build()
-
-
-@pytest.mark.parametrize(("drive", "control"), [("servo", 0.8), ("brake", 0.0), ("brake", 0.3)])
-def test_kernel_follows_the_reference_and_both_keep_momentum(drive: str, control: float):
-    world = two_links(drive)
-    m = motion(world, control, 1.0)
-    with jax.enable_x64(True):
-        one = Engine(CAPACITY, backend="xla", dtype=jnp.float64)
-        controls = Controls(motor=jnp.full(2, control), thruster=jnp.zeros(1))
-        exact, _ = record(one, world.scene, one.initial_state(*world), controls, num_samples=60)
-    np.testing.assert_allclose(m.position, exact.position, atol=2e-5)
-    np.testing.assert_allclose(m.angle, exact.angle, atol=5e-5)
-    for trajectory, tolerance in ((m, 1e-5), (exact, 1e-9)):
-        np.testing.assert_allclose(trajectory.momentum()[-1], trajectory.momentum()[0], atol=tolerance)
-        np.testing.assert_allclose(trajectory.angular_momentum()[-1], trajectory.angular_momentum()[0], atol=tolerance)
-    moved = exact.angle[-1] - exact.angle[0] - (exact.angle[-1, 0] - exact.angle[0, 0])
-    assert (abs(moved[2]) > 0.1) == (control != 0)
+# Effects
 
 
 def test_velocity_motors_call_for_less_and_an_engine_for_the_effect_gives_the_same_bits():

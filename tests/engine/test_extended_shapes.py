@@ -7,7 +7,6 @@ import math
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -203,7 +202,7 @@ def test_forces_that_are_none_of_the_kind_are_refused_or_counted():
         )
 
 
-# The reference, the effects and the memory
+# The effects and the memory
 
 
 def everything(capacity: Capacity, **left_out: Any) -> BuiltWorld:
@@ -221,23 +220,6 @@ def everything(capacity: Capacity, **left_out: Any) -> BuiltWorld:
     b.add_circle(radius=0.2, position=(-1.0, 0.25), velocity=(0, 1.0), **options(rolling_resistance=0.2))
     b.add_revolute_joint(carrier, rod, at=(-2.7, 0.3))
     return b.build()
-
-
-def test_kernel_follows_the_reference_in_float64():
-    """Kinematic bodies too. A step is as long as rounding does not grow."""
-    push = controls_of(2, (0.3, 0.1), 0.02)
-    world = everything(CAPACITY)
-    with jax.enable_x64(True):
-        reference = Engine(CAPACITY, backend="xla", dtype=jnp.float64)
-        step = jax.jit(lambda scene, state: reference.step(scene, state, push, num_steps=30)[0])
-        expected = jax.tree.map(np.asarray, step(world.scene, reference.initial_state(*world)))
-    end, _ = engine().step(world.scene, engine().initial_state(*world), push, num_steps=30)
-    np.testing.assert_allclose(end.position, expected.position, atol=2e-4)
-    np.testing.assert_allclose(end.angle, expected.angle, atol=1e-3)
-    np.testing.assert_array_equal(end.contact_key, expected.contact_key)
-    assert (expected.contact_key >= 0).any()
-    np.testing.assert_allclose(end.rolling_impulse, expected.rolling_impulse, atol=1e-6)
-    assert np.abs(expected.rolling_impulse).max() > 1e-5
 
 
 def steps(one: Engine, world: BuiltWorld) -> Any:

@@ -34,24 +34,24 @@ def deepest_untouched(trajectory: Trajectory, world: BuiltWorld, body: int, obst
         np.asarray(x, np.float64)
         for x in (trajectory.position, trajectory.angle, trajectory.velocity, trajectory.angular_velocity)
     )
-    deepest = -math.inf
-    for k in range(len(position) - 1):
-        change = np.abs(velocity[k + 1, body] - velocity[k, body]).max() + abs(spin[k + 1, body] - spin[k, body])
-        travel = np.linalg.norm(position[k + 1] - position[k], axis=-1)[[body, obstacle]].sum()
-        apart = depth_at(world, body, obstacle, position[k], angle[k])
-        if change > 1e-3 or apart < -travel - MAX_TURN_M:
-            continue
-        for share in MOMENTS:
-            at, turned = (x[k] + share * (x[k + 1] - x[k]) for x in (position, angle))
-            deepest = max(deepest, depth_at(world, body, obstacle, at, turned))
-    return deepest
+    change = np.abs(np.diff(velocity[:, body], axis=0)).max(-1) + np.abs(np.diff(spin[:, body]))
+    travel = np.linalg.norm(np.diff(position[:, [body, obstacle]], axis=0), axis=-1).sum(-1)
+    near = depth_at(world, body, obstacle, position, angle)[:-1] >= -travel - MAX_TURN_M
+    steps = near & (change <= 1e-3)
+    if not steps.any():
+        return -math.inf
+    share = MOMENTS[:, None, None]
+    at = position[:-1][steps] + share[..., None] * np.diff(position, axis=0)[steps]  # [moments, steps, n, 2]
+    turned = angle[:-1][steps] + share * np.diff(angle, axis=0)[steps]
+    return float(depth_at(world, body, obstacle, at, turned).max())
 
 
-def depth_at(world: BuiltWorld, body: int, obstacle: int, position: np.ndarray, angle: np.ndarray) -> float:
-    solid = corners_of(world, obstacle, position[obstacle], angle[obstacle])
+def depth_at(world: BuiltWorld, body: int, obstacle: int, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """[...] m, of states [..., n, 2] m and [..., n] rad."""
+    solid = corners_of(world, obstacle, position[..., obstacle, :], angle[..., obstacle])
     if body >= DISC:
-        return disc_overlap(solid, position[body], float(world.scene.shapes.radius[body - DISC]))
-    return polygons_overlap(solid, corners_of(world, body, position[body], angle[body]))
+        return disc_overlap(solid, position[..., body, :], float(world.scene.shapes.radius[body - DISC]))
+    return polygons_overlap(solid, corners_of(world, body, position[..., body, :], angle[..., body]))
 
 
 def shots_at_an_end(speed: float, radius: float, thickness: float, is_box: bool) -> list[BuiltWorld]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jax2d import (
     BuiltWorld,
     Capacity,
-    Controls,
     Effects,
     Engine,
     MissingEffectError,
@@ -239,10 +237,7 @@ def test_fast_pair_in_flight_stays_together():
     assert max(energies) <= energies[0] * 1.02
 
 
-# The reference and the effects
-
-
-SMALL = Capacity(polygons=4, circles=1, joints=3, thrusters=0)  # the reference compiles in proportion to it
+# Effects
 
 
 def all_kinds(capacity: Capacity = CAPACITY) -> BuiltWorld:
@@ -260,19 +255,6 @@ def all_kinds(capacity: Capacity = CAPACITY) -> BuiltWorld:
 
 def batched(scene: Scene) -> Scene:
     return jax.tree.map(lambda x: x[None], scene)
-
-
-def test_kernel_follows_the_reference_in_float64():
-    with jax.enable_x64(True):
-        reference = Engine(SMALL, settings=STANDARD, backend="xla", dtype=jnp.float64)
-        world = all_kinds(SMALL)
-        controls = Controls(motor=jnp.ones(SMALL.joints), thruster=jnp.ones(SMALL.thrusters))
-        step = jax.jit(lambda scene, state: reference.step(scene, state, controls, num_steps=20)[0])
-        state = step(world.scene, reference.initial_state(*world))
-    end = run(all_kinds(), 20 * STANDARD.dt, motor=1.0)
-    polygons = slice(SMALL.polygons)
-    np.testing.assert_allclose(end.position[polygons], state.position[polygons], atol=2e-4)
-    np.testing.assert_allclose(end.angle[polygons], state.angle[polygons], atol=1e-3)
 
 
 def test_scene_with_a_slider_calls_for_the_effect_and_an_engine_without_refuses_it():

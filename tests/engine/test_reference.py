@@ -1,5 +1,5 @@
-"""The kernel against the reference in plain JAX: field by field over one step, alike over many, and what the reference
-can do beyond it: float64, gradients, vmap, batched contacts."""
+"""The kernel against the reference in plain JAX: field by field over one step, alike over many; the reference in
+float64. test_reference_alone.py has what the reference can do beyond the kernel."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import pytest
 
 from jax2d import (
     BuiltWorld,
-    Capacity,
     Controls,
     Engine,
     SceneBuilder,
@@ -85,6 +84,13 @@ def rollout(
     state = start(one, level)
     noise = nudge * np.random.default_rng(1).standard_normal(state.position.shape).astype(np.float32)
     state = dataclasses.replace(state, position=state.position + noise)
+    controls = random_controls(size, num_steps)
+    if backend == "xla":  # no program of its own for this: each costs most of a minute
+        seen = []
+        for k in range(num_steps):
+            state, touching = one.step(level.scene, state, jax.tree.map(lambda x, k=k: x[k], controls))
+            seen.append((state, touching))
+        return jax.tree.map(lambda *xs: np.stack(xs), *seen)
 
     @jax.jit
     def simulate(state: State, controls: Controls) -> tuple[State, Any]:
@@ -96,7 +102,19 @@ def rollout(
 
         return jax.lax.scan(body, one.pack_state(state), controls)[1]
 
-    return jax.tree.map(np.asarray, simulate(state, random_controls(size, num_steps)))
+    return jax.tree.map(np.asarray, simulate(state, controls))
+
+
+def step_in_parts(one: Engine, *batch: Any) -> tuple[State, Any]:
+    """One step of (scene, state, controls) of any number of batches of NUM_WORLDS: programs of the reference are made
+    for one size of a batch, which all tests here share."""
+    num_worlds = len(batch[1].position)
+    assert num_worlds % NUM_WORLDS == 0
+    parts = [
+        one.step(*jax.tree.map(lambda x, i=i: np.asarray(x)[i : i + NUM_WORLDS], batch))
+        for i in range(0, num_worlds, NUM_WORLDS)
+    ]
+    return jax.tree.map(lambda *xs: np.concatenate(xs), *parts)
 
 
 def differences(a: State, b: State, field: str) -> np.ndarray:
@@ -188,7 +206,7 @@ def test_bounces_give_a_world_no_energy(friction: float) -> None:
 def assert_agreement(size: str, settings: Settings, scene: Any, state: State, controls: Controls) -> State:
     """One step by each backend; returns the kernel's."""
     a, touching_a = engine(size, settings, "warp").step(scene, state, controls)
-    b, touching_b = engine(size, settings, "xla").step(scene, state, controls)
+    b, touching_b = step_in_parts(engine(size, settings, "xla"), scene, state, controls)
     same_contacts = np.all(np.asarray(a.contact_key) == np.asarray(b.contact_key), axis=1)
     assert same_contacts.mean() >= 1 - SHARE_AT_THRESHOLD
     for field, tolerance in TOLERANCE.items():
@@ -300,10 +318,12 @@ def test_states_pass_between_backends() -> None:
     boxes = [b.add_box(width=0.5, height=0.5, position=(0, 0.25 + 0.5 * i)) for i in range(4)]
     world = b.build()
     turns = [engine("s", preset("standard"), backend) for backend in ("warp", "xla")]
-    state = turns[0].initial_state(*world)
+    # As many times as there are worlds in the other tests: one program.
+    scene, state = (stack_worlds([x] * NUM_WORLDS) for x in (world.scene, turns[0].initial_state(*world)))
     for i in range(60):
-        state, _ = turns[i % 2].step(world.scene, state)
-    again, _ = turns[0].step(world.scene, state)
+        state, _ = turns[i % 2].step(scene, state)
+    (again, _), state = turns[0].step(scene, state), jax.tree.map(lambda x: x[0], state)
+    again = jax.tree.map(lambda x: x[0], again)
     assert np.sum(np.asarray(again.contact_key) >= 0) == 8
     np.testing.assert_array_equal(again.contact_key, state.contact_key)
     np.testing.assert_allclose(again.contact_impulse, state.contact_impulse, atol=1e-4)
@@ -314,18 +334,18 @@ def test_states_pass_between_backends() -> None:
 def test_float64_agrees_with_float32_within_its_rounding() -> None:
     settings = preset("standard")
     scene, state, controls = snapshots("s", settings)
-    a, _ = engine("s", settings, "xla").step(scene, state, controls)
+    a, _ = step_in_parts(engine("s", settings, "xla"), scene, state, controls)
     rng = np.random.default_rng(0)
     with jax.enable_x64(True):
         double = Engine(SIZES["s"], settings=settings, backend="xla", dtype=jnp.float64)
-        b, _ = double.step(scene, state, controls)
+        b, _ = step_in_parts(double, scene, state, controls)
         nudged = []
         for _ in range(3):
             moved = {
                 field: getattr(state, field) + size * rng.uniform(-1, 1, getattr(state, field).shape)
                 for field, size in {"position": 2.4e-7, "angle": 1e-7}.items()
             }
-            nudged.append(double.step(scene, dataclasses.replace(state, **moved), controls)[0])
+            nudged.append(step_in_parts(double, scene, dataclasses.replace(state, **moved), controls)[0])
     assert b.position.dtype == np.float64
     for field, tolerance in TOLERANCE.items():
         # Contacts at a threshold of float64 too: what a nudge of float32's rounding (5e-7 m at 5 m) does to it.
@@ -343,161 +363,3 @@ def test_float64_needs_the_64_bit_mode_and_the_reference() -> None:
         Engine(SIZES["s"], backend="xla", dtype=jnp.float16)
     with pytest.raises(ValueError, match="known backends: warp, xla"):
         Engine(SIZES["s"], backend="torch")
-
-
-ARM = Capacity(polygons=3, circles=1, joints=1, thrusters=1)
-
-
-@functools.cache
-def sensitivity(name: str) -> Any:
-    """`f(x, scene, state, weights) -> (value, gradient)` in float64, of a sum over what 20 steps lead to."""
-    one = Engine(ARM, settings=preset(name), backend="xla", dtype=jnp.float64)
-
-    def value(x: dict[str, jax.Array], scene: Any, state: State, weights: dict[str, jax.Array]) -> jax.Array:
-        state = dataclasses.replace(state, **{k: v for k, v in x.items() if k not in ("motor", "thruster")})
-        end, _ = one.step(scene, state, Controls(motor=x["motor"], thruster=x["thruster"]), num_steps=20)
-        return sum(jnp.sum(weight * getattr(end, field)) for field, weight in weights.items())
-
-    return jax.jit(jax.value_and_grad(value))
-
-
-def gradient_case(b: SceneBuilder, name: str, motor: float, thruster: float) -> tuple[dict, Any, State, dict]:
-    one, world = Engine(ARM, settings=preset(name), backend="xla", dtype=jnp.float64), b.build()
-    state = one.initial_state(*world)
-    fields = ("position", "angle", "velocity", "angular_velocity")
-    x = {field: getattr(state, field) for field in fields}
-    x |= {"motor": jnp.array([motor], jnp.float64), "thruster": jnp.array([thruster], jnp.float64)}
-    rng = np.random.default_rng(3)
-    weights = {field: jnp.asarray(rng.standard_normal(getattr(state, field).shape)) for field in fields}
-    return x, world.scene, state, weights
-
-
-@pytest.mark.parametrize("name", ["standard", pytest.param("paper", marks=pytest.mark.slow)])
-def test_gradients_are_those_of_finite_differences(name: str) -> None:
-    """A driven arm, and a ball with a thruster that rolls on a floor: no event in 20 steps."""
-    b = SceneBuilder(ARM)
-    b.add_box(width=20, height=1, position=(0, -0.5), fixed=True)
-    base = b.add_box(width=0.2, height=0.2, position=(0, 3), fixed=True)
-    link = b.add_box(width=1.0, height=0.2, position=(0.5, 3))
-    ball = b.add_circle(radius=0.3, position=(3, 0.2995), velocity=(1.0, 0.0), angular_velocity=-3.0)
-    b.add_revolute_joint(base, link, at=(0, 3), motor_speed=0.2, motor_power=1.0, limits=(-3, 3))
-    b.add_thruster(ball, at=(3.1, 0.2995), angle=0.5, power=0.05)
-    with jax.enable_x64(True):
-        case = gradient_case(b, name, motor=0.4, thruster=0.5)
-        x, rest = case[0], case[1:]
-        gradient = sensitivity(name)(x, *rest)[1]
-        for field, index in (
-            ("motor", 0),
-            ("thruster", 0),
-            ("angle", link),
-            ("velocity", (ball, 0)),
-            ("position", (ball, 0)),
-            ("angular_velocity", ball),
-        ):
-            step = 1e-6
-            ends = [sensitivity(name)(x | {field: x[field].at[index].add(d)}, *rest)[0] for d in (step, -step)]
-            slope = float(ends[0] - ends[1]) / (2 * step)
-            # Of a difference of 1e-6: rounding 1e-16 / 1e-6, curvature 1e-12.
-            assert float(gradient[field][index]) == pytest.approx(slope, rel=1e-6, abs=1e-7), (field, index)
-            assert abs(slope) > 1e-3, (field, index)
-
-
-@pytest.mark.parametrize("name", ["standard", pytest.param("paper", marks=pytest.mark.slow)])
-def test_gradients_are_finite_where_the_maths_has_corners(name: str) -> None:
-    """Bodies at rest, coincident centres, no speed, no friction: roots of zero must not give infinite slopes."""
-    b = SceneBuilder(ARM, gravity=(0, 0))
-    b.add_box(width=1, height=1, friction=0.0)
-    b.add_box(width=1, height=1, position=(0, 1))
-    b.add_box(width=1, height=1, position=(0, 0.4))
-    b.add_circle(radius=0.3, position=(0, 0))
-    with jax.enable_x64(True):
-        gradient = sensitivity(name)(*gradient_case(b, name, motor=0.0, thruster=0.0))[1]
-    assert all(bool(np.isfinite(g).all()) for g in jax.tree.leaves(gradient))
-
-
-BALLS = Capacity(polygons=1, circles=3, joints=0, thrusters=0)
-
-
-def one_iteration(b: SceneBuilder, batch_size: int) -> State:
-    """The state after one step of one iteration."""
-    one = Engine(BALLS, settings=preset("paper").replace(substeps=1, solver_batch_size=batch_size), backend="xla")
-    world = b.build()
-    return one.step(world.scene, one.initial_state(*world))[0]
-
-
-def head_on() -> SceneBuilder:
-    """A ball at rest is hit from both sides at 1 m/s by its equals."""
-    b = SceneBuilder(BALLS, gravity=(0, 0))
-    b.add_circle(radius=0.5, position=(0, 0))
-    b.add_circle(radius=0.5, position=(-0.999, 0), velocity=(1, 0))
-    b.add_circle(radius=0.5, position=(0.999, 0), velocity=(-1, 0))
-    return b
-
-
-def test_one_contact_after_another_sees_what_the_one_before_did() -> None:
-    # Left first: both at 0.5. Then right: 0.5 against -1 closes at 1.5, shared.
-    np.testing.assert_allclose(one_iteration(head_on(), 1).velocity[1:, 0], [-0.25, 0.5, -0.25], atol=1e-6)
-
-
-def test_contacts_of_a_batch_are_solved_from_the_same_velocities() -> None:
-    # Either contact alone stops its closing speed of 1 m/s by half each; the two halves cancel in the middle.
-    np.testing.assert_allclose(one_iteration(head_on(), 16).velocity[1:, 0], [0, 0.5, -0.5], atol=1e-6)
-
-
-def test_contacts_that_share_no_movable_body_do_not_depend_on_the_batch_size() -> None:
-    b = SceneBuilder(BALLS)
-    b.add_box(width=20, height=1, position=(0, -0.5), fixed=True)
-    for x in (-3, 0, 3):
-        b.add_circle(radius=0.5, position=(x, 0.49), velocity=(x, -2))
-    alone, together = one_iteration(b, 1), one_iteration(b, 16)
-    for x, y in zip(jax.tree.leaves(alone), jax.tree.leaves(together)):
-        np.testing.assert_allclose(x, y, atol=1e-6)
-    assert np.sum(np.asarray(alone.contact_key) >= 0) == 3
-
-
-def test_vmap_over_single_worlds_is_the_batch() -> None:
-    one = Engine(BALLS, settings=preset("paper").replace(substeps=1), backend="xla")
-    worlds = []
-    for x in (0.0, 0.3):
-        b = head_on()
-        b.add_box(width=1, height=0.2, position=(x, 0.55))
-        worlds.append(b.build())
-    scene = stack_worlds([w.scene for w in worlds])
-    state = stack_worlds([one.initial_state(*w) for w in worlds])
-    batch, _ = one.step(scene, state)
-    mapped, _ = jax.vmap(one.step)(scene, state)
-    for x, y in zip(jax.tree.leaves(batch), jax.tree.leaves(mapped)):
-        np.testing.assert_allclose(x, y, atol=1e-6)  # two programs: the compiler rounds each in its own way
-
-
-def test_only_the_reference_and_only_sequential_impulses_solve_in_batches() -> None:
-    with pytest.raises(ValueError, match="backend='xla'"):
-        Engine(SIZES["s"], settings=preset("paper").replace(solver_batch_size=16))
-    with pytest.raises(ValueError, match="soft_step"):
-        preset("standard").replace(solver_batch_size=16)
-    with pytest.raises(ValueError, match="at least 1"):
-        preset("paper").replace(solver_batch_size=0)
-
-
-def test_preset_reference_is_converged() -> None:
-    """A pendulum for half a second: four times the step changes its angle by 2e-4 rad, so the error is below 1e-4."""
-    b = SceneBuilder(ARM)
-    b.add_box(width=0.1, height=0.1, fixed=True)
-    link = b.add_box(width=1.0, height=0.1, position=(0.5, 0.0))
-    b.add_revolute_joint(0, link, at=(0, 0))
-    world = b.build()
-    angles = []
-    with jax.enable_x64(True):
-        for coarser in (4, 1):
-            settings = preset("reference").replace(dt=preset("reference").dt * coarser)
-            one = Engine(ARM, settings=settings, backend="xla", dtype=jnp.float64)
-            scene, state = jax.tree.map(lambda x: jnp.asarray(x)[None], (world.scene, one.initial_state(*world)))
-            packed_scene, controls = one.pack_scene(scene), one.no_controls(1)
-
-            def some_steps(packed: Any, _: None, one=one, scene=packed_scene, controls=controls) -> tuple[Any, None]:
-                return one.step_packed(scene, packed, controls, num_steps=64)[0], None
-
-            packed, _ = jax.lax.scan(some_steps, one.pack_state(state), length=480 // coarser)
-            angles.append(float(one.unpack_state(packed).angle[0, link]))
-    assert abs(angles[0] - angles[1]) < 3e-4
-    assert angles[0] != angles[1]

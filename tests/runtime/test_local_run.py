@@ -33,15 +33,21 @@ def _run_local(config, path, reporter=None, *, resume=False):
     return run_updates(config, path, trainer, curator, reporter=reporter, resume=resume)
 
 
-def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(tmp_path):
-    config = tiny_config(num_updates=8)  # refresh every 3, adopted after 2; the first at once
-    reporter = QuietReporter()
-    _run_local(config, tmp_path / "run", reporter)
-    events = [json.loads(line) for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
+@pytest.fixture(scope="module")
+def eight_updates(tmp_path_factory):
+    """(folder, rows of metrics) of an undisturbed run."""
+    path, reporter = tmp_path_factory.mktemp("eight") / "run", QuietReporter()
+    _run_local(tiny_config(num_updates=8), path, reporter)
+    return path, reporter.rows
+
+
+def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(eight_updates):
+    path, rows = eight_updates  # refresh every 3, adopted after 2; the first at once
+    events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
     adopted = [(e["policy_version"], e["update"]) for e in events if e["event"] == "buffer_adopted"]
     assert adopted == [(0, 0), (3, 5)]
-    assert [row["curriculum/buffer_age"] for row in reporter.rows] == [0, 1, 2, 3, 4, 2, 3, 4]
-    assert all(row["runtime/policy_lag"] == 0 for row in reporter.rows)
+    assert [row["curriculum/buffer_age"] for row in rows] == [0, 1, 2, 3, 4, 2, 3, 4]
+    assert all(row["runtime/policy_lag"] == 0 for row in rows)
 
 
 @pytest.mark.also_gpu
@@ -60,10 +66,10 @@ def test_two_updates_have_finite_losses_and_change_the_policy(tmp_path):
     assert any(not np.array_equal(before[name], after[name]) for name in params)
 
 
-def test_shares_of_time_add_up_to_one(tmp_path):
-    reporter = QuietReporter()
-    _run_local(tiny_config(num_updates=3), tmp_path / "run", reporter)
-    for row in reporter.rows:
+def test_shares_of_time_add_up_to_one(eight_updates):
+    _, rows = eight_updates
+    assert len(rows) == 8
+    for row in rows:
         assert sum(value for name, value in row.items() if name.startswith("time/")) == pytest.approx(1.0)
 
 

@@ -60,7 +60,7 @@ def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
     assert metrics["train/episodes"] >= times  # each ended an episode
 
 
-def _sums(effects):
+def _sums(effects, weights):
     """Of a rollout with an engine that has these effects alone, on levels with everything."""
     config = tiny_config(num_updates=1)
     levels = dataclasses.replace(config.curriculum, name="fixed", levels="designed_s")
@@ -69,16 +69,15 @@ def _sums(effects):
     policy = make_policy(config.policy, env.action_distribution.head_sizes)
     curriculum = make_curriculum(config, env, policy)
     core = RolloutCore(config, env, policy, curriculum, data_mesh(), groups=range(config.rollout.num_groups))
-    worker = Worker(config, data_mesh())
-    worker.start(None)
-    return jax.device_get(core.play(worker.weights(), None, 0)[-1])["physics"]
+    return jax.device_get(core.play(weights, None, 0)[-1])["physics"]
 
 
-def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted():
+def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted(worker):
+    weights = worker.weights()  # the policy is the same, whatever levels are played
     full = Effects.full(tiny_config(num_updates=1).env.capacity)
-    assert _sums(full).missing_effects == 0
-    assert _sums(full.without("gravity")).missing_effects == NUM_WORLDS * NUM_STEPS  # all of them have gravity
-    crowded = _sums(dataclasses.replace(full, contact_slots=1))
+    assert _sums(full, weights).missing_effects == 0
+    assert _sums(full.without("gravity"), weights).missing_effects == NUM_WORLDS * NUM_STEPS  # all of them have gravity
+    crowded = _sums(dataclasses.replace(full, contact_slots=1), weights)
     assert crowded.contact_overflow > 0
     assert crowded.missing_effects > 0
 

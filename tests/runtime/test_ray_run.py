@@ -53,6 +53,7 @@ def local_arrays(tmp_path_factory):
     return final_arrays(path / "run")
 
 
+@pytest.mark.slow  # the next test shows it too, of a run whose processes are killed
 def test_ray_colocated_gives_the_same_parameters_as_local_mode_bit_for_bit(ray_backend, local_arrays, tmp_path):
     _run(tiny_config(num_updates=8, placement="colocated"), tmp_path / "ray", ray_backend)
     assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
