@@ -34,6 +34,7 @@ class Bodies(NamedTuple):
     inverse_inertia: jax.Array  # [n] 1/(kg m^2)
     is_kinematic: jax.Array  # [n] bool, moves as it was told
     limited: jax.Array  # [] int32, times a speed limit acted
+    slowed: jax.Array  # [n] bool, one has acted on it in this step
     wraps: jax.Array  # [n] bool, angles that stay within half a turn
 
     @property
@@ -57,6 +58,7 @@ def load(scene: Scene, state: State) -> Bodies:
         inverse_inertia=scene.shapes.inverse_inertia,
         is_kinematic=scene.shapes.kinematic & (scene.shapes.inverse_mass == 0) & (scene.shapes.inverse_inertia == 0),
         limited=jnp.zeros((), jnp.int32),
+        slowed=jnp.zeros(state.angle.shape, bool),
         wraps=~angles.counts_turns(scene.joints, state.angle.shape[0]),
     )
 
@@ -103,7 +105,14 @@ def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies
     return bodies._replace(
         velocities=Velocities(velocity, omega),
         limited=bodies.limited + jnp.sum(too_fast, dtype=jnp.int32) + jnp.sum(spins_too_fast, dtype=jnp.int32),
+        slowed=bodies.slowed | too_fast | spins_too_fast,
     )
+
+
+def is_slowed(bodies: Bodies, pair: Pair) -> jax.Array:
+    """[...] bool, a speed limit has acted on one of the two in this step. What it has taken back of what joints asked
+    for, they would ask for again and again: impulses that grow without end."""
+    return jnp.any((pair.is_a | pair.is_b) & bodies.slowed, axis=-1)
 
 
 def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bodies:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
-from jax2d.solver_numbers import Softness, SolverNumbers
+from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
 from jax2d.xla import angles, vec2
 from jax2d.xla import springs as springs_of
 from jax2d.xla.active_set import ActiveSet, marked
@@ -27,6 +27,7 @@ from jax2d.xla.bodies import (
     Pair,
     PairVelocities,
     Velocities,
+    is_slowed,
     pair_up,
     pair_velocities,
     pick,
@@ -35,6 +36,7 @@ from jax2d.xla.bodies import (
 from jax2d.xla.branching import choose
 from jax2d.xla.drives import Servo, servo_of, speed_towards
 from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
+from jax2d.xla.rules import Rules
 from jax2d.xla.springs import SpringImpulses, Springs
 
 
@@ -168,10 +170,12 @@ def counted_angle(bodies: Bodies, scene: Scene) -> jax.Array:
     return bodies.angle[scene.joints.b] - bodies.angle[scene.joints.a] - scene.joints.rest_angle
 
 
-def store(joints: Joints, state: State) -> jax.Array:
+def store(bodies: Bodies, joints: Joints, state: State, rules: Rules) -> jax.Array:
     """Impulses as in `State.joint_impulse`; joints that hold nothing keep what they had."""
     i = joints.impulses
     solved = jnp.concatenate([i.point, i.angular_impulse[:, None], i.lower[:, None], i.upper[:, None]], axis=1)
+    if rules.is_soft:
+        solved = jnp.where(is_slowed(bodies, joints.pair)[:, None], 0, solved)
     return jnp.where(joints.is_held[:, None], solved, state.joint_impulse)
 
 
@@ -309,7 +313,7 @@ def solve_soft(
         motor_last = ~row.is_fixed & (not use_bias) & (unsolved.lower + unsolved.upper == 0)
         of, impulses = solve_motor_or_angle(before, row._replace(is_driven=row.is_driven & ~motor_last), unsolved, soft)
         of, impulses = solve_limits(of, row, impulses, params, soft, use_bias=use_bias)
-        of, impulses = solve_held(of, row, impulses, soft)
+        of, impulses = solve_held(of, row, impulses, soft, params.max_angular_speed)
         if not use_bias:
             last = row._replace(is_driven=row.is_driven & motor_last, is_fixed=jnp.zeros_like(row.is_fixed))
             of, impulses = solve_motor_or_angle(of, last, impulses, soft)
@@ -367,9 +371,11 @@ def solve_limits(
 
 
 def solve_held(
-    of: PairVelocities, row: Row, impulses: JointImpulses, soft: Softness
+    of: PairVelocities, row: Row, impulses: JointImpulses, soft: Softness, max_spin: Scalar
 ) -> tuple[PairVelocities, JointImpulses]:
-    bend = row.bend_a * of.omega_a**2 - row.bend_b * of.omega_b**2
+    # Faster nothing turns in the end, however fast it does while velocities are solved.
+    spin_a, spin_b = (jnp.minimum(jnp.abs(omega), max_spin) for omega in (of.omega_a, of.omega_b))
+    bend = row.bend_a * spin_a**2 - row.bend_b * spin_b**2
     wrong = jnp.stack([speed_along(row.first, of), speed_along(row.second, of)]) + row.correction + bend
     needed = jnp.stack([vec2.dot(row.held_mass[0], wrong), vec2.dot(row.held_mass[1], wrong)])
     impulse = -needed * soft.mass_scale - impulses.point * soft.impulse_scale

@@ -20,7 +20,7 @@ from jax2d.scene import Scene, State
 from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.active_set import ActiveSet, marked
-from jax2d.xla.bodies import Bodies, Pair, Velocities, pair_up, pair_velocities, scatter_velocities
+from jax2d.xla.bodies import Bodies, Pair, Velocities, is_slowed, pair_up, pair_velocities, scatter_velocities
 from jax2d.xla.branching import choose
 from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
 
@@ -82,9 +82,10 @@ def prepare(bodies: Bodies, scene: Scene, impulses: SpringImpulses) -> Springs:
     )
 
 
-def store(springs: Springs, state: State) -> jax.Array:
+def store(bodies: Bodies, springs: Springs, state: State) -> jax.Array:
     """Impulses as in `State.spring_impulse`; those that hold nothing keep what they had."""
-    return jnp.where(springs.is_held[:, None], jnp.stack(springs.impulses, -1), state.spring_impulse)
+    solved = jnp.where(is_slowed(bodies, springs.pair)[:, None], 0, jnp.stack(springs.impulses, -1))
+    return jnp.where(springs.is_held[:, None], solved, state.spring_impulse)
 
 
 def line(bodies: Bodies, springs: Springs) -> tuple[Jacobian, jax.Array]:

@@ -9,6 +9,7 @@ struct Bodies {
   unsigned int moving[SHAPE_WORDS];   // a bit a shape that moves; most work is for these alone
   unsigned int counts_turns[SHAPE_WORDS];  // a bit a shape whose angle is not wrapped
   int limited;                        // times a speed limit acted
+  unsigned int slowed[SHAPE_WORDS];   // a bit a shape on which one has acted in this step
 
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
   // a time, and in local memory that would be a transaction for each world and a wait for the slowest.
@@ -102,6 +103,10 @@ struct Bodies {
   }
 
   // `fixed_too`: in the first step of a call; what cannot move stays as it was made then.
+  KFN void begin_limits() {
+    for (int word = 0; word < SHAPE_WORDS; ++word) slowed[word] = 0u;
+  }
+
   KFN void begin_step(bool fixed_too) {
     for (int i = 0; i < NUM_SHAPES; ++i) {
       if (!is_active(i) || (!fixed_too && !moves(i))) continue;
@@ -151,12 +156,17 @@ struct Bodies {
     real speed_squared = velocity(i).dot(velocity(i));
     if (speed_squared > max_speed * max_speed) {
       set_velocity(i, velocity(i) * (max_speed / sqrtf(speed_squared)));
-      ++limited;
+      count_limit(i);
     }
     if (omega(i) > max_omega || omega(i) < -max_omega) {
       set_omega(i, Math::clamp(omega(i), -max_omega, max_omega));
-      ++limited;
+      count_limit(i);
     }
+  }
+
+  KFN void count_limit(int i) {
+    ++limited;
+    slowed[i / 32] |= 1u << (i % 32);
   }
 
   // Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted.

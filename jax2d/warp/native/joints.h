@@ -66,6 +66,18 @@ struct Joints {
     joint.impulse_upper = impulses.get(row + 4);
   }
 
+  // What a speed limit has taken back of what joints asked for, they would ask for again and again: impulses that grow
+  // without end.
+  KFN void forget_slowed(const Bodies& bodies) {
+    springs.forget_slowed(bodies);
+    for (int k = 0; k < count; ++k) {
+      Joint& joint = list[k];
+      if (!SOFT_STEP || !(Bodies::has(bodies.slowed, joint.a) || Bodies::has(bodies.slowed, joint.b))) continue;
+      joint.impulse = {real(0), real(0)};
+      joint.angular_impulse = joint.impulse_lower = joint.impulse_upper = real(0);
+    }
+  }
+
   KFN void store(const Column& impulses) const {
     springs.store(impulses);
     for (int k = 0; k < count; ++k) {
@@ -253,7 +265,8 @@ struct Joints {
     real mass_scale = real(1), impulse_scale = real(0);
     if (use_bias) {
       // Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
-      Vec2 bend = joint.arm_a * (pair.omega_a * pair.omega_a) - joint.arm_b * (pair.omega_b * pair.omega_b);
+      real spin_a = Math::min(Math::abs(pair.omega_a), soft.max_spin), spin_b = Math::min(Math::abs(pair.omega_b), soft.max_spin);
+      Vec2 bend = joint.arm_a * (spin_a * spin_a) - joint.arm_b * (spin_b * spin_b);
       wrong = wrong + clamp_length(gap * soft.joint.bias_rate, soft.pull_speed) + bend * soft.bend_time;
       mass_scale = soft.joint.mass_scale;
       impulse_scale = soft.joint.impulse_scale;

@@ -3,6 +3,7 @@
 struct Springs {
   KFN void load(const Bodies&, const Column&, const IntColumn&, const Column&, const Column&) {}
   KFN void load_impulses(const Column&) {}
+  KFN void forget_slowed(const Bodies&) {}
   KFN void store(const Column&) const {}
   KFN void prepare(const Bodies&) {}
   KFN void warm_start(Bodies&) {}

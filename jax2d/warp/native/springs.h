@@ -122,6 +122,12 @@ struct Springs {
     }
   }
 
+  KFN void forget_slowed(const Bodies& bodies) {
+    for (int k = 0; k < count; ++k)
+      if (Bodies::has(bodies.slowed, list[k].a) || Bodies::has(bodies.slowed, list[k].b))
+        list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0);
+  }
+
   KFN void store(const Column& impulses) const {
     for (int k = 0; k < count; ++k) {
       int row = IMPULSE_SPRING_IMPULSE + 3 * list[k].index;

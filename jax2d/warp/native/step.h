@@ -35,10 +35,12 @@ struct World {
       reports = REPORT_CONTACTS > 0 && is_last_step;
       if (reports) report.begin_step(out);
       joints.load(bodies, scene, ints, params, impulses);
+      bodies.begin_limits();
       if (SOFT_STEP)
         soft_step();
       else
         paper_step();
+      joints.forget_slowed(bodies);
       joints.store(impulses);
       if (reports) report.end_step();
     }
