@@ -44,16 +44,17 @@ def at_rest(position: np.ndarray, angle: np.ndarray) -> Bodies:
     ones = jnp.ones_like(angle)
     still = jnp.zeros_like(position)
     return Bodies(
-        jnp.asarray(position),
-        jnp.asarray(angle),
-        Velocities(still, zeros),
-        still,
-        zeros,
-        ones,
-        ones,
-        zeros > 0,
-        zeros[0],
-        ones == 0,
+        position=jnp.asarray(position),
+        angle=jnp.asarray(angle),
+        velocities=Velocities(still, zeros),
+        delta=still,
+        turn=zeros,
+        inverse_mass=ones,
+        inverse_inertia=ones,
+        is_kinematic=zeros > 0,
+        limited=zeros[0],
+        slowed=zeros > 0,
+        wraps=ones == 0,
     )
 
 
