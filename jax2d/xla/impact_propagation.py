@@ -11,18 +11,16 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.xla import vec2
 from jax2d.xla.bodies import (
     Bodies,
-    PairVelocities,
     Velocities,
     apply_impulse,
     pair_mass,
     pair_velocities,
-    relative_velocity,
     scatter_velocities,
 )
 from jax2d.xla.branching import choose, in_any_world
+from jax2d.xla.contact_solver import normal_speed, rows_of
 from jax2d.xla.contacts import Contacts
 
 
@@ -85,8 +83,7 @@ def skips_bounces(contacts: Contacts, separation: jax.Array) -> jax.Array:
 
 
 def _normal_speed(contacts: Contacts, velocities: Velocities) -> jax.Array:
-    of: PairVelocities = pair_velocities(contacts.pair, velocities)
-    return vec2.dot(contacts.normal, relative_velocity(of, contacts.arm_a, contacts.arm_b))
+    return normal_speed(pair_velocities(contacts.pair, velocities), rows_of(contacts))
 
 
 def _bodies_of(contacts: Contacts, chosen: jax.Array) -> jax.Array:

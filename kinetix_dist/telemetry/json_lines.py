@@ -45,7 +45,7 @@ def append_line(path: Path, row: Mapping[str, Any]) -> None:
     """Adds a row on a line of its own, also after an unfinished one: whole, or not at all where OSError is raised."""
     file = WholeWrites(path)
     try:
-        file.write((b"" if file.last_byte() in (b"", b"\n") else b"\n") + _encode(row))
+        file.write_line(_encode(row))
     finally:
         file.close()
 

@@ -14,8 +14,8 @@ struct ActiveSet {
 
   KFN void mark(const Bodies& bodies, int a, int b) {
     if (!SHARES_BLOWS) return;
-    if (bodies.is_dynamic(a)) next[a / 32] |= 1u << (a % 32);
-    if (bodies.is_dynamic(b)) next[b / 32] |= 1u << (b % 32);
+    if (bodies.is_dynamic(a)) Bodies::add(next, a);
+    if (bodies.is_dynamic(b)) Bodies::add(next, b);
   }
 
   // In a repeated pass, of a joint or spring. `before`: m/s, of b from a, when it was come to.

@@ -57,6 +57,10 @@ struct Bodies {
     }
   };
 
+  KFN static void clear(unsigned int* shapes) {
+    for (int word = 0; word < SHAPE_WORDS; ++word) shapes[word] = 0u;
+  }
+  KFN static void add(unsigned int* shapes, int i) { shapes[i / 32] |= 1u << (i % 32); }
   KFN static bool has(const unsigned int* shapes, int i) { return (shapes[i / 32] >> (i % 32) & 1u) != 0u; }
   KFN bool is_active(int i) const { return has(present, i); }
   KFN bool moves(int i) const { return has(moving, i); }
@@ -68,7 +72,9 @@ struct Bodies {
 
   KFN void load(const Column& scene, const IntColumn& ints, const Column& state) {
     limited = 0;
-    for (int word = 0; word < SHAPE_WORDS; ++word) present[word] = moving[word] = counts_turns[word] = 0u;
+    clear(present);
+    clear(moving);
+    clear(counts_turns);
     unsigned int active[TOUCH_WORDS];  // a bit a slot
     for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_SHAPES_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
@@ -83,11 +89,11 @@ struct Bodies {
       set_omega(i, state.get(STATE_ANGULAR_VELOCITY + slot));
       at(i, INVERSE_MASS) = scene.get(SCENE_SHAPES_INVERSE_MASS + slot);
       at(i, INVERSE_INERTIA) = scene.get(SCENE_SHAPES_INVERSE_INERTIA + slot);
-      present[i / 32] |= 1u << (i % 32);
+      add(present, i);
       bool moves = inverse_mass(i) > real(0) || inverse_inertia(i) > real(0);
       if (HAS_KINEMATIC_BODIES)
         moves |= ((unsigned int)(ints.get(INTS_SHAPES_KINEMATIC + slot / 32)) >> (slot % 32) & 1u) != 0u;
-      if (moves) moving[i / 32] |= 1u << (i % 32);
+      if (moves) add(moving, i);
     }
   }
 
@@ -103,10 +109,6 @@ struct Bodies {
   }
 
   // `fixed_too`: in the first step of a call; what cannot move stays as it was made then.
-  KFN void begin_limits() {
-    for (int word = 0; word < SHAPE_WORDS; ++word) slowed[word] = 0u;
-  }
-
   KFN void begin_step(bool fixed_too) {
     for (int i = 0; i < NUM_SHAPES; ++i) {
       if (!is_active(i) || (!fixed_too && !moves(i))) continue;
@@ -166,7 +168,7 @@ struct Bodies {
 
   KFN void count_limit(int i) {
     ++limited;
-    slowed[i / 32] |= 1u << (i % 32);
+    add(slowed, i);
   }
 
   // Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted.

@@ -107,7 +107,7 @@ struct Contacts {
             break;
           }
         }
-        c.approach = c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
+        c.approach = normal_speed(bodies, c);
         // What a blow next to it has left of an impulse would throw apart what it no longer holds.
         if (SOFT_STEP && is_start && c.approach > LEAVING_SPEED) forget(count - 1);
         // Discs have no corners to turn about: theirs are handed on (SHARES_BLOWS) or left to the next sub-step.
@@ -129,12 +129,12 @@ struct Contacts {
     if (!any_exceeds) return false;
     real travel[NUM_SHAPES], farthest = real(0), second = real(0);
     unsigned int far_shapes[SHAPE_WORDS];  // one body of such a pair goes at least half of `reach` farther
-    for (int word = 0; word < SHAPE_WORDS; ++word) far_shapes[word] = 0u;
+    Bodies::clear(far_shapes);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
       travel[i] = geometry.travel(bodies, i, left);
       real farther = travel[i] - geometry.predicted_travel[i];
-      if (farther > real(0.5) * reach) far_shapes[i / 32] |= 1u << (i % 32);
+      if (farther > real(0.5) * reach) Bodies::add(far_shapes, i);
       second = Math::max(second, Math::min(farther, farthest));
       farthest = Math::max(farthest, farther);
     }
@@ -412,9 +412,12 @@ struct Contacts {
   // Whether what was hit touches something that is hit next.
   KFN bool passes_impacts_on() const {
     unsigned int hit[SHAPE_WORDS];
-    for (int word = 0; word < SHAPE_WORDS; ++word) hit[word] = 0u;
-    for (int i = 0; i < count; ++i)
-      for (int word = 0; word < SHAPE_WORDS && passes_on(list[i]) && list[i].bounce > real(0); ++word) hit[word] |= both(list[i], word);
+    Bodies::clear(hit);
+    for (int i = 0; i < count; ++i) {
+      if (!passes_on(list[i]) || list[i].bounce <= real(0)) continue;
+      Bodies::add(hit, list[i].a);
+      Bodies::add(hit, list[i].b);
+    }
     for (int i = 0; i < count; ++i) {
       const Contact& c = list[i];
       if (!passes_on(c) || c.against_fixed || c.bounce > real(0) || c.restitution == real(0)) continue;
@@ -427,7 +430,8 @@ struct Contacts {
   // leaves of a contact's speed is what its bounce aims at. True if anything bounces still.
   KFN bool propagate_impacts(Bodies& bodies) {
     unsigned int once[SHAPE_WORDS], again[SHAPE_WORDS];
-    for (int word = 0; word < SHAPE_WORDS; ++word) once[word] = again[word] = 0u;
+    Bodies::clear(once);
+    Bodies::clear(again);
     real factor = real(1);  // the moment of the impact falls inside the step: its speed is that of the bounce
     for (int impact = 0; impact < MAX_IMPACTS; ++impact) {
       int next = -1;
@@ -445,9 +449,10 @@ struct Contacts {
       real impulse = (real(1) + c.restitution) * speed * pair.mass(c.arm_a, c.arm_b, c.normal);
       pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
       pair.write_back(bodies);
-      for (int word = 0; word < SHAPE_WORDS; ++word) {
-        again[word] |= once[word] & both(c, word);
-        once[word] |= both(c, word);
+      for (int of_b = 0; of_b < 2; ++of_b) {
+        int body = of_b ? c.b : c.a;
+        if (Bodies::has(once, body)) Bodies::add(again, body);
+        Bodies::add(once, body);
       }
     }
     bool any = false;
@@ -462,10 +467,6 @@ struct Contacts {
       any |= c.bounce > real(0);
     }
     return any;
-  }
-
-  KFN static unsigned int both(const Contact& c, int word) {
-    return (c.a / 32 == word ? 1u << (c.a % 32) : 0u) | (c.b / 32 == word ? 1u << (c.b % 32) : 0u);
   }
 
   KFN static real normal_speed(const Bodies& bodies, const Contact& c) {

@@ -38,8 +38,8 @@ struct Joints {
       joint.lower = scene.get(SCENE_JOINTS_LOWER_LIMIT + j);
       joint.upper = scene.get(SCENE_JOINTS_UPPER_LIMIT + j);
       if (SOFT_STEP && joint.is_wide()) {
-        bodies.counts_turns[joint.a / 32] |= 1u << (joint.a % 32);
-        bodies.counts_turns[joint.b / 32] |= 1u << (joint.b % 32);
+        Bodies::add(bodies.counts_turns, joint.a);
+        Bodies::add(bodies.counts_turns, joint.b);
       }
       if (warm) {
         load_impulses(joint, impulses);

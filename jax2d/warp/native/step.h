@@ -35,7 +35,7 @@ struct World {
       reports = REPORT_CONTACTS > 0 && is_last_step;
       if (reports) report.begin_step(out);
       joints.load(bodies, scene, ints, params, impulses);
-      bodies.begin_limits();
+      Bodies::clear(bodies.slowed);
       if (SOFT_STEP)
         soft_step();
       else

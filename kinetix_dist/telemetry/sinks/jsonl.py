@@ -35,8 +35,7 @@ class JsonlSink:
         """One line, whole or not at all. A value that is not finite is written as null: JSON has no nan."""
         values = check_metrics(metrics)
         row = {"update": update} | {k: v if math.isfinite(v) else None for k, v in values.items()}
-        line = json.dumps(row).encode() + b"\n"
-        self._file.write(line if self._file.last_byte() in (b"", b"\n") else b"\n" + line)
+        self._file.write_line(json.dumps(row).encode() + b"\n")
 
     def close(self) -> None:
         self._file.close()

@@ -15,7 +15,6 @@ what was still in the queue, and a full disk leaves whole rollouts behind.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
@@ -30,6 +29,7 @@ from mcap.writer import CompressionType, Writer
 
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.rollout_schema import MESSAGE, PACKAGE, Sizes, encode_messages, file_descriptor_set
+from kinetix_dist.telemetry.whole_writes import write_whole
 
 METADATA_NAME = "kinetix_dist.rollout"
 TOPIC = "/rollout/step"
@@ -51,7 +51,7 @@ class RolloutWriter:
     """Writes rollouts to a new MCAP file, in the calling thread. Raises OSError when the disk does."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._file = _WholeWrites(path)
+        self._file = _WholeFlushes(path)
         self._writer = Writer(
             self._file,  # type: ignore[arg-type]  # has what Writer uses: write, tell, flush
             chunk_size=CHUNK_BYTES,
@@ -217,7 +217,7 @@ class McapSink:
             self._on_event(name, fields)
 
 
-class _WholeWrites:
+class _WholeFlushes:
     """A file whose flushes succeed as a whole or leave the file as it was."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -237,16 +237,8 @@ class _WholeWrites:
         return self.written + len(self._pending)
 
     def flush(self) -> None:
-        view = memoryview(bytes(self._pending))
-        start = self.written
-        try:
-            while view:
-                view = view[self._file.write(view) :]
-        except OSError:
-            with contextlib.suppress(OSError):  # the first error is the one to report
-                self._file.truncate(start)
-            raise
-        self.written = start + len(self._pending)
+        write_whole(self._file, bytes(self._pending), self.written)
+        self.written += len(self._pending)
         self._pending.clear()
 
     def close(self) -> None:
