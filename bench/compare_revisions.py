@@ -74,7 +74,7 @@ VARIANTS: dict[str, dict[str, Any]] = {  # fields of `jax2d.warp.variant.Compile
     "16 blocks a multiprocessor": {"min_blocks": 16},
     "16 blocks, spills in shared memory": {"min_blocks": 16, "spills_in_shared": True},
     "fast_math": {"fast_math": True},
-    "no fused multiply-add": {"fuse_fp": False},
+    "fused multiply-add": {"fuse_fp": True},
     "sweep at any size": {"sweep_above_shapes": 0},
     "every pair tested": {"sweep_above_shapes": 512},
 }

@@ -9,9 +9,10 @@ Every `--episodes-a-draw` episodes each world draws a new level. What a world do
 world) and on nothing else, so that one that fails can be run again by itself.
 Episodes of the sizes are interleaved.
 
-Counted: worlds that are no longer finite (with what it takes to reproduce them; any makes the exit code 1), the fastest
-speed and spin, how often a speed limit acted, contacts without a slot, how deep shapes overlap at the end of an
-episode, and energy from nothing.
+Counted: worlds that are no longer finite (with what it takes to reproduce them; any makes the exit code 1), worlds in
+which a shape's centre left the box of the level, the fastest speed and spin, how often a speed limit acted, contacts
+without a slot, how deep shapes overlap at the end of an episode, and energy from nothing. (Levels may start with
+shapes in the walls; those are not counted where they have not been inside the box before.)
 
 Energy from nothing, J/kg of a world's movable mass: energy after an action - the most that it was after any of the
 four before - the most that motors and thrusters can have done since (`jax2d.measure.work_at_most`). (Four, because an
@@ -42,7 +43,8 @@ from jax2d.settings import PRESETS, Settings
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.level.generator import GeneratorConfig, generate_level
-from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
+from kinetix_dist.level.walls import FLOOR_TOP_M
 
 EPISODE_STEPS = 512  # physics steps, as in training
 DRAW_CHUNK = 8192  # levels drawn at once: proposals of a level take some 100 kB
@@ -65,6 +67,7 @@ class Episode(NamedTuple):
     largest_gain_then: Array  # [T] J/kg
     limited: Array  # [T] int32
     overflow: Array  # [T] int32
+    left_box: Array  # [W] bool, a centre that was inside the box was outside after some action
     overlap: Array  # [<= WORLDS_MEASURED] m, deepest of each world at the end
     final: Any  # packed state
 
@@ -107,7 +110,7 @@ class Soak:
         work_bound = jax.vmap(partial(max_work, engine.settings, seconds))
 
         def act(carry: Any, index: Array) -> Any:
-            packed, before, earlier, failed_at, largest = carry
+            packed, before, earlier, failed_at, largest, left_box = carry
             controls = self._controls(keys, index, levels)
             packed, touching = engine.step_packed(packed_scene, packed, controls, self.frame_skip)
             after = engine.unpack_state(packed)
@@ -130,17 +133,18 @@ class Soak:
                 jnp.sum(touching.limited, dtype=jnp.int32),
                 jnp.sum(touching.overflow, dtype=jnp.int32),
             )
-            return (packed, after, earlier, failed_at, jnp.maximum(largest, gain)), of_action
+            left_box |= finite & jnp.any(movable & _in_box(before) & ~_in_box(after), axis=-1)
+            return (packed, after, earlier, failed_at, jnp.maximum(largest, gain), left_box), of_action
 
         none = jnp.full(worlds.shape, num_actions, jnp.int32)
         earlier = jnp.tile(energy_of(scene, start), (GAIN_WINDOW, 1))
-        first = (engine.pack_state(start), start, earlier, none, jnp.zeros(worlds.shape))
-        (packed, final, _, failed_at, largest), of_action = jax.lax.scan(act, first, jnp.arange(num_actions))
+        first = (engine.pack_state(start), start, earlier, none, jnp.zeros(worlds.shape), jnp.zeros(worlds.shape, bool))
+        (packed, final, _, failed_at, largest, left_box), of_action = jax.lax.scan(act, first, jnp.arange(num_actions))
         some = index_worlds((scene, final.position, final.angle), slice(0, WORLDS_MEASURED))
         deepest = jax.lax.map(lambda one: jnp.max(overlaps(*one)), some, batch_size=256)
         fastest, fastest_spin, gains, largest_then, limited, overflow = of_action
         return Episode(
-            failed_at, fastest, fastest_spin, gains, largest, largest_then, limited, overflow, deepest, packed
+            failed_at, fastest, fastest_spin, gains, largest, largest_then, limited, overflow, left_box, deepest, packed
         )
 
     def _controls(self, keys: Array, index: Array, levels: Level) -> Controls:
@@ -156,6 +160,12 @@ class Soak:
 def _movable_mass(scene: Scene) -> jax.Array:
     inverse = jnp.where(scene.shapes.active, scene.shapes.inverse_mass, 0.0)
     return jnp.sum(jnp.where(inverse > 0, 1.0 / jnp.where(inverse > 0, inverse, 1.0), 0.0), axis=-1)
+
+
+def _in_box(state: State) -> jax.Array:
+    """[W, n] bool: a shape's centre is where levels leave room."""
+    x, y = state.position[..., 0], state.position[..., 1]
+    return (x > 0) & (x < WORLD_SIZE_M) & (y > FLOOR_TOP_M) & (y < WORLD_SIZE_M)
 
 
 def _is_finite(state: State) -> jax.Array:
@@ -180,6 +190,7 @@ class Tally:
     fastest_spin: float = 0.0  # rad/s
     limited: int = 0
     overflow: int = 0
+    left_box: int = 0  # worlds of an episode
     gains: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(len(GAIN_EDGES), np.int64))
     largest_gain: float = 0.0
     largest_gain_in: dict[str, int] = dataclasses.field(default_factory=dict)
@@ -198,6 +209,7 @@ class Tally:
         self.fastest_spin = max(self.fastest_spin, float(got.fastest_spin.max()))
         self.limited += int(got.limited.sum(dtype=np.int64))
         self.overflow += int(got.overflow.sum(dtype=np.int64))
+        self.left_box += int(got.left_box.sum())
         self.gains += got.gains.sum(0, dtype=np.int64)
         settled = got.largest_gain_then[settled_after:]
         self.largest_gain_settled = max(self.largest_gain_settled, float(settled.max(initial=0.0)))
@@ -223,6 +235,7 @@ class Tally:
             "limits_acted": self.limited,
             "limits_acted_a_step": self.limited / max(self.physics_steps, 1),
             "contact_overflow": self.overflow,
+            "left_box": self.left_box,
             "share_of_actions_that_gain": {
                 f"{edge} J/kg": n / actions for edge, n in zip(GAIN_EDGES, self.gains.tolist())
             },
@@ -291,6 +304,7 @@ def show(result: dict[str, Any]) -> None:
         "physics steps": [f"{row['physics_steps']:.3g}" for row in rows],
         "levels drawn": [row["levels"] for row in rows],
         "not finite": [row["not_finite"] for row in rows],
+        "a centre left the box": [row["left_box"] for row in rows],
         "fastest, m/s": [row["fastest_m_s"] for row in rows],
         "fastest spin, rad/s": [row["fastest_spin_rad_s"] for row in rows],
         "speed limits acted, a step": [f"{row['limits_acted_a_step']:.2g}" for row in rows],

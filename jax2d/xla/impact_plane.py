@@ -75,14 +75,33 @@ def of_polygon(
     # Where it crosses the last plane, beyond the face it meets the corner there, or passes it.
     at, edge = centre + motion * jnp.where(is_crossed, last, 0), end - start
     before, after = vec2.dot(at - start, edge) < 0, vec2.dot(at - end, edge) > 0
-    corner = of_corner(centre - jnp.where(before, start, end), motion, r, graze)
-    at_corner = ~is_inert & (before | after)
+    away, inward = centre - jnp.where(before, start, end), jnp.where(before, edge, -edge)
+    corner = of_corner(away, motion, r, graze)
+    dives = _grazes_onto(away, inward, polygon.normal[face], r, graze, motion, seconds)
+    at_corner = ~is_inert & (before | after) & ~dives
     return ImpactPlane(
         normal=jnp.where(at_corner, corner.normal, polygon.normal[face]),
         separation=jnp.where(at_corner, corner.separation, jnp.maximum(separation[face], 0)),
         exists=jnp.where(at_corner, corner.exists & is_crossed, is_inert | is_crossed),
         on_face=~at_corner,
     )
+
+
+def _grazes_onto(
+    away: jax.Array,
+    inward: jax.Array,
+    face_normal: jax.Array,
+    r: jax.Array,
+    graze: jax.Array,
+    motion: jax.Array,
+    seconds: Scalar,
+) -> jax.Array:
+    """Whether a disc, `away` [2] m from the end of a face, grazes the corner there and then goes on into the face,
+    which leads along `inward` from there: passing the corner would let it in."""
+    beside, squared = vec2.cross(away, motion), vec2.dot(motion, motion)
+    grazes = (beside * beside < r * r * squared) & (beside * beside >= (r - graze) * (r - graze) * squared)
+    then = away + motion * seconds
+    return grazes & (vec2.dot(then, inward) > 0) & (vec2.dot(face_normal, then) - r < -graze)
 
 
 def _is_over(start: jax.Array, end: jax.Array, point: jax.Array, motion: jax.Array) -> jax.Array:

@@ -37,6 +37,15 @@ struct ImpactPlane {
     return ((point - from).dot(edge) >= real(0) || heading > real(0)) && ((point - to).dot(edge) <= real(0) || heading < real(0));
   }
 
+  // Whether a disc, `away` from the end of a face, grazes the corner there and then goes on into the face, which leads
+  // along `inward` from there: passing the corner would let it in.
+  KFN static bool grazes_onto(Vec2 away, Vec2 inward, Vec2 face_normal, real r, real graze, Vec2 motion, real seconds) {
+    real beside = away.cross(motion), squared = motion.dot(motion);
+    if (beside * beside >= r * r * squared || beside * beside < (r - graze) * (r - graze) * squared) return false;
+    Vec2 then = away + motion * seconds;
+    return then.dot(inward) > real(0) && face_normal.dot(then) - r < -graze;
+  }
+
   // v, n: corners and outward edge normals of a polygon; centre, motion: of the disc against it. False: as they stand.
   KFN static bool polygon(const Vec2* v, const Vec2* n, int count, Vec2 centre, real r, Vec2 motion, real seconds,
                           ImpactPlane& out) {
@@ -64,8 +73,12 @@ struct ImpactPlane {
       // Where it crosses the last plane, beyond the face it meets the corner there, or passes it.
       Vec2 from = v[face], to = v[face + 1 < count ? face + 1 : 0], at = centre + motion * last;
       Vec2 edge = to - from;
-      if ((at - from).dot(edge) < real(0)) return corner(centre - from, motion, r, graze, out);
-      if ((at - to).dot(edge) > real(0)) return corner(centre - to, motion, r, graze, out);
+      bool before = (at - from).dot(edge) < real(0);
+      if (before || (at - to).dot(edge) > real(0)) {
+        Vec2 end = before ? from : to;
+        if (!grazes_onto(centre - end, before ? edge : edge * real(-1), n[face], r, graze, motion, seconds))
+          return corner(centre - end, motion, r, graze, out);
+      }
     }
     out.on_face = true;
     out.normal = n[face];
