@@ -7,6 +7,8 @@
     ...                                        for every effect
     full, bouncing everywhere                  the public levels do not bounce: every shape gets restitution 0.5
     full, an empty scene or one falling box    what an engine costs that finds next to nothing to do
+    with room, the levels as they are          an engine that has room for what no level calls for: belts, springs, ...
+    with room, the levels with belts           every shape has one; likewise damping, rolling resistance, springs
 
 Continuous collision is called for wherever shapes may touch, so those worlds stay as they are and it has no row "full".
 """
@@ -14,6 +16,7 @@ Continuous collision is called for wherever shapes may touch, so those worlds st
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -21,11 +24,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d import Controls, Engine, JointKind, Scene, SceneBuilder, stack_worlds
+from jax2d import Capacity, Controls, Engine, JointKind, Scene, SceneBuilder, State, stack_worlds
 from jax2d.effects import EFFECTS, Effects, effects_of
+from jax2d.fields import broadcast, empty
 from kinetix_dist.benchmarks.random_play import FRAME_SKIP, take_worlds
-from kinetix_dist.level.level import Level
+from kinetix_dist.level.level import NUM_WALLS, Level
 
+NUM_SPRINGS = 2
+ADDED = ("springs", "surface_speed", "damping", "rolling_resistance")  # which no level has
 # In the place of an effect's name
 AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX = "all", "bouncing everywhere", "empty scene", "one falling box"
 
@@ -35,7 +41,8 @@ class Case:
     """Worlds and the engine that steps them."""
 
     effect: str  # that the worlds do without, or one of the names above
-    engine: str  # "full", "without" or "specialised"
+    engine: str  # "full", "without", "specialised" or "with room"
+    capacity: Capacity  # of the engine
     effects: Effects  # of the engine
     scene: Any  # packed
     start: Any  # packed state
@@ -69,6 +76,31 @@ def without(scene: Scene, effect: str) -> Scene:
     return scene.replace(**changes[effect])
 
 
+def with_room(scene: Scene, capacity: Capacity) -> Scene:
+    """A batch of scenes in arrays of a capacity that differs in what they have nothing of."""
+    kept = broadcast(empty(Scene, capacity.sizes), np.shape(scene.gravity)[:-1])
+    return jax.tree.map(lambda new, old: old if np.shape(old) == np.shape(new) else new, kept, scene)
+
+
+def with_effect(scene: Scene, effect: str) -> Scene:
+    """The scenes of a batch, which have room for it, with an effect wherever it can be."""
+    each = np.zeros_like(scene.shapes.surface_speed)
+    if effect == "springs":
+        active = np.asarray(scene.shapes.active)
+        # From the floor, slot 0, to what comes first after the walls.
+        ends = np.argsort(~active, axis=-1, kind="stable")[..., NUM_WALLS : NUM_WALLS + NUM_SPRINGS]
+        hangs = np.take_along_axis(active, ends, axis=-1)
+        values = {"rest_length": 3.0, "stiffness": 2.0, "damping": 0.1}
+        springs = {name: np.full(ends.shape, value, np.float32) for name, value in values.items()}
+        return scene.replace(springs={"active": hangs, "b": ends.astype(np.int32), **springs})
+    changes = {
+        "surface_speed": {"surface_speed": each + 0.5},
+        "damping": {"linear_damping": each + 0.1, "angular_damping": each + 0.1},
+        "rolling_resistance": {"rolling_resistance": each + 0.02},
+    }
+    return scene.replace(shapes=changes[effect])
+
+
 def cases_of(full: Engine, levels: Level, controls: Controls, seed: int) -> list[Case]:
     """All cases; the first is the full engine on the levels as they are.
 
@@ -82,7 +114,7 @@ def cases_of(full: Engine, levels: Level, controls: Controls, seed: int) -> list
     everything = full.effects
 
     def case(effect: str, engine: str, effects: Effects, scene: Any = as_they_are, start: Any = start) -> Case:
-        return Case(effect=effect, engine=engine, effects=effects, scene=scene, start=start)
+        return Case(effect=effect, engine=engine, capacity=full.capacity, effects=effects, scene=scene, start=start)
 
     cases = [
         case(AS_THEY_ARE, "full", everything),
@@ -97,7 +129,33 @@ def cases_of(full: Engine, levels: Level, controls: Controls, seed: int) -> list
     cases.append(case(BOUNCING, "full", everything, spread(full.pack_scene(bouncing))))
     for name, num_boxes in ((EMPTY, 0), (FALLING_BOX, 1)):
         cases.append(case(name, "full", everything, *_falling_boxes(full, num_boxes, worlds)))
-    return cases
+    return cases + _cases_with_room(full, levels.scene, start, spread)
+
+
+def _cases_with_room(full: Engine, scene: Scene, start: Any, spread: Callable[[Any], Any]) -> list[Case]:
+    """Of effects that only a larger capacity has; the worlds start where the full engine's do."""
+    capacity = dataclasses.replace(full.capacity, extended_shapes=True, springs=NUM_SPRINGS)
+    engine = Engine(capacity, settings=full.settings)
+    scene = with_room(scene, capacity)
+    scenes = {AS_THEY_ARE: scene} | {effect: with_effect(scene, effect) for effect in ADDED}
+    starts = engine.pack_state(_with_room(full.unpack_state(start), engine))
+    return [
+        Case(
+            effect=name,
+            engine="with room",
+            capacity=capacity,
+            effects=engine.effects,
+            scene=spread(engine.pack_scene(one)),
+            start=starts,
+        )
+        for name, one in scenes.items()
+    ]
+
+
+def _with_room(state: State, engine: Engine) -> State:
+    """A batch of states in arrays of another engine's, which remember nothing of what the first did not have."""
+    kept = broadcast(empty(State, engine.capacity.sizes), np.shape(state.position)[:-2])
+    return jax.tree.map(lambda new, old: old if np.shape(old) == np.shape(new) else jnp.asarray(new), kept, state)
 
 
 def _falling_boxes(engine: Engine, num_boxes: int, worlds: int) -> tuple[Any, Any]:

@@ -9,8 +9,8 @@ Worlds start where the full engine is at a random moment of their episodes, and 
 the engines are interleaved, in random order. A time includes the launches, one for every 2 physics steps. On a CPU it
 is processor time. A record has exactly these fields:
 
-    {"size", "effect", "engine": "full"|"without"|"specialised", "worlds", "device", "us_per_world_step",
-     "relative_to_full"}
+    {"size", "effect", "engine": "full"|"without"|"specialised"|"with room", "worlds", "device",
+     "us_per_world_step", "relative_to_full"}
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 
 from jax2d import Controls, Engine, preset
 from jax2d.effects import EFFECTS, called_for
-from kinetix_dist.benchmarks.effect_cases import AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX, cases_of
+from kinetix_dist.benchmarks.effect_cases import ADDED, AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX, cases_of
 from kinetix_dist.benchmarks.level_files import EngineOptions, check_engine, check_steps, level_files, load_levels
 from kinetix_dist.benchmarks.random_play import EPISODE_STEPS, FRAME_SKIP, random_controls
 from kinetix_dist.benchmarks.results import Record, Results
@@ -94,10 +94,14 @@ def table(records: list[Record], flags: Any) -> list[str]:
         f"  {'effect':<22} {'levels':>7} {'without it':>11} {'and engine too':>15} {'costs':>8} {'its code':>9}"
     )
     for effect, share in zip(EFFECTS, shares, strict=True):
+        if (effect, "without") not in found:  # these levels have no room for it
+            continue
         worlds, engine = found.get((effect, "full"), 1.0), found[effect, "without"]
         lines.append(
             f"  {effect:<22} {share:7.0%} {worlds:11.1%} {engine:15.1%} {1 - engine:8.1%} {worlds - engine:9.1%}"
         )
+    lines.append(f"  {'engine with room for more, levels as they are':<46} {found[AS_THEY_ARE, 'with room']:7.1%}")
+    lines += [f"  {f'{effect} wherever it can be':<46} {found[effect, 'with room']:7.1%}" for effect in ADDED]
     return lines
 
 
@@ -110,8 +114,10 @@ def _measure_size(options: Options, size: str, levels: Level, worlds: int, devic
     episode = random_controls(full, (EPISODE_STEPS // FRAME_SKIP, worlds), key)
     cases = cases_of(full, levels, episode, options.seed)
     # One program an engine: cases of the same engine differ in what they are given.
-    engines = {effects: Engine(capacity, settings=settings, effects=effects) for effects in {c.effects for c in cases}}
-    programs = {effects: _program(engine) for effects, engine in engines.items()}
+    programs = {
+        (capacity, effects): _program(Engine(capacity, settings=settings, effects=effects))
+        for capacity, effects in {(c.capacity, c.effects) for c in cases}
+    }
     clock = compute_clock(device)
     seconds: list[list[float]] = [[] for _ in cases]
     order = random.Random(options.seed)
@@ -119,7 +125,7 @@ def _measure_size(options: Options, size: str, levels: Level, worlds: int, devic
         # In another order each time: caches are warm or cold by what ran before.
         for case, times in order.sample(list(zip(cases, seconds, strict=True)), len(cases)):
             started = clock()
-            jax.block_until_ready(programs[case.effects](case.scene, case.start, controls))
+            jax.block_until_ready(programs[case.capacity, case.effects](case.scene, case.start, controls))
             if repeat:  # the first run compiles
                 times.append(clock() - started)
     reference = statistics.median(seconds[0])
