@@ -53,6 +53,12 @@ class Constants:
     clearly_larger: float = _constant(
         1.1, "ratio of extents", "from here on the larger shape's face is the reference", "1: equal boxes flicker"
     )
+    aside_share: float = _constant(
+        0.02,
+        "share of their distance",
+        "discs that bounce and pass by so much in a step do so in the sub-step in which they meet",
+        "larger: they get spin from the place where the step ends",
+    )
     grazing_distance: float = _constant(
         0.005,
         "m",

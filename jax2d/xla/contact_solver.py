@@ -56,7 +56,7 @@ def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
     """Where impulses act, [K, 2] m from both centres. Where both bodies can move it is one point, wherever they have
     gone since: an impulse at two points would change what both have of angular momentum. What is fixed takes any, so
     that the other's own surface is the point."""
-    apart = contacts.normal * jnp.maximum(contacts.separation, 0)[:, None] + moved_apart(bodies, contacts)
+    apart = contacts.gap + moved_apart(bodies, contacts)
     apart = jnp.where(contacts.against_fixed[:, None], 0, apart)
     share = contacts.follows_b[:, None]
     return contacts.arm_a + apart * share, contacts.arm_b - apart * (1 - share)
@@ -68,7 +68,7 @@ def carried_arms(
     """`arms_now`, but on a kinematic body to where the other's surface is `ahead` seconds from now: in the middle of a
     sub-step the velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out
     nor in."""
-    apart = contacts.normal * jnp.maximum(contacts.separation, 0)[:, None] + moved_apart(bodies, contacts)
+    apart = contacts.gap + moved_apart(bodies, contacts)
 
     def turned(arm: jax.Array, body: jax.Array) -> jax.Array:
         return arm + vec2.left(arm) * (pick(body, bodies.velocities.omega) * ahead)[:, None]
@@ -100,10 +100,10 @@ def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
 
 
 def turned_arms(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
-    """What turning has added to the arms of a and b, [K, 2] m. On a face the point of a disc stays below its centre:
-    turned with one that rolls it would rise, and the disc sink."""
-    turn_b = jnp.where(contacts.disc_on_face, 0, pick(contacts.pair.is_b, bodies.turn))
-    turn_a = pick(contacts.pair.is_a, bodies.turn)
+    """What turning has added to the arms of a and b, [K, 2] m. On a face the point of a disc stays below its centre,
+    and those of two discs between their centres: turned with one that rolls it would rise, and the disc sink."""
+    turn_b = jnp.where(contacts.disc_on_face | contacts.are_discs, 0, pick(contacts.pair.is_b, bodies.turn))
+    turn_a = jnp.where(contacts.are_discs, 0, pick(contacts.pair.is_a, bodies.turn))
     return _turned_by(contacts.arm_a, turn_a), _turned_by(contacts.arm_b, turn_b)
 
 

@@ -27,7 +27,9 @@ class Contacts(NamedTuple):
     normal: jax.Array  # [K, 2]
     arm_a: jax.Array  # [K, 2] m, from the centres of mass to both surfaces, at the start of the step
     arm_b: jax.Array
+    gap: jax.Array  # [K, 2] m, from a's surface to b's where they will meet, at the start of the step
     follows_b: jax.Array  # [K] share by which the common point goes with b; the rest goes with a
+    are_discs: jax.Array  # [K] bool, both
     disc_on_face: jax.Array  # [K] bool, b is a disc on a face of a
     separation: jax.Array  # [K] m, at the start of the step
     mass_normal: jax.Array  # [K] kg
@@ -102,7 +104,11 @@ def find(
     # Where the surfaces are apart each is met at its own point: they will have moved together by then.
     half_gap = points.normal * (0.5 * jnp.maximum(points.separation, 0))[:, None]
     arm_a = points.point - half_gap
-    arm_b = points.point + half_gap - (bodies.position[b] - bodies.position[a])
+    # Nothing turns a disc about its own centre by pushing it along the line to another's: until they meet they are
+    # beside that line, and are there when they do.
+    d, are_discs = bodies.position[b] - bodies.position[a], a >= context.capacity.polygons
+    met = jnp.where((are_discs & rules.is_soft)[:, None], points.normal * vec2.dot(points.normal, d)[:, None], d)
+    arm_b = points.point + half_gap - met
     key = jnp.where(points.exists, (a << C.feature_bits + C.shape_bits) | (b << C.feature_bits) | points.feature, -1)
     velocity = relative_velocity(pair_velocities(pair, bodies.velocities), arm_a, arm_b)
     dynamic = bodies.is_dynamic
@@ -118,7 +124,11 @@ def find(
     is_blow |= (is_second & jnp.roll(is_blow, 1)) | jnp.roll(is_second & is_blow, -1)  # both points or none
     if rules.is_soft:
         hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)
-        each_substep |= jnp.any(points.exists & hard)
+        restitution = jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b])
+        bounces = are_discs & dynamic[a] & dynamic[b] & (restitution > 0) & (approach <= -params.restitution_threshold)
+        of_centres = bodies.velocities.velocity[b] - bodies.velocities.velocity[a]
+        bounces &= _meet_aside(points, approach, of_centres, d, dt)
+        each_substep |= jnp.any(points.exists & (hard | bounces))
     return Contacts(
         key=key,
         pair=pair,
@@ -126,7 +136,9 @@ def find(
         arm_a=arm_a,
         arm_b=arm_b,
         follows_b=points.follows_b,
+        gap=2 * half_gap + d - met,
         disc_on_face=points.on_face,
+        are_discs=are_discs & points.exists,
         separation=points.separation,
         mass_normal=pair_mass(pair, arm_a, arm_b, points.normal),
         mass_tangent=pair_mass(pair, arm_a, arm_b, vec2.right(points.normal)),
@@ -207,6 +219,13 @@ def _hits_hard(
     foresaw: around a corner, or over an end."""
     thin = C.safe_core_share * jnp.minimum(core_a, core_b)
     return -approach * dt > jnp.maximum(points.separation, 0) + params.speculative_distance + thin
+
+
+def _meet_aside(points: Points, approach: jax.Array, velocity: jax.Array, d: jax.Array, dt: Scalar) -> jax.Array:
+    """Which discs meet in what is left of the step and are beside each other's line when it ends: an impulse would act
+    at one point of both then, and turn them. d, velocity [K, 2]: of b against a."""
+    aside = jnp.abs(vec2.cross(points.normal, velocity))
+    return (-approach * dt > points.separation) & (aside * dt > C.aside_share * vec2.dot(points.normal, d))
 
 
 def _of_extended_shapes(

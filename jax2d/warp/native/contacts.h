@@ -83,7 +83,7 @@ struct Contacts {
         // Where the surfaces are apart each is met at its own point: they will have moved together by then.
         Vec2 half_gap = m.normal * (real(0.5) * Math::max(m.points[p].separation, real(0)));
         c.arm_a = m.points[p].point - half_gap;
-        c.arm_b = m.points[p].point + half_gap - d;
+        c.arm_b = m.points[p].point + half_gap - (SOFT_STEP && are_discs(a) ? m.normal * m.normal.dot(d) : d);
         c.separation = m.points[p].separation;
         c.follows_b = m.follows_b;
         c.disc_on_face = m.on_face;
@@ -115,7 +115,7 @@ struct Contacts {
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
         if (c.is_second) c.is_blow = list[count - 2].is_blow = c.is_blow || list[count - 2].is_blow;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
-        if (ahead) each_substep |= hits_hard(geometry, c, reach, dt);
+        if (ahead) each_substep |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
       }
     }
   }
@@ -177,6 +177,14 @@ struct Contacts {
     return -c.approach * dt > room;
   }
 
+  // Whether two free discs bounce in what is left of the step and are beside each other's line when it ends: their
+  // impulse would act at one point, and turn them.
+  KFN static bool bounces_aside(const Bodies& bodies, const Contact& c, Vec2 d, real threshold, real dt) {
+    if (!HAS_RESTITUTION || !are_discs(c.a) || c.against_fixed || !hits(c, threshold)) return false;
+    real aside = Math::abs(c.normal.cross(bodies.velocity(c.b) - bodies.velocity(c.a)));
+    return -c.approach * dt > c.separation && aside * dt > ASIDE_SHARE * c.normal.dot(d);
+  }
+
   KFN static real mix_friction(real a, real b, const Column& params) {
     real base = params.get(PARAM_BASE_FRICTION);
     return base * (FRICTION_ROOT_SUM_SQUARE ? sqrtf(a * a + b * b) : sqrtf(a * b));
@@ -189,12 +197,24 @@ struct Contacts {
   // How b has moved against a since the contact was found.
   KFN static Vec2 moved(const Bodies& bodies, const Contact& c) { return bodies.delta(c.b) - bodies.delta(c.a); }
 
+  // Of a contact whose a is this shape: b is a later one. Nothing turns a disc about its own centre by pushing it along
+  // the line to another's: until they meet they are beside that line, and are there when they do.
+  KFN static bool are_discs(int a) { return HAS_CIRCLE_PAIRS && a >= NUM_POLYGONS; }
+
+  // From a's surface to b's where they meet.
+  KFN static Vec2 apart(const Bodies& bodies, const Contact& c, Vec2 moved) {
+    Vec2 gap = c.normal * Math::max(c.separation, real(0)) + moved;
+    if (!are_discs(c.a)) return gap;
+    Vec2 d = bodies.position[c.b] - bodies.position[c.a];
+    return gap + d - c.normal * c.normal.dot(d);
+  }
+
   // Where both bodies can move, arms lead to one point, wherever they have gone since: an impulse at two points would
   // change what both have of angular momentum. What is fixed takes any, so that the other's own surface is the point.
-  KFN static Arms arms_now(const Contact& c, Vec2 moved) {
+  KFN static Arms arms_now(const Bodies& bodies, const Contact& c, Vec2 moved) {
     if (c.against_fixed) return {c.arm_a, c.arm_b};
-    Vec2 apart = c.normal * Math::max(c.separation, real(0)) + moved;
-    return {c.arm_a + apart * c.follows_b, c.arm_b - apart * (real(1) - c.follows_b)};
+    Vec2 gap = apart(bodies, c, moved);
+    return {c.arm_a + gap * c.follows_b, c.arm_b - gap * (real(1) - c.follows_b)};
   }
 
   KFN void forget(int k) {
@@ -208,9 +228,9 @@ struct Contacts {
   // On a kinematic body the place where the other's surface is, `ahead` seconds from now: in the middle of a sub-step the
   // velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out nor in.
   KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Vec2 moved, real ahead) {
-    Vec2 apart = c.normal * Math::max(c.separation, real(0)) + moved;
+    Vec2 gap = apart(bodies, c, moved);
     bool is_a = bodies.is_kinematic(c.a);
-    Vec2 arm = is_a ? c.arm_a + apart : c.arm_b - apart;
+    Vec2 arm = is_a ? c.arm_a + gap : c.arm_b - gap;
     arm = arm + arm.left() * (bodies.omega(is_a ? c.a : c.b) * ahead);
     return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
   }
@@ -237,7 +257,7 @@ struct Contacts {
       Contact& c = list[i];
       if (!lasts(c)) forget(i);
       Pair pair = Pair::of(bodies, c.a, c.b);
-      Arms arms = arms_now(c, moved(bodies, c));
+      Arms arms = arms_now(bodies, c, moved(bodies, c));
       pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
       surfaces.warm_start(pair, i);
       pair.write_back(bodies);
@@ -246,13 +266,17 @@ struct Contacts {
 
   KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
     // Surfaces move and turn with their bodies; the normal stays as it was at the start of the step.
-    real ta = bodies.turn(c.a), tb = turn_of_b(bodies, c);
+    real ta = turn_of_a(bodies, c), tb = turn_of_b(bodies, c);
     Vec2 arm_a = c.arm_a.left() * sinf_small(ta) - c.arm_a * one_minus_cos_small(ta);
     Vec2 arm_b = c.arm_b.left() * sinf_small(tb) - c.arm_b * one_minus_cos_small(tb);
     return c.separation + (moved + arm_b - arm_a).dot(c.normal);
   }
-  // On a face the point of a disc stays below its centre: turned with one that rolls it would rise, and the disc sink.
-  KFN static real turn_of_b(const Bodies& bodies, const Contact& c) { return c.disc_on_face ? real(0) : bodies.turn(c.b); }
+  // On a face the point of a disc stays below its centre, and those of two discs between their centres: turned with one
+  // that rolls it would rise, and the disc sink.
+  KFN static real turn_of_a(const Bodies& bodies, const Contact& c) { return are_discs(c.a) ? real(0) : bodies.turn(c.a); }
+  KFN static real turn_of_b(const Bodies& bodies, const Contact& c) {
+    return c.disc_on_face || are_discs(c.a) ? real(0) : bodies.turn(c.b);
+  }
   // Within a step bodies turn by less than a radian: series with errors below 3e-6 (sine) and 3e-5 (cosine).
   KFN static real sinf_small(real t) {
     real t2 = t * t;
@@ -276,7 +300,7 @@ struct Contacts {
       Pair pair = Pair::of(bodies, c.a, c.b);
       Vec2 moved = Contacts::moved(bodies, c);
       real separation = current_separation(bodies, c, moved);
-      Arms arms = arms_now(c, moved);
+      Arms arms = arms_now(bodies, c, moved);
       // With bias the sub-step is to come, in the relax pass it is past.
       if (HAS_KINEMATIC_BODIES && c.against_kinematic)
         arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);

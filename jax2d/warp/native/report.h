@@ -62,7 +62,7 @@ struct Report {
       int s = slot[i];
       if (s < 0) continue;
       Vec2 moved = Contacts::moved(bodies, c);
-      Vec2 on_a = turned(c.arm_a, bodies.turn(c.a));
+      Vec2 on_a = turned(c.arm_a, Contacts::turn_of_a(bodies, c));
       Vec2 on_b = turned(c.arm_b, Contacts::turn_of_b(bodies, c));
       Vec2 halfway = on_a + (bodies.position[c.b] - bodies.position[c.a] + moved + on_b - on_a) * real(0.5);
       values.set2(OUT_CONTACT_POINT + 2 * s, bodies.position[c.a] + bodies.delta(c.a) + halfway);
