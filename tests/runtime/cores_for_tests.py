@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from typing import Any
 
 
@@ -38,3 +39,15 @@ def build_from_missing_levels(index: int, num_processes: int, path: str) -> Any:
     from kinetix_dist.level.sets import load_level_set
 
     return load_level_set(path, "s")
+
+
+class Sleeper:
+    """Does nothing, for as long as it is told."""
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+def build_sleeper(index: int, num_processes: int) -> Sleeper:
+    del index, num_processes
+    return Sleeper()

@@ -1,0 +1,231 @@
+"""Processes that are lost, whatever the run is at: real ones, ended or stopped by signals. The result is the same."""
+
+import dataclasses
+import json
+import os
+import re
+import signal
+import time
+
+import pytest
+
+from kinetix_dist.config import RecordingConfig
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.training_run import RunFailedError, train
+from kinetix_dist.runtime.processes.failures import TooManyLossesError, WorkerLostError
+from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.losses import Losses
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
+from kinetix_dist.runtime.processes.ray_backend import RayBackend
+from tests.runtime.cores_for_tests import build_sleeper
+from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
+from tests.runtime.train_process import events, rows
+
+ON_CPU = {"JAX_PLATFORMS": "cpu"}
+NUM_UPDATES = 5
+
+
+@pytest.fixture(scope="module")
+def backend():
+    backend = RayBackend(heartbeat_seconds=60.0)
+    yield backend
+    backend.stop()
+
+
+def _config(**run):
+    config = tiny_config(num_updates=NUM_UPDATES, device="cpu", **run)
+    recording = RecordingConfig(num_rollouts=1, make_pictures=False)
+    return dataclasses.replace(config, recording=recording)
+
+
+def _train(config, path):
+    run = RunDirectory.create(path, numbered=False)
+    try:
+        return train(config, run, resume=False)
+    finally:
+        run.close()
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory):
+    """In this process: what a run with one worker has to reproduce."""
+    path = tmp_path_factory.mktemp("unbroken") / "run"
+    _train(_config(placement="local"), path)
+    return final_arrays(path)
+
+
+class Killer:
+    """Ends a process once for every moment it is told of."""
+
+    def __init__(self, moments):
+        self._left = list(moments)
+
+    def at(self, moment, pid):
+        if moment in self._left:
+            self._left.remove(moment)
+            os.kill(pid, signal.SIGKILL)
+
+    def install(self, monkeypatch):
+        """At the calls that a run makes; the calls themselves are made as ever, to a process that is dying."""
+        for method in ("evaluate", "record", "run_update", "snapshot", "facts"):
+            call = getattr(ColocatedTrainer, method)
+
+            def killing(trainer, *arguments, call=call, method=method, **options):
+                self.at(method, trainer._handles[0].pid)
+                return call(trainer, *arguments, **options)
+
+            monkeypatch.setattr(ColocatedTrainer, method, killing)
+        event = RunDirectory.event
+
+        def listening(run, kind, **details):
+            event(run, kind, **details)
+            if kind == "process_started" and details["process"] == "worker 0":
+                is_first = len(events(run.path, "process_lost")) == 0
+                self.at("start" if is_first else "recover", details["pid"])
+
+        monkeypatch.setattr(RunDirectory, "event", listening)
+
+    @property
+    def is_done(self):
+        return not self._left
+
+
+def _lose(moments, unbroken, path, monkeypatch):
+    killer = Killer(moments)
+    killer.install(monkeypatch)
+    _train(_config(placement="colocated"), path)
+    assert killer.is_done
+    assert_same_bits(final_arrays(path), unbroken)
+    return [row["section"] for row in events(path, "process_lost", process="worker 0", role="worker")]
+
+
+def test_losses_at_the_start_in_an_evaluation_and_in_the_recovery_change_nothing(
+    backend, unbroken, tmp_path, monkeypatch
+):
+    path = tmp_path / "run"
+    assert _lose(["start", "evaluate", "recover"], unbroken, path, monkeypatch) == ["start", "recover", "evaluate"]
+    last = rows(path)[-1]
+    assert last["runtime/restarts"] == last["runtime/restarts_worker"] == 3
+    (recovered,) = events(path, "recovered")  # nothing new came in between
+    assert recovered["section"] == "start"
+    assert last["runtime/recovery_seconds_worker"] == pytest.approx(recovered["seconds"], abs=0.01)
+
+
+@pytest.mark.slow
+def test_losses_in_an_update_a_save_a_recording_and_the_report_change_nothing(backend, unbroken, tmp_path, monkeypatch):
+    found = _lose(["run_update", "snapshot", "record", "facts"], unbroken, tmp_path / "run", monkeypatch)
+    assert found == ["update", "save", "record", "report"]
+
+
+@pytest.mark.slow
+def test_more_losses_than_allowed_end_the_run_with_one_line(backend, tmp_path, monkeypatch):
+    Killer(["evaluate", "recover"]).install(monkeypatch)
+    with pytest.raises(
+        RunFailedError, match=r"worker 0 died.*loss 2 within an hour, and run.max_restarts is 1"
+    ) as caught:
+        _train(_config(placement="colocated", max_restarts=1), tmp_path / "run")
+    assert "\n" not in str(caught.value) and "--resume" in str(caught.value)
+
+
+def test_losses_of_an_hour_ago_are_forgotten(monkeypatch):
+    losses, now = Losses(limit=2), [1000.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    for _ in range(5):
+        losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
+        now[0] += 1801.0
+    losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
+    with pytest.raises(TooManyLossesError, match="max_restarts is 2"):
+        losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
+
+
+# Time limits
+
+
+def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend):
+    plans = [ProcessPlan(role="rollout", index=index, env_vars=ON_CPU) for index in range(3)]
+    well, asleep, stopped = handles = backend.spawn(plans, build_sleeper)
+    backend.sections.limits = {"save": 2.0}
+
+    def lost(*tickets):
+        began = time.monotonic()
+        with pytest.raises(WorkerLostError) as caught, backend.sections.section("save"):
+            backend.gather([well.call("sleep", 0.0), *tickets])
+        assert 2.0 < time.monotonic() - began < 2.0 + 5.0
+        return caught.value.process, caught.value.section, str(caught.value)
+
+    name, section, text = lost(asleep.call("sleep", 1000.0))
+    assert (name, section) == ("rollout 1", "save")
+    assert re.search(r"not done within the 2 s of run.limits.save: rollout 1 in sleep for 2 s, at cores_for", text)
+    os.kill(stopped.pid, signal.SIGSTOP)
+    name, section, text = lost(stopped.call("sleep", 0.0))
+    assert (name, section) == ("rollout 2", "save")
+    assert text == "not done within the 2 s of run.limits.save: rollout 2 does not answer"
+    backend.kill(handles)
+    backend.sections.limits = {}
+
+
+def test_the_first_pass_of_a_section_may_take_the_time_to_compile(backend):
+    sections = backend.sections
+    sections.limits = {"update": 10.0, "save": 5.0, "compile": 100.0}
+    seen = []
+    for name in ("update", "update", "save"):
+        with sections.section(name):
+            seen.append(sections.limit_s)
+    sections.forget()
+    with sections.section("update"):
+        seen.append(sections.limit_s)
+    sections.limits = {}
+    assert seen == [110.0, 10.0, 5.0, 110.0]
+
+
+# The curator
+
+
+def _train_beside(config, backend, path, at_update=None):
+    """(controller, rows). at_update(number, curator) is called after every update."""
+    placement = plan(config, num_gpus=0)
+    trainer = ColocatedTrainer(config, backend, placement.of("worker"))
+    curator = CuratorClient(config, backend, placement.of("curator")[0])
+    reporter = QuietReporter(lambda number: at_update(number, curator) if at_update else None)
+    try:
+        run_updates(config, path, trainer, curator, reporter=reporter)
+    finally:
+        curator.stop()
+        trainer.stop()
+    return reporter.rows
+
+
+@pytest.mark.parametrize("number_of_signal", [pytest.param(signal.SIGSTOP, marks=pytest.mark.slow), signal.SIGKILL])
+def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_same(
+    backend, tmp_path, number_of_signal
+):
+    """The refresh asked for at 3 is due at 5. In an update in which nothing is computed, waiting is what takes time."""
+    config = tiny_config(num_updates=12, placement="colocated", checkpoint_every=100)
+    times = {}
+
+    def stop_it(number, curator):
+        times[number] = time.monotonic()
+        if number == 3:
+            os.kill(curator._handle.pid, number_of_signal)
+
+    rows_of = _train_beside(config, backend, tmp_path / "ray", stop_it)
+    stale = [row["update"] for row in rows_of if row["curriculum/buffer_is_stale"]]
+    assert 6 in stale, stale
+    (late,) = events(tmp_path / "ray", "buffer_late", policy_version=3)
+    assert late["update"] == 5
+    longest = max(times[number + 1] - times[number] for number in range(4, 12))
+    assert longest < MIN_PATIENCE_S + 2.0
+    lost = [row["role"] for row in events(tmp_path / "ray", "process_lost")]
+    assert lost == (["curator"] if number_of_signal == signal.SIGKILL else [])
+    # The refresh of version 3 was adopted late or never: a run that is told so is the same, bit for bit.
+    record = json.loads((tmp_path / "ray" / "adoptions.json").read_text())
+    assert record["0"] == 0
+    assert record["3"] is None or record["3"] > 5
+    again = RunDirectory.create(tmp_path / "again", numbered=False)
+    again.write_json(again.adoptions_path, record)
+    again.close()
+    _train_beside(config, LocalBackend(), tmp_path / "again")
+    assert_same_bits(final_arrays(tmp_path / "again"), final_arrays(tmp_path / "ray"))
