@@ -20,7 +20,7 @@ from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
-from tests.runtime.cores_for_tests import build_sleeper
+from tests.runtime.cores_for_tests import build_compiler, build_sleeper
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 from tests.runtime.train_process import events, rows
 
@@ -179,6 +179,16 @@ def test_the_first_pass_of_a_section_may_take_the_time_to_compile(backend):
         seen.append(sections.limit_s)
     sections.limits = {}
     assert seen == [110.0, 10.0, 5.0, 110.0]
+
+
+def test_after_a_restart_no_rank_of_a_group_compiles_again(backend, tmp_path):
+    plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
+    hits = []
+    for _ in range(2):
+        handles = backend.spawn(plans, build_compiler, str(tmp_path))
+        hits.append(backend.gather([handle.call("num_hits") for handle in handles]))
+        backend.kill(handles)
+    assert hits == [[0, 0], [1, 1]]
 
 
 # The curator
