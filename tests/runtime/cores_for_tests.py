@@ -41,20 +41,8 @@ def build_from_missing_levels(index: int, num_processes: int, path: str) -> Any:
     return load_level_set(path, "s")
 
 
-class Sleeper:
-    """Does nothing, for as long as it is told."""
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
-
-
-def build_sleeper(index: int, num_processes: int) -> Sleeper:
-    del index, num_processes
-    return Sleeper()
-
-
 class Compiler:
-    """Compiles a program over all devices of its group, with compiled programs on disk."""
+    """Compiles a program over all devices of its group, with compiled programs on disk; does nothing when told so."""
 
     def __init__(self, directory: str) -> None:
         import jax
@@ -76,6 +64,9 @@ class Compiler:
         program = jax.jit(lambda: jnp.arange(64.0).sum() * jnp.ones(4), out_shardings=replicated(data_mesh()))
         program().block_until_ready()
         return self._num_hits
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
 
     def _count(self, event: str, **details: object) -> None:
         del details
