@@ -12,6 +12,7 @@ import time
 import psutil
 import pytest
 
+from kinetix_dist.telemetry.names import ROLES
 from tests.runtime.runs import assert_same_bits, final_arrays
 from tests.runtime.train_process import STEPS_PER_UPDATE, TINY, events, rows, start
 
@@ -65,13 +66,16 @@ def _kill_at_random(run, driver, number):
 
 def _tell(placement, killed, run, seconds):
     """What came out, for `pytest -s`."""
-    recovered = collections.defaultdict(list)
-    for row in events(run, "recovered"):
-        recovered[row["role"]].append(row["seconds"])
-    told = {role: f"{len(s)}, median {statistics.median(s):.1f} s, max {max(s):.1f} s" for role, s in recovered.items()}
-    sections = collections.Counter(row["section"] for row in events(run, "process_lost"))
+    lost = events(run, "process_lost")
+    recovered = {role: [row["seconds"] for row in events(run, "recovered", role=role)] for role in ROLES}
+    told = {
+        role: f"{len(seconds)}, median {statistics.median(seconds):.1f} s, max {max(seconds):.1f} s"
+        for role, seconds in recovered.items()
+        if seconds
+    }
+    sections = dict(collections.Counter(row["section"] for row in lost))
     print(f"\n{placement}: killed {dict(collections.Counter(killed))}, {seconds:.0f} s in all")
-    print(f"  losses by section {dict(sections)}; recoveries {told}; late {len(events(run, 'buffer_late'))}")
+    print(f"  {len(lost)} losses, by section {sections}; recoveries {told}; late {len(events(run, 'buffer_late'))}")
 
 
 @pytest.mark.slow

@@ -4,7 +4,9 @@ import dataclasses
 import json
 import os
 import signal
+import threading
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -15,9 +17,9 @@ from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import RunFailedError, train
 from kinetix_dist.runtime.processes.failures import TooManyLossesError, WorkerLostError
-from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
 from kinetix_dist.runtime.processes.losses import Losses
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 from tests.runtime.train_process import events, rows
@@ -100,7 +102,9 @@ class Killer:
 
     def install(self, monkeypatch):
         """At the calls that a run makes; the calls themselves are made as ever, to a process that is dying."""
-        _before_calls(monkeypatch, lambda method, trainer: trainer._handles and self.at(method, trainer._handles[0].pid))
+        _before_calls(
+            monkeypatch, lambda method, trainer: trainer._handles and self.at(method, trainer._handles[0].pid)
+        )
         event = RunDirectory.event
 
         def listening(run, kind, **details):
@@ -168,6 +172,47 @@ def test_losses_of_an_hour_ago_are_forgotten(monkeypatch):
 # The curator
 
 
+@dataclasses.dataclass(frozen=True)
+class LaterTicket(LocalTicket):
+    is_done: Callable[[], bool]
+
+    def is_ready(self):
+        return self.is_done()
+
+
+class BusyProcess(LocalBackend):
+    """Answers a call once it is told to."""
+
+    def __init__(self):
+        super().__init__()
+        self.plan, self.asked, self.done = None, [], 0
+
+    def spawn_beside(self, plan, build, *arguments):
+        return self
+
+    def call_stamped(self, method, weights, policy_version):
+        number = len(self.asked)
+        self.asked.append(policy_version)
+        return LaterTicket({"seconds": 1.0}, lambda: self.done > number), LocalTicket(policy_version)
+
+
+def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
+    process = BusyProcess()
+    curator = CuratorClient(tiny_config(num_updates=1), process, ProcessPlan(role="curator", index=0))
+    for version in (0, 3, 6, 9):
+        curator.request(LocalTicket(None), version)
+        assert curator.take(patience_s=-1.0) is None
+        curator.cancel()
+    assert process.asked == [0]
+    curator.request(LocalTicket(None), 12)
+    process.done = 1
+    curator.watch()
+    assert process.asked == [0, 12]
+    # It is at work again, so it is waited for: else one that is slower than its orders come would never be in time.
+    threading.Timer(0.1, setattr, (process, "done", 2)).start()
+    assert curator.take(patience_s=1.0).refreshed.fetch() == 12
+
+
 def _train_beside(config, backend, path, at_update=None):
     """(controller, rows). at_update(number, curator) is called after every update."""
     placement = plan(config, num_gpus=0)
@@ -188,20 +233,23 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
     backend, tmp_path, number_of_signal
 ):
     """The refresh asked for at 3 is due at 5. In an update in which nothing is computed, waiting is what takes time."""
-    config = tiny_config(num_updates=12, placement="colocated", checkpoint_every=100)
-    times = {}
+    config = tiny_config(num_updates=40, placement="colocated", checkpoint_every=100)
+    times, stopped = {}, []
 
     def stop_it(number, curator):
         times[number] = time.monotonic()
         if number == 3:
-            os.kill(curator._handle.pid, number_of_signal)
+            stopped.append(curator._handle.pid)
+            os.kill(stopped[0], number_of_signal)
+        if number == 8 and number_of_signal == signal.SIGSTOP:
+            os.kill(stopped[0], signal.SIGCONT)
 
     rows_of = _train_beside(config, backend, tmp_path / "ray", stop_it)
     stale = [row["update"] for row in rows_of if row["curriculum/buffer_is_stale"]]
     assert 6 in stale, stale
     (late,) = events(tmp_path / "ray", "buffer_late", policy_version=3)
     assert late["update"] == 5
-    longest = max(times[number + 1] - times[number] for number in range(4, 12))
+    longest = max(times[number + 1] - times[number] for number in range(4, 40))
     assert longest < MIN_PATIENCE_S + 2.0
     lost = [row["role"] for row in events(tmp_path / "ray", "process_lost")]
     assert lost == (["curator"] if number_of_signal == signal.SIGKILL else [])
@@ -209,6 +257,8 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
     record = json.loads((tmp_path / "ray" / "adoptions.json").read_text())
     assert record["0"] == 0
     assert record["3"] is None or record["3"] > 5
+    if number_of_signal == signal.SIGSTOP:  # it went on, and is waited for again
+        assert record["36"] == 38
     again = RunDirectory.create(tmp_path / "again", numbered=False)
     again.write_json(again.adoptions_path, record)
     again.close()

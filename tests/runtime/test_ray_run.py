@@ -92,7 +92,7 @@ def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_l
     # Nobody waited for the curator; back to the checkpoint of 6 with the worker, whose recovery ends with an update.
     assert max(times[number + 1] - times[number] for number in range(3, 6)) < MIN_PATIENCE_S
     assert [row["update"] for row in reporter.rows] == [1, 2, 3, 4, 5, 6, 7, 7, 8, 9, 10]
-    assert [row["update"] for row in reporter.rows if row["curriculum/buffer_is_stale"]][0] == 6
+    assert next(row["update"] for row in reporter.rows if row["curriculum/buffer_is_stale"]) == 6
     (recovered,) = events(ray, "recovered", role="worker")
     assert (recovered["section"], recovered["from_update"], recovered["to_update"]) == ("update", 7, 7)
     last = reporter.rows[-1]

@@ -27,7 +27,7 @@ from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
 from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import Placement
 
@@ -185,6 +185,8 @@ class SplitTrainer:
             stamp, batch = self._in_flight.pop((update, part))
             try:
                 stamped = self.backend.gather([stamp])[0]
+            except InputLostError:  # the learner's: the actor is well
+                raise
             except WorkerLostError as error:
                 error.section = self.backend.sections.name
                 loss = self.backend.losses.lost(error)

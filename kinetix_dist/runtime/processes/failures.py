@@ -50,6 +50,10 @@ class WorkerLostError(RuntimeError):
         self.section = ""  # of the run, in which it was noticed
 
 
+class InputLostError(WorkerLostError):
+    """A process that is well was to work with what a lost one did not come to make; `process` is the lost one."""
+
+
 class TooManyLossesError(RuntimeError):
     """More processes were lost within an hour than a run may lose."""
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import ray
 
-from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.sections import Sections
 
 POLL_S = 1.0
@@ -112,7 +112,11 @@ class Supervisor:
         try:
             return ray.get(reference)
         except ray.exceptions.RayActorError as error:
-            raise WorkerLostError(f"{name} died{_exit_of(error)}", process=name, since=time.monotonic()) from error
+            now = time.monotonic()
+            if isinstance(error, ray.exceptions.RayTaskError):  # of one whose answer was an argument of this call
+                lost = self._name_of_id(error.cause.actor_id)
+                raise InputLostError(f"{lost} died before {name} had its answer", process=lost, since=now) from error
+            raise WorkerLostError(f"{name} died{_exit_of(error)}", process=name, since=now) from error
         except ray.exceptions.ObjectLostError as error:
             raise WorkerLostError(f"what {name} answered was lost with its node", process=name) from error
         except ray.exceptions.RayTaskError as error:
@@ -141,6 +145,9 @@ class Supervisor:
                     if not isinstance(loss, _GroupLostError):
                         grace = min(grace, time.monotonic() - began + FAILURE_GRACE_S)
         return found
+
+    def _name_of_id(self, actor_id: str) -> str:
+        return next((name for actor, name in self._names.items() if actor._ray_actor_id.hex() == actor_id), "a process")
 
     def _name(self, actor: Any) -> str:
         return self._names.get(actor, "a process")
