@@ -10,8 +10,8 @@ import pytest
 import ray
 
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
-from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan
+from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from kinetix_dist.runtime.processes.sections import Sections
 from tests.runtime.cores_for_tests import build_compiler, build_from_missing_levels, build_greedy, build_told
@@ -56,9 +56,24 @@ def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_res
 
 
 def test_gpus_that_another_run_holds_are_refused_in_words(backend, monkeypatch):
-    monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.GPUS_TIMEOUT_S", 1)
+    monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 1.0)
     with pytest.raises(PlacementError, match="needs 3 of the cluster's 3 GPUs, and they were not free"):
         backend.reserve(_plan_of_slots())
+
+
+def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(backend, monkeypatch):
+    monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 0.5)
+
+    def workers(number):
+        return Placement(processes=tuple(ProcessPlan(role="worker", index=index) for index in range(number)))
+
+    with pytest.raises(PlacementError, match="this run has 17 processes, and the cluster 16 CPU slots; start Ray with"):
+        backend.reserve(workers(17))
+    taken = ray.util.placement_group([{"CPU": 10}])
+    assert taken.wait(10)
+    with pytest.raises(PlacementError, match=r"needs 10 of the cluster's 16 CPU slots, and \d were free within 0.5 s"):
+        backend.reserve(workers(10))
+    ray.util.remove_placement_group(taken)
 
 
 def test_a_process_that_runs_out_of_memory_says_which_and_what_to_do(backend):
@@ -109,7 +124,7 @@ def test_after_a_restart_no_rank_of_a_group_compiles_again(restarted):
 
 
 def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):
-    (asleep, stopped), _ = restarted
+    (stopped, asleep), _ = restarted
     backend.sections.limits = {"save": 2.0}
 
     def lost(*tickets):
@@ -120,13 +135,25 @@ def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_li
         return caught.value.process, caught.value.section, str(caught.value)
 
     name, section, text = lost(stopped.call("sleep", 0.0), asleep.call("sleep", 1000.0))
-    assert (name, section) == ("worker 0", "save")
-    assert re.search(r"not done within the 2 s of run.limits.save: worker 0 in sleep for 2 s, at cores_for", text)
+    assert (name, section) == ("worker 1", "save")
+    assert re.search(r"not done within the 2 s of run.limits.save: worker 1 in sleep for 2 s, at cores_for", text)
     os.kill(stopped.pid, signal.SIGSTOP)
     name, section, text = lost(stopped.call("sleep", 0.0))
-    assert (name, section) == ("worker 1", "save")
-    assert text == "not done within the 2 s of run.limits.save: worker 1 does not answer"
+    assert (name, section) == ("worker 0", "save")
+    assert text == "not done within the 2 s of run.limits.save: worker 0 does not answer"
+    os.kill(stopped.pid, signal.SIGCONT)
     backend.sections.limits = {}
+
+
+def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backend, restarted):
+    (well, lost), _ = restarted
+    lost.call("sleep", 1000.0)
+    made_of_it = well.call("sleep", lost.call("num_hits"))
+    os.kill(lost.pid, signal.SIGKILL)
+    with pytest.raises(InputLostError, match="worker 1 died before worker 0 had its answer") as caught:
+        backend.gather([made_of_it])
+    assert caught.value.process == "worker 1"
+    assert backend.gather([well.call("sleep", 0.0)]) == [None]
 
 
 def test_the_first_pass_of_a_section_may_take_the_time_to_compile():

@@ -58,8 +58,7 @@ class SplitTrainer:
         self.stop()
         self._reset()
         self._learner = self.backend.spawn(self._learner_plan, build_learner, self._config)[0]
-        for part in range(len(self._rollout_plans)):  # one by one, so that none is forgotten where the next one fails
-            self._actors.append(self._spawn_actor(part))
+        self._actors = list(self.backend.spawn(self._rollout_plans, build_rollout, self._config))
         stored = None if arrays is None else self.backend.put(dict(arrays))
         self._ask_learner("start", stored)
         self._state = self._learner.call("curriculum_state")
@@ -148,9 +147,6 @@ class SplitTrainer:
         assert self._learner is not None
         return self.backend.gather([self._learner.call(method, *arguments)])[0]
 
-    def _spawn_actor(self, part: int) -> Handle:
-        return self.backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
-
     def _issue(self, update: int, policy_version: int, state: Any) -> None:
         """Orders batch `update` from all rollout actors, its levels proposed by `state` of the curriculum."""
         self._orders[update] = (policy_version, state)
@@ -203,7 +199,7 @@ class SplitTrainer:
         steps_per_part = self._config.rollout.steps_per_update // len(self._rollout_plans)
         self._work.drop(steps_per_part * len(lost))
         self.backend.kill([self._actors[part]])
-        self._actors[part] = self._spawn_actor(part)
+        self._actors[part] = self.backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
         self.backend.sections.begin_again()
         for issued in sorted(lost):
             self._issue_part(issued, part)

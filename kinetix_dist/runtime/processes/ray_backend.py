@@ -24,7 +24,8 @@ from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.runtime.processes.supervise import Supervisor, wait_until_gone
 from kinetix_dist.runtime.processes.watchdog import Watchdog
 
-GPUS_TIMEOUT_S = 60
+FREE_TIMEOUT_S = 10.0  # for GPUs and CPU slots of a cluster that others still hold
+CPUS_POLL_S = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,8 +116,9 @@ class RayBackend:
     def reserve(self, placement: Placement) -> None:
         """Takes the GPUs of a run, so that who shares one with whom is the same after every restart.
 
-        Raises PlacementError where others hold them. Nothing to do for a run on CPUs.
+        Raises PlacementError where others hold them, or where the cluster has too few CPU slots: one a process.
         """
+        self._check_cpus(len(placement.processes))
         shared: dict[int, int] = {}
         for plan in placement.processes:
             if plan.gpu is not None:
@@ -125,13 +127,27 @@ class RayBackend:
             return
         bundles = [{"GPU": 1, "CPU": shared[gpu]} for gpu in sorted(shared)]
         group = ray.util.placement_group(bundles, strategy="PACK")
-        if not group.wait(GPUS_TIMEOUT_S):
+        if not group.wait(FREE_TIMEOUT_S):
             ray.util.remove_placement_group(group)
             raise PlacementError(
                 f"this run needs {len(bundles)} of the cluster's {self.num_gpus} GPUs, and they were not free within "
-                f"{GPUS_TIMEOUT_S} s; wait for the run that holds them, or lower run.num_workers"
+                f"{FREE_TIMEOUT_S:g} s; wait for the run that holds them, or lower run.num_workers"
             )
         self._group = group
+
+    def _check_cpus(self, needed: int) -> None:
+        """Ray itself would wait for ever, without a word."""
+        total, deadline = int(ray.cluster_resources().get("CPU", 0)), time.monotonic() + FREE_TIMEOUT_S
+        advice = "start Ray with more by --num-cpus (they are bookkeeping only), or start fewer processes"
+        if total < needed:
+            raise PlacementError(f"this run has {needed} processes, and the cluster {total} CPU slots; {advice}")
+        while (free := int(ray.available_resources().get("CPU", 0))) < needed:
+            if time.monotonic() > deadline:
+                raise PlacementError(
+                    f"this run needs {needed} of the cluster's {total} CPU slots, and {free} were free within "
+                    f"{FREE_TIMEOUT_S:g} s; wait for the run that holds them, or {advice}"
+                )
+            time.sleep(CPUS_POLL_S)
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
         handles = [self._create(plan, build, len(plans), arguments) for plan in plans]
