@@ -17,8 +17,11 @@ from tests.runtime.runs import assert_same_bits, final_arrays
 from tests.runtime.train_process import STEPS_PER_UPDATE, TINY, events, rows, start
 
 NUM_KILLS = 20
-NUM_UPDATES = 400
-BETWEEN_KILLS_S = (0.5, 25.0)  # a recovery takes 10 to 20 s, so kills fall into it as well as beyond it
+NUM_UPDATES = 600
+# Half of the kills come some time after the one before, which is mostly within its recovery; the others come a while
+# after the first update that follows it.
+AFTER_KILL_S = (0.5, 25.0)
+AFTER_UPDATE_S = (0.0, 2.0)
 LIMIT_S = 600.0
 SEED = 11
 
@@ -53,7 +56,11 @@ def _kill_at_random(run, driver, number):
     deadline = time.monotonic() + LIMIT_S
     while len(killed) < number and driver.poll() is None:
         assert time.monotonic() < deadline, f"{len(killed)} kills in {LIMIT_S:.0f} s"
-        time.sleep(choose.uniform(*BETWEEN_KILLS_S))
+        if choose.random() < 0.5:
+            time.sleep(choose.uniform(*AFTER_KILL_S))
+        else:
+            _wait_for_update(run, driver, since=time.time())
+            time.sleep(choose.uniform(*AFTER_UPDATE_S))
         if driver.poll() is not None:
             break
         seen |= set(psutil.Process(driver.pid).children(recursive=True))
@@ -62,6 +69,13 @@ def _kill_at_random(run, driver, number):
             os.kill(pid, signal.SIGKILL)
             killed.append(living[pid])
     return killed, seen
+
+
+def _wait_for_update(run, driver, *, since):
+    path, deadline = run / "metrics" / "metrics.jsonl", time.monotonic() + LIMIT_S
+    while driver.poll() is None and not (path.exists() and path.stat().st_mtime > since):
+        assert time.monotonic() < deadline, f"no update in {LIMIT_S:.0f} s"
+        time.sleep(0.1)
 
 
 def _tell(placement, killed, run, seconds):
