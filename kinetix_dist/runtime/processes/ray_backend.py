@@ -78,6 +78,7 @@ class RayBackend:
         self._heartbeat_seconds = heartbeat_seconds
         self._supervisor = Supervisor(heartbeat_seconds, self.sections)
         self._watchdog: Watchdog | None = None
+        self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
         if ray.is_initialized():
             self._owns_ray = False
@@ -89,7 +90,7 @@ class RayBackend:
         # log_to_driver: actors log to Ray's session directory; what fails is raised here.
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
         if address:
-            os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
+            self._loopback = "0"
             options |= {"address": address}
         else:
             if (path := secure_token()) is not None:
@@ -209,7 +210,10 @@ class RayBackend:
         return self._all(actors, [actor.facts.remote() for actor in actors])
 
     def _options(self, plan: ProcessPlan) -> dict[str, Any]:
-        environment = {"KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", "1"), **plan.env_vars}
+        environment = {
+            "KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", self._loopback),
+            **plan.env_vars,
+        }
         options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
         if plan.gpu is not None:
             options["scheduling_strategy"] = PlacementGroupSchedulingStrategy(
