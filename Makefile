@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-slow test-gpu check format lock bench-engine bench-engine-peers clean
+.PHONY: help install train test test-slow test-gpu drills check format lock bench-engine bench-engine-peers clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.11, 3.12, 3.13, python3 found.
@@ -21,6 +21,7 @@ STAMP := $(VENV)/.installed
 help:
 	@echo "make train         install, then the main job: a small pretraining run on CPU, minutes"
 	@echo "make test          install, then lint, types and tests        (test-slow, test-gpu: the rest)"
+	@echo "make drills        install, then the slow tests of runs: losses at random times, stops, kills; all on the CPU"
 	@echo "make check         install, then ruff and the type checker only"
 	@echo "make install       .venv with the pinned packages and this one (editable)"
 	@echo "make bench-engine  physics steps per second on this machine   (bench-engine-peers: next to the published engine)"
@@ -49,6 +50,10 @@ test: check
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
+
+# One after another, each with its figures: times of recovery are measured.
+drills: $(STAMP)
+	$(BIN)/python -m pytest tests/runtime -m "slow and not gpu" -s $(PYTEST_ARGS)
 
 test-gpu: $(STAMP)
 	$(BIN)/python -m pytest -m gpu -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)

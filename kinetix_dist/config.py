@@ -93,6 +93,26 @@ class RecordingConfig:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class LimitsConfig:
+    """Seconds that sections of a run may take, before processes that have not answered are taken for lost."""
+
+    start: float = 600.0  # starting processes, loading levels and checkpoint
+    recover: float = 600.0  # the same after a loss
+    compile: float = 1800.0  # added to the first pass of update, curate, evaluate and record after a start
+    update: float = 600.0  # one update, without evaluation and saving
+    curate: float = 1800.0  # one refresh of the curriculum, where training waits for it
+    evaluate: float = 1800.0  # one evaluation of all sets
+    record: float = 1800.0  # one recording
+    save: float = 600.0  # copying a checkpoint off the devices
+    report: float = 120.0  # facts for report.json
+
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            if not value > 0:
+                raise ConfigError(f"LimitsConfig.{name} is {value}; it must be above 0")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class RunConfig:
     """How long, where and from which seed."""
 
@@ -108,9 +128,10 @@ class RunConfig:
     curator_memory_gib: float = 0.0  # of that, for the curator; 0: by scoring_batch and size
     checkpoint_every: int = 50  # updates
     keep_checkpoints: int = 3
-    max_restarts: int = 3  # of a lost process, before the run gives up
+    max_restarts: int = 20  # of lost processes within an hour, before the run gives up
     max_skipped_updates: int = 5  # in a row, for gradients that are not finite, before going back to a checkpoint
     heartbeat_seconds: float = 60.0  # a process that was silent for so long, outside of compilation, is taken for hung
+    limits: LimitsConfig = dataclasses.field(default_factory=LimitsConfig)
     stop_seconds: float = 25.0  # after SIGTERM or Ctrl-C, for the update in progress, its checkpoint and the end of Ray
     plugins: tuple[str, ...] = ()  # modules that register parts of your own; every process of the run imports them
     compile_cache: str = ""  # directory of compiled programs; "": the user's cache directory; "off": none

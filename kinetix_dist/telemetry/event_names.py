@@ -10,14 +10,15 @@ class UnknownEventError(ValueError):
 EVENTS: dict[str, str] = {
     # Processes
     "process_started": "a process began: who, where, with how much memory",
-    "worker_lost": "a process of the training group died or fell silent",
-    "recovered": "the group was started again from a checkpoint: from and to which update, seconds",
+    "process_lost": "a process died, fell silent or exceeded a time limit: which, and in which section of the run",
+    "recovered": "the first new result after a loss: from and to which update, seconds since the loss",
     "token_secured": "Ray's token file could be read by others, and cannot any more",
     "stopped": "SIGTERM or Ctrl-C ended the run: after which update, and whether that is saved",
     "run_failed": "the run ended by an error: which",
     # Curriculum
     "buffer_adopted": "a refresh of the curriculum is used from an update on",
-    "refresh_lost": "a refresh was given up; the buffer before it stays in use",
+    "buffer_late": "the curator was lost or silent when a refresh was due: the old buffer stays in use until it comes",
+    "refresh_lost": "a refresh was given up, since the next one is due; the buffer before it stays in use",
     # Checkpoints
     "resumed": "training goes on from a checkpoint; `differs` lists other devices and versions than made it",
     "checkpoint_failed": "a checkpoint could not be saved: why; older ones stay",

@@ -23,6 +23,8 @@ class Metric:
     meaning: str
 
 
+ROLES = ("worker", "learner", "rollout", "curator")  # of processes
+
 PER_MILLION = "per million physics steps"
 
 _ALL = (
@@ -91,7 +93,19 @@ _ALL = (
     Metric("runtime/policy_lag_max", "updates", "the same, maximum"),
     Metric("runtime/dropped_steps", "env steps", "rolled out but not trained on, since the start of this session"),
     Metric("runtime/restarts", "processes", "replaced after a failure, since the start of this session"),
-    Metric("runtime/recovery_seconds", "s", "time the last replacement took"),
+    Metric(
+        "runtime/recovery_seconds",
+        "s",
+        "from the last loss of a process to the first new result, compilation included; the longest of all roles",
+    ),
+    *(
+        metric
+        for role in ROLES
+        for metric in (
+            Metric(f"runtime/restarts_{role}", "processes", f"the same of role {role}, once there was one"),
+            Metric(f"runtime/recovery_seconds_{role}", "s", f"the same of role {role}, of its last loss"),
+        )
+    ),
     Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, beside training"),
     Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
     # Telemetry

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.checkpoint import load_checkpoint, newest_good
-from kinetix_dist.config import EvaluationConfig, TrainConfig
+from kinetix_dist.config import EvaluationConfig, LimitsConfig, TrainConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -45,10 +45,16 @@ class NotingReporter(QuietReporter):
         self.notes.append(message)
 
 
+# s: a hang ends a test with the name of who hangs. Machines that are busy with other tests are slow.
+LIMITS = LimitsConfig(
+    start=180.0, recover=180.0, compile=120.0, update=60.0, curate=60.0, evaluate=60.0, record=60.0, save=60.0
+)
+
+
 def tiny_config(*, num_updates: int, **run: Any) -> TrainConfig:
     """The recipe `tiny` for `num_updates` updates."""
     config = recipe("tiny")
-    run = {"total_env_steps": num_updates * config.rollout.steps_per_update, **run}
+    run = {"total_env_steps": num_updates * config.rollout.steps_per_update, "limits": LIMITS, **run}
     return dataclasses.replace(
         config,
         evaluation=EvaluationConfig(sets=("s/kick",), min_attempts=4),

@@ -56,5 +56,6 @@ def test_a_run_on_ray_is_seen_by_nobody_else_and_ends_when_a_worker_is_lost_too_
     assert not places_of(token.read_text(), process.pid)
     kill_newest(run, "worker 0")
     line = _the_line(process)
-    assert "a process died" in line and "once more than run.max_restarts 0" in line and "--resume" in line
+    assert "worker 0 died" in line and "loss 1 within an hour, and run.max_restarts is 0" in line
+    assert "--resume" in line
     assert not any(token.read_text() in file.read_text(errors="replace") for file in run.rglob("*") if file.is_file())

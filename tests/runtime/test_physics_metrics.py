@@ -85,8 +85,9 @@ def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted(wo
 class _PoisonedCurator(CuratorClient):
     """A curator whose levels are nowhere from the second refresh on."""
 
-    def take(self):
-        refresh = super().take()
+    def take(self, *, patience_s):
+        refresh = super().take(patience_s=patience_s)
+        assert refresh is not None
         if self.num_taken:
             refresh = Refresh(refreshed=LocalTicket(_with_nan(refresh.refreshed.fetch())), seconds=refresh.seconds)
         self.num_taken += 1

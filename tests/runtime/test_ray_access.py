@@ -60,6 +60,7 @@ def test_a_cluster_that_is_not_there_is_said_in_one_line(home, monkeypatch, caps
         assert main([*TINY_ON_RAY, "--run", str(home / "run")]) == 2
     line = capsys.readouterr().err.strip().splitlines()[-1]
     assert line.startswith(f"kinetix-dist: no Ray cluster answers at {address}") and "unset RAY_ADDRESS" in line
+    assert "KINETIX_DIST_LOOPBACK" not in os.environ  # a run that this process starts later is another's business
 
 
 HEAD = """

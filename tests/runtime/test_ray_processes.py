@@ -1,15 +1,20 @@
 """Ray processes by themselves: who shares a GPU, and what a failure in one says. GPUs are slots of Ray's books here."""
 
 import dataclasses
+import os
+import re
+import signal
+import time
 
 import pytest
 import ray
 
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.processes.failures import ProcessFailedError
-from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan
+from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
-from tests.runtime.cores_for_tests import build_from_missing_levels, build_greedy, build_told
+from kinetix_dist.runtime.processes.sections import Sections
+from tests.runtime.cores_for_tests import build_compiler, build_from_missing_levels, build_greedy, build_told
 
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
 
@@ -51,9 +56,24 @@ def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_res
 
 
 def test_gpus_that_another_run_holds_are_refused_in_words(backend, monkeypatch):
-    monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.GPUS_TIMEOUT_S", 1)
+    monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 1.0)
     with pytest.raises(PlacementError, match="needs 3 of the cluster's 3 GPUs, and they were not free"):
         backend.reserve(_plan_of_slots())
+
+
+def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(backend, monkeypatch):
+    monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 0.5)
+
+    def workers(number):
+        return Placement(processes=tuple(ProcessPlan(role="worker", index=index) for index in range(number)))
+
+    with pytest.raises(PlacementError, match="this run has 17 processes, and the cluster 16 CPU slots; start Ray with"):
+        backend.reserve(workers(17))
+    taken = ray.util.placement_group([{"CPU": 10}])
+    assert taken.wait(10)
+    with pytest.raises(PlacementError, match=r"needs 10 of the cluster's 16 CPU slots, and \d were free within 0.5 s"):
+        backend.reserve(workers(10))
+    ray.util.remove_placement_group(taken)
 
 
 def test_a_process_that_runs_out_of_memory_says_which_and_what_to_do(backend):
@@ -81,3 +101,68 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
     (process, _) = plan(recipe("sfl_s"), num_gpus=1).processes
     with pytest.raises(ProcessFailedError, match=r"^worker 0 failed: the NVIDIA driver"):
         backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_told)
+
+
+# A group of two
+
+
+@pytest.fixture(scope="module")
+def restarted(backend, tmp_path_factory):
+    """(two workers of one JAX world, started for the second time; programs that they found compiled, both times)."""
+    plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
+    directory, hits, handles = str(tmp_path_factory.mktemp("compiled")), [], []
+    for _ in range(2):
+        backend.kill(handles)
+        handles = backend.spawn(plans, build_compiler, directory)
+        hits.append(backend.gather([handle.call("num_hits") for handle in handles]))
+    yield handles, hits
+    backend.kill(handles)
+
+
+def test_after_a_restart_no_rank_of_a_group_compiles_again(restarted):
+    assert restarted[1] == [[0, 0], [1, 1]]
+
+
+def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):
+    (stopped, asleep), _ = restarted
+    backend.sections.limits = {"save": 2.0}
+
+    def lost(*tickets):
+        began = time.monotonic()
+        with pytest.raises(WorkerLostError) as caught, backend.sections.section("save"):
+            backend.gather(tickets)
+        assert 2.0 < time.monotonic() - began < 2.0 + 5.0
+        return caught.value.process, caught.value.section, str(caught.value)
+
+    name, section, text = lost(stopped.call("sleep", 0.0), asleep.call("sleep", 1000.0))
+    assert (name, section) == ("worker 1", "save")
+    assert re.search(r"not done within the 2 s of run.limits.save: worker 1 in sleep for 2 s, at cores_for", text)
+    os.kill(stopped.pid, signal.SIGSTOP)
+    name, section, text = lost(stopped.call("sleep", 0.0))
+    assert (name, section) == ("worker 0", "save")
+    assert text == "not done within the 2 s of run.limits.save: worker 0 does not answer"
+    os.kill(stopped.pid, signal.SIGCONT)
+    backend.sections.limits = {}
+
+
+def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backend, restarted):
+    (well, lost), _ = restarted
+    lost.call("sleep", 1000.0)
+    made_of_it = well.call("sleep", lost.call("num_hits"))
+    os.kill(lost.pid, signal.SIGKILL)
+    with pytest.raises(InputLostError, match="worker 1 died before worker 0 had its answer") as caught:
+        backend.gather([made_of_it])
+    assert caught.value.process == "worker 1"
+    assert backend.gather([well.call("sleep", 0.0)]) == [None]
+
+
+def test_the_first_pass_of_a_section_may_take_the_time_to_compile():
+    sections, seen = Sections(), []
+    sections.limits = {"update": 10.0, "save": 5.0, "compile": 100.0}
+    for name in ("update", "update", "save"):
+        with sections.section(name):
+            seen.append(sections.limit_s)
+    sections.forget()
+    with sections.section("update"):
+        seen.append(sections.limit_s)
+    assert seen == [110.0, 10.0, 5.0, 110.0]

@@ -1,8 +1,11 @@
 """Real Ray processes on CPU: the same numbers as in one process, whoever dies in between."""
 
 import dataclasses
+import json
 import os
+import shutil
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -12,10 +15,12 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.registry import PluginError, import_plugins
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
+from tests.runtime.train_process import events
 
 
 @pytest.fixture(scope="module")
@@ -53,28 +58,53 @@ def local_arrays(tmp_path_factory):
     return final_arrays(path / "run")
 
 
-@pytest.mark.slow  # the next test shows it too, of a run whose processes are killed
+@pytest.mark.slow  # the next test shows it too, of runs whose processes are killed
 def test_ray_colocated_gives_the_same_parameters_as_local_mode_bit_for_bit(ray_backend, local_arrays, tmp_path):
     _run(tiny_config(num_updates=8, placement="colocated"), tmp_path / "ray", ray_backend)
     assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
 
 
-def test_killing_the_worker_and_the_curator_costs_time_and_changes_nothing_else(ray_backend, local_arrays, tmp_path):
+def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_lost(ray_backend, tmp_path, monkeypatch):
+    """The curator dies with the refresh of update 3, due at 5: training goes on, and the buffer comes late or never.
+
+    An unbroken run that is told so is the same, bit for bit.
+    """
+    times, killed = {}, []
+
     def kill(number, trainer, curator):
-        if number == 4 and curator.num_restarts == 0:
-            os.kill(curator._handle.pid, signal.SIGKILL)  # the refresh asked for at update 3 is in flight or done
+        times.setdefault(number, time.monotonic())
+        if number == 3:
+            os.kill(curator._handle.pid, signal.SIGKILL)
         if number == 7 and not killed:
             killed.append(trainer._handles[0].pid)
             os.kill(killed[0], signal.SIGKILL)
 
-    killed = []
-    config = tiny_config(num_updates=8, placement="colocated")
-    controller, reporter = _run(config, tmp_path / "ray", ray_backend, at_update=kill)
-    assert controller.num_restarts == 1
-    assert [row["update"] for row in reporter.rows] == [1, 2, 3, 4, 5, 6, 7, 7, 8]  # back to the checkpoint of 6
-    assert reporter.rows[-1]["runtime/restarts"] >= 1
-    assert reporter.rows[-1]["runtime/recovery_seconds"] > 0
-    assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
+    def listen(kind, **details):
+        if kind == "process_started" and details["process"] == "worker 0" and len(killed) == 1:
+            killed.append(details["pid"])
+            os.kill(details["pid"], signal.SIGKILL)
+
+    monkeypatch.setattr(ray_backend, "_on_event", listen)
+    config, ray = tiny_config(num_updates=10, placement="colocated"), tmp_path / "ray"
+    _, reporter = _run(config, ray, ray_backend, at_update=kill)
+    lost = [(row["process"], row["section"]) for row in events(ray, "process_lost")]
+    assert lost == [("curator 0", "curate"), ("worker 0", "update"), ("worker 0", "recover")]
+    # Nobody waited for the curator; back to the checkpoint of 6 with the worker, whose recovery ends with an update.
+    assert max(times[number + 1] - times[number] for number in range(3, 6)) < MIN_PATIENCE_S
+    assert [row["update"] for row in reporter.rows] == [1, 2, 3, 4, 5, 6, 7, 7, 8, 9, 10]
+    assert next(row["update"] for row in reporter.rows if row["curriculum/buffer_is_stale"]) == 6
+    (recovered,) = events(ray, "recovered", role="worker")
+    assert (recovered["section"], recovered["from_update"], recovered["to_update"]) == ("update", 7, 7)
+    last = reporter.rows[-1]
+    assert (last["runtime/restarts_curator"], last["runtime/restarts_worker"]) == (1, 2)
+    assert last["runtime/recovery_seconds_worker"] == pytest.approx(recovered["seconds"], abs=0.01)
+    record = json.loads((ray / "adoptions.json").read_text())
+    assert record["0"] == 0 and (record["3"] is None or record["3"] > 5)
+    told = tmp_path / "told"
+    told.mkdir()
+    shutil.copy(ray / "adoptions.json", told)
+    _run(config, told, LocalBackend())
+    assert_same_bits(final_arrays(told), final_arrays(ray))
 
 
 def test_two_workers_over_gloo_agree_with_one(ray_backend, local_arrays, tmp_path):
@@ -104,6 +134,10 @@ def test_a_killed_rollout_actor_is_replaced_and_its_steps_are_counted_as_dropped
     dropped = reporter.rows[-1]["runtime/dropped_steps"]
     part = config.rollout.steps_per_update // 2
     assert dropped in (part, 2 * part)  # one or two of its batches were in flight
+    assert reporter.rows[-1]["runtime/restarts_rollout"] == 1
+    (lost,) = events(tmp_path / "ray", "process_lost")
+    assert (lost["process"], lost["role"], lost["section"]) == ("rollout 1", "rollout", "update")
+    assert len(events(tmp_path / "ray", "recovered", role="rollout")) == 1
     assert_same_bits(final_arrays(tmp_path / "ray"), final_arrays(tmp_path / "local"))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 OFF = "off"
 MIN_COMPILE_SECONDS = 0.3  # programs that compile faster are not worth a file
@@ -33,7 +34,30 @@ def enable_compile_cache(setting: str) -> Path | None:
         return None
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS)
+    _let_every_rank_write()
     return directory
+
+
+def _let_every_rank_write() -> None:
+    """On CPUs. JAX lets process 0 of a group write alone, but names programs by the topology as a process sees it, and
+    that differs from rank to rank there: ranks above 0 would compile at every start. So they write their own."""
+    import jax
+    from jax._src import compiler, distributed  # there is no public way (jax 0.10)
+
+    write = compiler._cache_write
+    if write.__name__ == "write_as_process_0":  # enabled twice
+        return
+
+    def write_as_process_0(*arguments: Any, **options: Any) -> None:
+        if jax.default_backend() != "cpu":
+            return write(*arguments, **options)
+        rank, distributed.global_state.process_id = distributed.global_state.process_id, 0
+        try:
+            return write(*arguments, **options)
+        finally:
+            distributed.global_state.process_id = rank
+
+    compiler._cache_write = write_as_process_0
 
 
 def compile_seconds() -> float:

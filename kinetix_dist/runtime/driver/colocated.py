@@ -31,16 +31,16 @@ class ColocatedTrainer:
 
     def __init__(self, config: TrainConfig, backend: Backend, plans: Sequence[ProcessPlan]) -> None:
         self._config = config
-        self._backend = backend
+        self.backend = backend
         self._plans = plans
         self._handles: list[Handle] = []
 
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         """A group is started as a whole: the processes of a broken one are ended first, whichever still live."""
-        self._backend.kill(self._handles)
+        self.backend.kill(self._handles)
         self._handles = []
-        self._handles = self._backend.spawn(self._plans, build_worker, self._config)
-        stored = None if arrays is None else self._backend.put(dict(arrays))
+        self._handles = self.backend.spawn(self._plans, build_worker, self._config)
+        stored = None if arrays is None else self.backend.put(dict(arrays))
         self._all("start", stored)
 
     def weights(self) -> Ticket:
@@ -72,14 +72,14 @@ class ColocatedTrainer:
         }
 
     def facts(self) -> dict[str, Any]:
-        return {**self._first("facts"), "processes": self._backend.facts(self._handles)}
+        return {**self._first("facts"), "processes": self.backend.facts(self._handles)}
 
     def stop(self) -> None:
-        self._backend.kill(self._handles)
+        self.backend.kill(self._handles)
         self._handles = []
 
     def _first(self, method: str, *arguments: Any) -> Any:
-        return self._backend.gather([self._handles[0].call(method, *arguments)])[0]
+        return self.backend.gather([self._handles[0].call(method, *arguments)])[0]
 
     def _all(self, method: str, *arguments: Any) -> list[Any]:
-        return self._backend.gather([handle.call(method, *arguments) for handle in self._handles])
+        return self.backend.gather([handle.call(method, *arguments) for handle in self._handles])

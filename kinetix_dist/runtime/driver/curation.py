@@ -1,11 +1,17 @@
 """The controller's side of the curator: asks for refreshes, takes them, replaces a curator that was lost.
 
-A lost curator costs time only: the refresh is asked for again with the same weights and key and gives the identical
-answer.
+A refresh that was lost with its curator is asked for again with the same weights and key and gives the identical
+answer, later. Training waits for a curator that is at work, and not for one that died or is silent.
+
+consumes      weights of a version
+produces      a buffer, or whatever else the curriculum adopts
+bound         one call at a time: what is asked for while another refresh, given up by now, is worked out comes after
+              it, and replaces what was asked for before. Else calls would pile up at a curator that is late.
 """
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from kinetix_dist.config import TrainConfig
@@ -13,9 +19,12 @@ from kinetix_dist.runtime.cores.build import build_curator
 from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.driver.weight_sync import resolve
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
 from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+POLL_S = 0.02
 
 
 class CuratorClient:
@@ -26,29 +35,42 @@ class CuratorClient:
         self._backend = backend
         self._plan = plan
         self._handle: Handle | None = None
-        self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh in flight
-        self._answer: tuple[Ticket, Ticket] | None = None  # its seconds, what it worked out
-        self.num_restarts = 0
+        self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh that is wanted
+        self._call: tuple[Ticket, Ticket] | None = None  # what the process is at: its seconds, what it works out
+        self._is_wanted = False  # whether that is the refresh that is wanted
+        self._loss: Loss | None = None  # the first one since a buffer was taken
+        self._is_late = False  # it was lost or waited for in vain, and has not answered since
 
     def request(self, weights: Any, policy_version: int) -> None:
+        self.cancel()
         stored = weights if hasattr(weights, "fetch") else self._backend.put(weights)
         self._asked = (stored, policy_version)
-        self._ask()
+        if self._call is None:
+            self._ask()
+        else:
+            self._look()
 
-    def take(self) -> Refresh | None:
-        """Waits for the refresh; after `run.max_restarts` losses gives up on it."""
-        while self._answer is not None:
-            try:
-                stamp, refreshed = self._answer
-                seconds = self._backend.gather([stamp])[0]["seconds"]
-                self._answer = self._asked = None
-                return Refresh(refreshed=refreshed, seconds=seconds)
-            except WorkerLostError:
-                self._replace()
+    def watch(self) -> None:
+        if self._call is not None:
+            self._look()
+
+    def take(self, *, patience_s: float | None) -> Refresh | None:
+        while self._asked is not None:
+            assert self._call is not None
+            stamp, refreshed = self._call
+            is_ready = self._is_wanted and stamp.is_ready()
+            silence = self._look()
+            if is_ready and silence is not None:
+                return self._taken(stamp, refreshed)
+            must_wait = patience_s is None
+            if not must_wait and (self._is_late or silence is None or silence > patience_s):
+                self._is_late = True
+                return None
+            time.sleep(POLL_S)
         return None
 
     def cancel(self) -> None:
-        self._asked = self._answer = None
+        self._asked, self._is_wanted = None, False
 
     def facts(self) -> list[dict[str, Any]]:
         """Of its process; that it was lost is a fact too, since training does not depend on it."""
@@ -62,20 +84,62 @@ class CuratorClient:
     def stop(self) -> None:
         if self._handle is not None:
             self._backend.kill([self._handle])
-        self._handle = None
+        self._handle = self._call = None
+
+    def _look(self) -> float | None:
+        """For how long (s) the curator has been silent; None where it is lost, and replaced by now."""
+        assert self._handle is not None and self._call is not None
+        try:
+            silence = self._backend.watch(self._handle, self._call[0])
+            if silence > self._config.run.heartbeat_seconds:
+                raise WorkerLostError(
+                    f"{self._plan.name} has not answered for {silence:.0f} s", since=time.monotonic() - silence
+                )
+            if self._backend.sections.is_overdue:
+                limit_s = self._backend.sections.limit_s
+                raise WorkerLostError(f"{self._plan.name} is not done within the {limit_s:g} s of run.limits.curate")
+            is_answered = self._call[0].is_ready()
+        except InputLostError:
+            if self._is_wanted:
+                raise
+            silence, is_answered = 0.0, True
+        except WorkerLostError as error:
+            self._replace(error)
+            return None
+        if is_answered and not self._is_wanted:
+            self._call = None
+            self._is_late = False  # it is at work again, and waited for
+            if self._asked is not None:
+                self._ask()
+        return silence
+
+    def _taken(self, stamp: Ticket, refreshed: Ticket) -> Refresh:
+        seconds = self._backend.gather([stamp])[0]["seconds"]
+        self._call = self._asked = None
+        self._is_wanted = self._is_late = False
+        if self._loss is not None:
+            self._backend.losses.recovered(self._loss, update=self._backend.losses.update)
+            self._loss = None
+        return Refresh(refreshed=refreshed, seconds=seconds)
 
     def _ask(self) -> None:
         assert self._asked is not None
         if self._handle is None:
-            self._handle = self._backend.spawn([self._plan], build_curator, self._config)[0]
+            self._handle = self._backend.spawn_beside(self._plan, build_curator, self._config)
         weights, policy_version = self._asked
-        self._answer = self._handle.call_stamped("refresh", weights, policy_version)
+        self._call = self._handle.call_stamped("refresh", weights, policy_version)
+        self._is_wanted = True
 
-    def _replace(self) -> None:
+    def _replace(self, error: WorkerLostError) -> None:
+        """Starts another process and asks again, without waiting for either."""
+        error.process, error.section = self._plan.name, "curate"
+        loss = self._backend.losses.lost(error)
+        self._loss = self._loss or loss
+        self._is_late = True
         self.stop()
-        self._answer = None
-        self.num_restarts += 1
-        if self.num_restarts <= self._config.run.max_restarts and self._asked is not None:
-            weights, policy_version = self._asked
-            self._asked = (self._backend.put(resolve(weights)), policy_version)  # its first copy may be gone
-            self._ask()
+        if self._asked is None:  # the next request starts it
+            return
+        weights, policy_version = self._asked
+        self._asked = (self._backend.put(resolve(weights)), policy_version)  # its first copy may be gone
+        self._backend.sections.begin_again()
+        self._ask()

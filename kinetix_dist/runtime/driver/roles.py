@@ -8,12 +8,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from kinetix_dist.runtime.processes.backend import Backend
+
 
 class Trainer(Protocol):
     """Whatever plays and learns."""
 
     policy_lag: int
     dropped_steps: int
+    backend: Backend
 
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         """Builds everything at an update boundary: from a checkpoint's arrays, or afresh. Also after a loss."""
@@ -56,13 +59,15 @@ class Refresh:
 class Curator(Protocol):
     """Whatever refreshes the curriculum."""
 
-    num_restarts: int
-
     def request(self, weights: Any, policy_version: int) -> None:
         """Starts a refresh; does not wait where there is a process to do it."""
 
-    def take(self) -> Refresh | None:
-        """What was asked for last; waits for it. None when it was lost for good."""
+    def watch(self) -> None:
+        """Replaces a curator that died, without waiting; the refresh is asked for again."""
+
+    def take(self, *, patience_s: float | None) -> Refresh | None:
+        """What was asked for last; waits for it. None where the curator was lost, or is silent for `patience_s`:
+        whoever asks again later does not wait. patience_s None: waits as long as it takes, over losses too."""
 
     def cancel(self) -> None: ...
 

@@ -6,6 +6,7 @@
         checkpoints/         newest good one is where --resume goes on
         metrics/             metrics.jsonl and TensorBoard events
         events.jsonl         what happened: restarts, rejected checkpoints, adopted buffers
+        adoptions.json       from which update on each buffer of the curriculum was used
         recordings/          rollouts (.mcap), .rrd and pictures
         logs/                tracebacks of processes that failed
         report.json          written when the run is complete
@@ -70,6 +71,10 @@ class RunDirectory:
     @property
     def evaluations_path(self) -> Path:
         return self.path / "evaluations.json"
+
+    @property
+    def adoptions_path(self) -> Path:
+        return self.path / "adoptions.json"
 
     @property
     def recordings(self) -> Path:

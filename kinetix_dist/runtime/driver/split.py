@@ -27,7 +27,8 @@ from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
+from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import Placement
 
 _MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
@@ -40,14 +41,13 @@ class SplitTrainer:
 
     def __init__(self, config: TrainConfig, backend: Backend, placement: Placement) -> None:
         self._config = config
-        self._backend = backend
+        self.backend = backend
         self._learner_plan = placement.of("learner")
         self._rollout_plans = placement.of("rollout")
         self._observes = config.curriculum_class.observes
         self._learner: Handle | None = None
         self._actors: list[Handle] = []
         self._dropped_before = 0
-        self.num_replacements = 0
         self._reset()
 
     @property
@@ -57,19 +57,19 @@ class SplitTrainer:
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         self.stop()
         self._reset()
-        self._learner = self._backend.spawn(self._learner_plan, build_learner, self._config)[0]
-        self._actors = [self._spawn_actor(part) for part in range(len(self._rollout_plans))]
-        stored = None if arrays is None else self._backend.put(dict(arrays))
+        self._learner = self.backend.spawn(self._learner_plan, build_learner, self._config)[0]
+        self._actors = list(self.backend.spawn(self._rollout_plans, build_rollout, self._config))
+        stored = None if arrays is None else self.backend.put(dict(arrays))
         self._ask_learner("start", stored)
         self._state = self._learner.call("curriculum_state")
         self._weights.publish(num_updates, self._learner.call("weights"))
         if arrays is not None and num_updates > 0:
             # The batch that was being played when the checkpoint was taken: same weights, same state.
             acting = nested(select_arrays(arrays, ACTING))
-            self._weights.publish(num_updates - 1, self._backend.put(acting))
+            self._weights.publish(num_updates - 1, self.backend.put(acting))
             state = self._state
             if self._observes:
-                state = self._learner.call("state_from", self._backend.put(select_arrays(arrays, PROPOSING)))
+                state = self._learner.call("state_from", self.backend.put(select_arrays(arrays, PROPOSING)))
             self._issue(num_updates, num_updates - 1, state)
 
     def weights(self) -> Ticket:
@@ -123,12 +123,12 @@ class SplitTrainer:
 
     def facts(self) -> dict[str, Any]:
         assert self._learner is not None
-        return {**self._ask_learner("facts"), "processes": self._backend.facts([self._learner, *self._actors])}
+        return {**self._ask_learner("facts"), "processes": self.backend.facts([self._learner, *self._actors])}
 
     def stop(self) -> None:
         handles = [*self._actors, *([self._learner] if self._learner is not None else [])]
         self._actors, self._learner = [], None
-        self._backend.kill(handles)
+        self.backend.kill(handles)
 
     def _reset(self) -> None:
         if hasattr(self, "_work"):
@@ -145,10 +145,7 @@ class SplitTrainer:
 
     def _ask_learner(self, method: str, *arguments: Any) -> Any:
         assert self._learner is not None
-        return self._backend.gather([self._learner.call(method, *arguments)])[0]
-
-    def _spawn_actor(self, part: int) -> Handle:
-        return self._backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
+        return self.backend.gather([self._learner.call(method, *arguments)])[0]
 
     def _issue(self, update: int, policy_version: int, state: Any) -> None:
         """Orders batch `update` from all rollout actors, its levels proposed by `state` of the curriculum."""
@@ -179,20 +176,30 @@ class SplitTrainer:
         return stamps
 
     def _fetch_part(self, update: int, part: int) -> tuple[dict[str, Any], Ticket]:
+        first: Loss | None = None
         for _ in range(_MAX_REPLACEMENTS):
             stamp, batch = self._in_flight.pop((update, part))
             try:
-                return self._backend.gather([stamp])[0], batch
-            except WorkerLostError:
+                stamped = self.backend.gather([stamp])[0]
+            except InputLostError:  # the learner's: the actor is well
+                raise
+            except WorkerLostError as error:
+                error.section = self.backend.sections.name
+                loss = self.backend.losses.lost(error)
+                first = first or loss
                 self._replace(update, part)
+                continue
+            if first is not None:
+                self.backend.losses.recovered(first, update=update)
+            return stamped, batch
         raise WorkerLostError(f"rollout actor {part} was lost {_MAX_REPLACEMENTS} times over batch {update}")
 
     def _replace(self, update: int, part: int) -> None:
-        self.num_replacements += 1
         lost = [update, *(issued for issued, of_part in self._in_flight if of_part == part)]
         steps_per_part = self._config.rollout.steps_per_update // len(self._rollout_plans)
         self._work.drop(steps_per_part * len(lost))
-        self._backend.kill([self._actors[part]])
-        self._actors[part] = self._spawn_actor(part)
+        self.backend.kill([self._actors[part]])
+        self._actors[part] = self.backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
+        self.backend.sections.begin_again()
         for issued in sorted(lost):
             self._issue_part(issued, part)

@@ -24,7 +24,7 @@ from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.skipped_updates import NotFiniteError
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.backend import Backend
-from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.failures import ProcessFailedError, TooManyLossesError
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
@@ -61,16 +61,14 @@ def train(
         _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
         evaluations = _from_first_to_last_update(controller, run, reporter)
         controller.clock.lap()
-        facts = trainer.facts()
-        facts["processes"] += curator.facts() if curator is not None else []
-        report = _report(config, controller, evaluations, facts, wall_seconds=time.monotonic() - began)
+        report = _report(config, controller, evaluations, controller.facts(), wall_seconds=time.monotonic() - began)
         _write_or_fail(run, run.report_path, report)
         # Last, since drawing needs libraries that nothing else of a run does.
         if config.recording.num_rollouts and config.recording.make_pictures:
             recorder.make_pictures()
         reporter.phase("done")
         return report
-    except (ProcessFailedError, WorkerLostError) as error:
+    except (ProcessFailedError, TooManyLossesError) as error:
         raise _failed_run(run, error) from error
     except NotFiniteError as error:
         run.event("run_failed", error=str(error))
@@ -150,7 +148,7 @@ def hold_to_cpu(config: TrainConfig) -> None:
         )
 
 
-def _failed_run(run: RunDirectory, error: ProcessFailedError | WorkerLostError) -> RunFailedError:
+def _failed_run(run: RunDirectory, error: ProcessFailedError | TooManyLossesError) -> RunFailedError:
     """One line for the console; the traceback of a process goes to a file that the line names."""
     run.event("run_failed", error=str(error))
     where = ""

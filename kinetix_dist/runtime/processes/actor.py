@@ -6,10 +6,15 @@ leaves as a `ProcessFailedError`: one line and a traceback.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import socket
+import sys
+import threading
+import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import ray
@@ -22,9 +27,17 @@ from kinetix_dist.runtime.processes.placement import ProcessPlan
 HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
 
 
+@dataclasses.dataclass(frozen=True)
+class Doing:
+    """What a process is at."""
+
+    what: str
+    is_waiting: bool  # for work, a device or its group: another process may be the cause
+
+
 @ray.remote(concurrency_groups={"control": 1})
 class ProcessActor:
-    """Holds one core. Methods are called one at a time, except `ping`, which has a thread of its own."""
+    """Holds one core. Methods are called one at a time, except `ping` and `doing`, which have a thread of their own."""
 
     def __init__(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> None:
         """`build(*arguments)` makes the core, later: a group has to be joined before JAX computes anything."""
@@ -33,6 +46,7 @@ class ProcessActor:
         self._arguments = arguments
         self._budget: Budget | None = None
         self._core: Any = None
+        self._working: tuple[str, float, int] | None = None  # method, since, thread
 
     def __repr__(self) -> str:
         return self._plan.name  # what Ray's log files call it
@@ -42,9 +56,23 @@ class ProcessActor:
         """The process id; that it comes back, while a call runs too, says that the process is not stopped."""
         return os.getpid()
 
+    @ray.method(concurrency_group="control")
+    def doing(self) -> Doing:
+        """What this process is at, while a call runs too."""
+        if (working := self._working) is None:
+            return Doing(what="idle", is_waiting=True)
+        method, since, thread = working
+        frame = sys._current_frames().get(thread)
+        if frame is None:
+            return Doing(what=f"in {method}", is_waiting=False)
+        place = f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"
+        # Python's innermost frame is JAX's where a device, or a collective with the other processes, is waited for.
+        is_waiting = "jax" in Path(frame.f_code.co_filename).parts
+        return Doing(what=f"in {method} for {time.monotonic() - since:.0f} s, at {place}", is_waiting=is_waiting)
+
     def prepare(self) -> dict[str, Any]:
         """Before JAX starts: tells XLA how much of the GPU is its own. Returns where the process is and what it has."""
-        with self._failures():
+        with self._failures("prepare"):
             if self._plan.memory is not None:
                 self._budget = budget_of(self._plan.name, self._plan.memory, this_gpu())
                 os.environ.pop("XLA_PYTHON_CLIENT_MEM_FRACTION", None)  # an older name of what follows
@@ -62,7 +90,7 @@ class ProcessActor:
         """Forms one JAX world with the other processes of the group. Waits for all of them."""
         import jax
 
-        with self._failures():
+        with self._failures("join"):
             jax.distributed.initialize(
                 coordinator,
                 num_processes,
@@ -73,24 +101,27 @@ class ProcessActor:
             )
 
     def build(self) -> None:
-        with self._failures():
+        with self._failures("build"):
             self._core = self._build(*self._arguments)
 
     def call(self, method: str, *arguments: Any) -> Any:
         """`core.method(*arguments)`. What it returns is numpy or plain Python."""
-        with self._failures():
+        with self._failures(method):
             return getattr(self._core, method)(*arguments)
 
     def facts(self) -> dict[str, Any]:
-        with self._failures():
+        with self._failures("facts"):
             return facts_of(self._plan.name, self._budget)
 
     @contextmanager
-    def _failures(self) -> Generator[None, None, None]:
+    def _failures(self, method: str) -> Generator[None, None, None]:
+        self._working = (method, time.monotonic(), threading.get_ident())
         try:
             yield
         except Exception as error:
             raise failure_of(self._plan.name, error, self._budget) from None
+        finally:
+            self._working = None
 
 
 def _own_address() -> str:

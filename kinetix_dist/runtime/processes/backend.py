@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.runtime.processes.sections import Sections
 
 
 class Ticket(Protocol):
@@ -36,8 +38,20 @@ class Handle(Protocol):
 class Backend(Protocol):
     """Starts processes and ends them."""
 
+    sections: Sections  # which section of the run waits for processes, and how long it may
+    losses: Losses  # of processes so far
+
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[Handle]:
         """One core `build(plan.index, number of plans, *arguments)` a plan; several form one JAX world, by rank."""
+
+    def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> Handle:
+        """The same for one process, without waiting for it: what is asked of it is done once it has started."""
+
+    def watch(self, handle: Handle, ticket: Ticket) -> float:
+        """s for which the process of a handle has not answered a ping; 0 where it is well, or the answer is there.
+
+        Raises as `gather` does where the answer is a loss or a failure. Does not wait.
+        """
 
     def put(self, value: Any) -> Ticket:
         """A value that many calls are given, stored once."""

@@ -17,7 +17,19 @@ MAX_REASON = 400  # characters: XLA's messages can be pages
 # In the text of an error: XLA's pool is full; or memory of the device beyond it, which Warp and CUDA ask for.
 POOL_IS_FULL = ("RESOURCE_EXHAUSTED",)
 DEVICE_IS_FULL = ("Warp CUDA error 2", "CUDA_ERROR_OUT_OF_MEMORY", "cudaErrorMemoryAllocation")
-GROUP_IS_BROKEN = ("heartbeat", "Gloo", "gloo", "NCCL")
+# What a process hears whose group lost another one, in a collective or from the coordinator.
+GROUP_IS_BROKEN = (
+    "heartbeat",
+    "Gloo",
+    "gloo",
+    "NCCL",
+    "coordination",
+    "DEADLINE_EXCEEDED",
+    "UNAVAILABLE",
+    "Connection reset",
+    "Connection closed",
+    "Socket closed",
+)
 
 ADVICE = {
     "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib",
@@ -29,6 +41,21 @@ ADVICE = {
 
 class WorkerLostError(RuntimeError):
     """A process died or hung: what it held is gone, and it can be started again."""
+
+    def __init__(self, message: str, *, process: str = "", since: float | None = None) -> None:
+        """process: which. since: time.monotonic() of the last sign of life, where that is known."""
+        super().__init__(message)
+        self.process = process
+        self.since = since
+        self.section = ""  # of the run, in which it was noticed
+
+
+class InputLostError(WorkerLostError):
+    """A process that is well was to work with what a lost one did not come to make; `process` is the lost one."""
+
+
+class TooManyLossesError(RuntimeError):
+    """More processes were lost within an hour than a run may lose."""
 
 
 class ProcessFailedError(RuntimeError):

@@ -7,7 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from kinetix_dist.runtime.processes.facts import facts_of
+from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.runtime.processes.sections import Sections
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,8 +44,19 @@ class LocalHandle:
 class LocalBackend:
     """Cores share this process and its devices."""
 
+    def __init__(self) -> None:
+        self.sections = Sections()
+        self.losses = Losses()
+
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle]:
         return [LocalHandle(plan, build(plan.index, 1, *arguments)) for plan in plans]
+
+    def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> LocalHandle:
+        return self.spawn([plan], build, *arguments)[0]
+
+    def watch(self, handle: LocalHandle, ticket: LocalTicket) -> float:
+        del handle, ticket
+        return 0.0
 
     def put(self, value: Any) -> LocalTicket:
         return LocalTicket(value)

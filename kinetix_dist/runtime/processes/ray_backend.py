@@ -17,12 +17,15 @@ from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from kinetix_dist.runtime.processes.actor import ProcessActor
 from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
-from kinetix_dist.runtime.processes.supervise import Heartbeats, gather, wait_until_gone
+from kinetix_dist.runtime.processes.sections import Sections
+from kinetix_dist.runtime.processes.supervise import Supervisor, wait_until_gone
 from kinetix_dist.runtime.processes.watchdog import Watchdog
 
-GPUS_TIMEOUT_S = 60
+FREE_TIMEOUT_S = 10.0  # for GPUs and CPU slots of a cluster that others still hold
+CPUS_POLL_S = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,10 +48,12 @@ class RayTicket:
 class RayHandle:
     """A core in an actor."""
 
-    def __init__(self, plan: ProcessPlan, actor: Any, pid: int, backend: RayBackend) -> None:
+    def __init__(self, plan: ProcessPlan, actor: Any, pid: int | None, backend: RayBackend) -> None:
+        """pid: None while it starts."""
         self.plan = plan
         self.actor = actor
         self.pid = pid
+        self.starting: list[Any] = []  # references to what it is told at the start, where nobody waits for that
         self._backend = backend
 
     def call(self, method: str, *arguments: Any) -> RayTicket:
@@ -68,8 +73,12 @@ class RayBackend:
     ) -> None:
         """`on_event(kind, **details)` hears of every process that starts: who, where, with how much memory."""
         self._on_event = on_event
-        self._heartbeats = Heartbeats(heartbeat_seconds)
+        self.sections = Sections()
+        self.losses = Losses()
+        self._heartbeat_seconds = heartbeat_seconds
+        self._supervisor = Supervisor(heartbeat_seconds, self.sections)
         self._watchdog: Watchdog | None = None
+        self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
         if ray.is_initialized():
             self._owns_ray = False
@@ -81,7 +90,7 @@ class RayBackend:
         # log_to_driver: actors log to Ray's session directory; what fails is raised here.
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
         if address:
-            os.environ.setdefault("KINETIX_DIST_LOOPBACK", "0")
+            self._loopback = "0"
             options |= {"address": address}
         else:
             if (path := secure_token()) is not None:
@@ -108,8 +117,9 @@ class RayBackend:
     def reserve(self, placement: Placement) -> None:
         """Takes the GPUs of a run, so that who shares one with whom is the same after every restart.
 
-        Raises PlacementError where others hold them. Nothing to do for a run on CPUs.
+        Raises PlacementError where others hold them, or where the cluster has too few CPU slots: one a process.
         """
+        self._check_cpus(len(placement.processes))
         shared: dict[int, int] = {}
         for plan in placement.processes:
             if plan.gpu is not None:
@@ -118,44 +128,92 @@ class RayBackend:
             return
         bundles = [{"GPU": 1, "CPU": shared[gpu]} for gpu in sorted(shared)]
         group = ray.util.placement_group(bundles, strategy="PACK")
-        if not group.wait(GPUS_TIMEOUT_S):
+        if not group.wait(FREE_TIMEOUT_S):
             ray.util.remove_placement_group(group)
             raise PlacementError(
                 f"this run needs {len(bundles)} of the cluster's {self.num_gpus} GPUs, and they were not free within "
-                f"{GPUS_TIMEOUT_S} s; wait for the run that holds them, or lower run.num_workers"
+                f"{FREE_TIMEOUT_S:g} s; wait for the run that holds them, or lower run.num_workers"
             )
         self._group = group
 
+    def _check_cpus(self, needed: int) -> None:
+        """Ray itself would wait for ever, without a word."""
+        total, deadline = int(ray.cluster_resources().get("CPU", 0)), time.monotonic() + FREE_TIMEOUT_S
+        advice = "start Ray with more by --num-cpus (they are bookkeeping only), or start fewer processes"
+        if total < needed:
+            raise PlacementError(f"this run has {needed} processes, and the cluster {total} CPU slots; {advice}")
+        while (free := int(ray.available_resources().get("CPU", 0))) < needed:
+            if time.monotonic() > deadline:
+                raise PlacementError(
+                    f"this run needs {needed} of the cluster's {total} CPU slots, and {free} were free within "
+                    f"{FREE_TIMEOUT_S:g} s; wait for the run that holds them, or {advice}"
+                )
+            time.sleep(CPUS_POLL_S)
+
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
-        actors = [
-            ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, len(plans), *arguments)
-            for plan in plans
-        ]
+        handles = [self._create(plan, build, len(plans), arguments) for plan in plans]
         try:
-            gather([actor.ping.remote() for actor in actors], actors, self._heartbeats)
-            started = gather([actor.prepare.remote() for actor in actors], actors, self._heartbeats)
-            for plan, where in zip(plans, started, strict=True):
-                self._on_event("process_started", process=plan.name, **where)
-            if len(actors) > 1 and plans[0].role == "worker":
-                coordinator = ray.get(actors[0].free_address.remote())
-                joins = [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)]
-                gather(joins, actors, self._heartbeats)
-            gather([actor.build.remote() for actor in actors], actors, self._heartbeats)
+            self._start(handles)
         except BaseException:
-            for actor in actors:
-                ray.kill(actor, no_restart=True)
+            self.kill(handles)
             raise
-        return [
-            RayHandle(plan, actor, where["pid"], self)
-            for plan, actor, where in zip(plans, actors, started, strict=True)
-        ]
+        return handles
+
+    def _create(self, plan: ProcessPlan, build: Callable[..., Any], group: int, arguments: Sequence[Any]) -> RayHandle:
+        actor = ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, group, *arguments)
+        self._supervisor.add(actor, plan.name)
+        return RayHandle(plan, actor, None, self)
+
+    def _start(self, handles: Sequence[RayHandle]) -> None:
+        actors = [handle.actor for handle in handles]
+        # Pings first: what dies while it is told more could not be seen to be gone by its number.
+        for handle, pid in zip(handles, self._all(actors, [actor.ping.remote() for actor in actors]), strict=True):
+            handle.pid = pid
+        started = self._all(actors, [actor.prepare.remote() for actor in actors])
+        for handle, where in zip(handles, started, strict=True):
+            self._on_event("process_started", process=handle.plan.name, **where)
+        if len(actors) > 1 and handles[0].plan.role == "worker":
+            coordinator = self._all(actors[:1], [actors[0].free_address.remote()])[0]
+            self._all(actors, [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)])
+        self._all(actors, [actor.build.remote() for actor in actors])
+
+    def _all(self, actors: Sequence[Any], references: Sequence[Any]) -> list[Any]:
+        return self._supervisor.gather(list(zip(references, actors, strict=True)))
+
+    def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> RayHandle:
+        handle = self._create(plan, build, 1, arguments)
+        handle.starting = [handle.actor.prepare.remote(), handle.actor.build.remote()]
+        return handle
+
+    def watch(self, handle: RayHandle, ticket: RayTicket) -> float:
+        if not ticket.is_ready():
+            self._note_start(handle)
+            silence = self._supervisor.silence(handle.actor, ping_every_s=0.0)
+            is_starting = handle.pid is None and silence < self._heartbeat_seconds
+            return 0.0 if is_starting else silence
+        self._note_start(handle)
+        for reference in handle.starting:  # what failed while it started is the cause of all that came after
+            self._supervisor.gather([(reference, handle.actor)])
+        handle.starting = []
+        self.gather([ticket])
+        return 0.0
+
+    def _note_start(self, handle: RayHandle) -> None:
+        """Tells of a process that has started while nobody waited for it."""
+        if handle.pid is None and ray.wait(handle.starting[:1], timeout=0)[0]:
+            where = self._supervisor.gather([(handle.starting[0], handle.actor)])[0]
+            handle.pid = where["pid"]
+            self._on_event("process_started", process=handle.plan.name, **where)
 
     def facts(self, handles: Sequence[RayHandle]) -> list[dict[str, Any]]:
         actors = [handle.actor for handle in handles]
-        return gather([actor.facts.remote() for actor in actors], actors, self._heartbeats)
+        return self._all(actors, [actor.facts.remote() for actor in actors])
 
     def _options(self, plan: ProcessPlan) -> dict[str, Any]:
-        environment = {"KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", "1"), **plan.env_vars}
+        environment = {
+            "KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", self._loopback),
+            **plan.env_vars,
+        }
         options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
         if plan.gpu is not None:
             options["scheduling_strategy"] = PlacementGroupSchedulingStrategy(
@@ -167,16 +225,15 @@ class RayBackend:
         return RayTicket(ray.put(value))
 
     def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
-        actors = list(dict.fromkeys(ticket.actor for ticket in tickets if ticket.actor is not None))
-        return gather([ticket.reference for ticket in tickets], actors, self._heartbeats)
+        return self._supervisor.gather([(ticket.reference, ticket.actor) for ticket in tickets])
 
     def kill(self, handles: Sequence[RayHandle]) -> None:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
-        self._heartbeats.forget([handle.actor for handle in handles])
+        self._supervisor.forget([handle.actor for handle in handles])
         for handle in handles:
             ray.kill(handle.actor, no_restart=True)
         if self._owns_ray and not os.environ.get("RAY_ADDRESS"):
-            left = wait_until_gone([handle.pid for handle in handles])
+            left = wait_until_gone([handle.pid for handle in handles if handle.pid is not None])
             if left:
                 raise WorkerLostError(f"processes {left} could not be ended; end them by hand, then --resume")
         else:

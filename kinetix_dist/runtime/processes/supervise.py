@@ -1,71 +1,160 @@
 """Whether processes are alive, and making sure that dead ones are gone.
 
-A process counts as lost when Ray says that it died, or when it has not answered a ping for `heartbeat_seconds` (a
-stopped or hung process does not exit). The remedy is always the same: kill the whole group, see that every process is
-gone, start afresh from a checkpoint.
+A process counts as lost when Ray says that it died, when it has not answered a ping for `heartbeat_seconds` (a stopped
+process does not exit), or when the section of the run that waits for it exceeds its limit (a call that never returns,
+while pings are answered). The remedy is always the same: kill the whole group, see that every process is gone, start
+afresh from a checkpoint.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
+import re
 import time
 from collections.abc import Sequence
 from typing import Any
 
 import ray
 
-from kinetix_dist.runtime.processes.failures import ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.sections import Sections
 
 POLL_S = 1.0
 PING_EVERY_S = 5.0
-FAILURE_GRACE_S = 3.0  # for the process that failed to say so, after another has lost it
+DOING_TIMEOUT_S = 2.0  # for processes of an overdue section to say what they are at
+CAUSE_GRACE_S = 3.0  # for the process that died or failed to be heard of, after another has lost it
+FAILURE_GRACE_S = 0.5  # for a failure to be heard of, after another process died
 GONE_TIMEOUT_S = 30.0  # for the kernel to end a killed process, GPU memory included
 
 
-class Heartbeats:
-    """Pings a set of actors while somebody waits for their answers."""
+class Supervisor:
+    """Waits for answers of processes and watches over them meanwhile."""
 
-    def __init__(self, heartbeat_seconds: float) -> None:
+    def __init__(self, heartbeat_seconds: float, sections: Sections) -> None:
         self._limit_s = heartbeat_seconds
+        self._sections = sections
+        self._names: dict[Any, str] = {}  # of actors
         self._pings: dict[Any, tuple[Any, float]] = {}  # actor -> (reference to its answer, when it was asked)
 
-    def silent(self, actors: Sequence[Any]) -> list[Any]:
-        """Actors whose oldest unanswered ping is too old. Asks again those that have answered."""
-        now = time.monotonic()
-        too_long = []
-        for actor in actors:
-            if actor not in self._pings:
-                self._pings[actor] = (actor.ping.remote(), now)
-                continue
-            answer, asked = self._pings[actor]
-            if ray.wait([answer], timeout=0)[0]:
-                if now - asked >= PING_EVERY_S:
-                    self._pings[actor] = (actor.ping.remote(), now)
-            elif now - asked > self._limit_s:
-                too_long.append(actor)
-        return too_long
+    def add(self, actor: Any, name: str) -> None:
+        self._names[actor] = name
 
     def forget(self, actors: Sequence[Any]) -> None:
         for actor in actors:
             self._pings.pop(actor, None)
+            self._names.pop(actor, None)
+
+    def gather(self, calls: Sequence[tuple[Any, Any]]) -> list[Any]:
+        """Results of (reference, actor or None for what no actor works out), in order.
+
+        Raises WorkerLostError as soon as a process died, has been silent for too long or exceeds the limit of the
+        section, and ProcessFailedError as soon as one failed at its work.
+        """
+        actor_of = dict(calls)
+        results: dict[Any, Any] = {}
+        waiting = list(actor_of)
+        while waiting:
+            ready, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=POLL_S)
+            for reference in ready:
+                try:  # a loss shows at once, while the rest of the group may hang in a collective
+                    results[reference] = self._result(reference, actor_of[reference])
+                except WorkerLostError as error:
+                    others = {other: actor for other, actor in actor_of.items() if other not in (reference, *results)}
+                    raise self._cause(error, others) from error.__cause__
+            if waiting:
+                self._check([actor_of[reference] for reference in waiting])
+        return [results[reference] for reference, _ in calls]
+
+    def silence(self, actor: Any, *, ping_every_s: float = PING_EVERY_S) -> float:
+        """s for which a ping has not been answered; 0 where all are. Asks again when that is due."""
+        now = time.monotonic()
+        if actor not in self._pings:
+            self._pings[actor] = (actor.ping.remote(), now)
+            return 0.0
+        answer, asked = self._pings[actor]
+        if not ray.wait([answer], timeout=0)[0]:
+            return now - asked
+        if now - asked >= ping_every_s:
+            self._pings[actor] = (actor.ping.remote(), now)
+        return 0.0
+
+    def _check(self, actors: Sequence[Any]) -> None:
+        actors = [actor for actor in dict.fromkeys(actors) if actor is not None]
+        for actor in actors:
+            if (silence := self.silence(actor)) > self._limit_s:
+                raise WorkerLostError(
+                    f"{self._name(actor)} has not answered for {silence:.0f} s",
+                    process=self._name(actor),
+                    since=time.monotonic() - silence,
+                )
+        if self._sections.is_overdue:
+            self._raise_overdue(actors)
+
+    def _raise_overdue(self, actors: Sequence[Any]) -> None:
+        """Names who is to blame: who does not say what it is at, else who is at something other than waiting."""
+        asked = {actor.doing.remote(): actor for actor in actors}
+        ready, silent = ray.wait(list(asked), num_returns=len(asked), timeout=DOING_TIMEOUT_S) if asked else ([], [])
+        to_blame = {asked[reference]: "does not answer" for reference in silent}
+        said = {asked[reference]: self._result(reference, asked[reference]) for reference in ready}
+        if not to_blame:
+            to_blame = {actor: doing.what for actor, doing in said.items() if not doing.is_waiting}
+        to_blame = to_blame or {actor: doing.what for actor, doing in said.items()}
+        culprits = "; ".join(f"{self._name(actor)} {what}" for actor, what in to_blame.items())
+        section = self._sections
+        raise WorkerLostError(
+            f"not done within the {section.limit_s:g} s of run.limits.{section.name}: {culprits or 'no process waits'}",
+            process=self._name(next(iter(to_blame), None)),
+            since=time.monotonic() - section.limit_s,
+        )
+
+    def _result(self, reference: Any, actor: Any) -> Any:
+        name = self._name(actor)
+        try:
+            return ray.get(reference)
+        except ray.exceptions.RayActorError as error:
+            now = time.monotonic()
+            if isinstance(error, ray.exceptions.RayTaskError):  # of one whose answer was an argument of this call
+                lost = self._name_of_id(error.cause.actor_id)
+                raise InputLostError(f"{lost} died before {name} had its answer", process=lost, since=now) from error
+            raise WorkerLostError(f"{name} died{_exit_of(error)}", process=name, since=now) from error
+        except ray.exceptions.ObjectLostError as error:
+            raise WorkerLostError(f"what {name} answered was lost with its node", process=name) from error
+        except ray.exceptions.RayTaskError as error:
+            failure = error.cause
+            if not isinstance(failure, ProcessFailedError):  # before its own methods were reached
+                raise ProcessFailedError(name, f"failed: {type(failure).__name__}: {failure}", str(error)) from None
+            if failure.is_loss_of_group:
+                raise _GroupLostError(f"{name} lost its group in a collective", process=name) from None
+            raise failure from None
+
+    def _cause(self, error: WorkerLostError, others: dict[Any, Any]) -> Exception:
+        """A process that dies or fails takes its group along; whichever is heard of first, that one is to be told."""
+        began = time.monotonic()
+        grace = CAUSE_GRACE_S if isinstance(error, _GroupLostError) else FAILURE_GRACE_S
+        found: Exception = error
+        while others and (left := began + grace - time.monotonic()) > 0:
+            ready, _ = ray.wait(list(others), num_returns=1, timeout=left)
+            for reference in ready:
+                try:
+                    self._result(reference, others.pop(reference))
+                except ProcessFailedError as failure:
+                    return failure
+                except WorkerLostError as loss:
+                    if isinstance(found, _GroupLostError):
+                        found = loss
+                    if not isinstance(loss, _GroupLostError):
+                        grace = min(grace, time.monotonic() - began + FAILURE_GRACE_S)
+        return found
+
+    def _name_of_id(self, actor_id: str) -> str:
+        return next((name for actor, name in self._names.items() if actor._ray_actor_id.hex() == actor_id), "a process")
+
+    def _name(self, actor: Any) -> str:
+        return self._names.get(actor, "a process")
 
 
-def gather(references: Sequence[Any], actors: Sequence[Any], heartbeats: Heartbeats) -> list[Any]:
-    """Results in order. Raises WorkerLostError as soon as a process died or has been silent for too long, and
-    ProcessFailedError as soon as one failed at its work."""
-    waiting = list(references)
-    while waiting:
-        ready, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=POLL_S)
-        for reference in ready:
-            try:
-                _result(reference)  # a loss shows at once, while the rest of the group may hang in a collective
-            except WorkerLostError:
-                _raise_failure_among([other for other in references if other is not reference])
-                raise
-        if waiting and (silent := heartbeats.silent(actors)):
-            raise WorkerLostError(f"{len(silent)} of {len(actors)} processes stopped answering")
-    return [_result(reference) for reference in references]
+class _GroupLostError(WorkerLostError):
+    """A process that is well, and lost another one of its group."""
 
 
 def wait_until_gone(pids: Sequence[int]) -> list[int]:
@@ -78,28 +167,10 @@ def wait_until_gone(pids: Sequence[int]) -> list[int]:
     return left
 
 
-def _result(reference: Any) -> Any:
-    try:
-        return ray.get(reference)
-    except ray.exceptions.RayActorError as error:
-        raise WorkerLostError(f"a process died: {' '.join(str(error).split())[:200]}") from error
-    except ray.exceptions.RayTaskError as error:
-        failure = error.cause
-        if not isinstance(failure, ProcessFailedError):  # before its own methods were reached
-            raise ProcessFailedError("a process", f"failed: {type(failure).__name__}: {failure}", str(error)) from None
-        if failure.is_loss_of_group:
-            raise WorkerLostError(f"{failure.process} lost its group in a collective") from None
-        raise failure from None
-
-
-def _raise_failure_among(references: Sequence[Any]) -> None:
-    """A process that fails takes its group along; whichever is heard of first, the failure is what has to be told."""
-    if not references:
-        return
-    ready, _ = ray.wait(list(references), num_returns=len(references), timeout=FAILURE_GRACE_S)
-    for reference in ready:
-        with contextlib.suppress(WorkerLostError):
-            _result(reference)
+def _exit_of(error: Exception) -> str:
+    """What Ray knows about the end of a process, in a few words: its texts are advice for the most part."""
+    found = re.search(r"exit detail: (.+?)(?:\. |$)", " ".join(str(error).split()))
+    return f" ({found[1][:100]})" if found else ""
 
 
 def _exists(pid: int) -> bool:

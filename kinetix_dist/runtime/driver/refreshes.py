@@ -1,0 +1,158 @@
+"""When refreshes of the curriculum are asked for and adopted.
+
+A refresh asked for at update k is adopted at update k + adopt_after, whatever the timing: training waits for a curator
+at work. It does not wait for one that died or is silent: the old buffer stays in use, and the new one is adopted at the
+first update that finds it there. `Adoptions` keeps which one that was, so that what is computed again does the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.checkpoint import flatten_arrays, select_arrays
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.driver.adoptions import NEVER, Adoptions
+from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.stopping import StopSignals
+from kinetix_dist.runtime.driver.weight_sync import nested, resolve
+
+PENDING = "pending"  # arrays of a checkpoint: weights of the refresh that was in flight
+# s that a curator at work may be silent, since its process can be short of a core; or an update, where that is longer
+MIN_PATIENCE_S = 3.0
+
+
+class Refreshes:
+    """Of one run. Without a curator nothing is ever asked for."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        run: RunDirectory,
+        reporter: Reporter,
+        trainer: Trainer,
+        curator: Curator | None,
+        *,
+        clock: RoleClock,
+        stop: StopSignals,
+    ) -> None:
+        self._config = config.curriculum
+        self._run = run
+        self._reporter = reporter
+        self._trainer = trainer
+        self._curator = curator
+        self._clock = clock
+        self._stop = stop
+        self._section = trainer.backend.sections.section
+        self._adoptions = Adoptions(run)
+        self._pending: tuple[int, Any] | None = None  # refresh in flight: policy version, weights
+        self._is_stale = False
+        self._scoring_seconds: float | None = None  # of the buffer in use
+
+    def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        """As a checkpoint has it; afresh where both are empty. What was in flight is asked for again."""
+        self._pending = None
+        self._is_stale = description.get("buffer_is_stale", False)
+        self._scoring_seconds = description.get("scoring_seconds")
+        version = description.get("refresh_in_flight")
+        if version is not None and self._curator is not None:
+            self._request(version, nested(select_arrays(arrays, PENDING)))
+
+    def cancel(self) -> None:
+        """All processes of the trainer are started again."""
+        if self._curator is not None:
+            self._curator.cancel()
+
+    def curate(self, num_updates: int, *, update_seconds: float) -> None:
+        """Before update `num_updates`: asks for a refresh and adopts one. update_seconds: of the update before."""
+        if self._curator is None:
+            return
+        self._curator.watch()
+        self._adopt_if_due(num_updates, update_seconds)
+        if self._config.is_refresh_due(num_updates):
+            self._give_up_late(num_updates)
+            self._request(num_updates, self._trainer.weights())
+            self._adopt_if_due(num_updates, update_seconds)
+
+    def end(self, num_updates: int) -> None:
+        """Training is over after so many. A late buffer was not used, and must not be where this is computed again."""
+        if self._pending is None:
+            return
+        version, drawn_last = self._pending[0], num_updates - 1 + self._trainer.policy_lag
+        if self._adoptions.get(version) is None and self._config.adopted_at(version) <= drawn_last:
+            self._adoptions.record(version, NEVER)
+
+    def description(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {
+            "refresh_in_flight": self._pending[0] if self._pending is not None else None,
+            "buffer_is_stale": self._is_stale,
+            "scoring_seconds": self._scoring_seconds,
+        }
+
+    def in_flight(self) -> dict[str, np.ndarray]:
+        """Arrays of a checkpoint."""
+        if self._pending is None or self._curator is None:
+            return {}
+        return flatten_arrays({PENDING: resolve(self._pending[1])})
+
+    def metrics(self) -> dict[str, float]:
+        metrics = {}
+        if self._curator is not None:
+            metrics["curriculum/buffer_is_stale"] = float(self._is_stale)
+        if self._scoring_seconds is not None:
+            metrics["curriculum/scoring_seconds"] = self._scoring_seconds
+        return metrics
+
+    def _request(self, policy_version: int, weights: Any) -> None:
+        assert self._curator is not None
+        self._pending = (policy_version, weights)
+        with self._clock.role("curate"):
+            self._curator.request(weights, policy_version)
+
+    def _adopt_if_due(self, num_updates: int, update_seconds: float) -> None:
+        if self._pending is None:
+            return
+        assert self._curator is not None
+        version = self._pending[0]
+        drawn_next = num_updates + self._trainer.policy_lag  # the batch whose levels are drawn now
+        recorded = self._adoptions.get(version)
+        if drawn_next < (recorded if recorded is not None else self._config.adopted_at(version)):
+            return
+        if version == 0:
+            self._reporter.phase("curating")
+        # Without a first buffer there is nothing to play, and what is recorded is repeated as it was.
+        must_wait = version == 0 or recorded is not None
+        patience_s = None if must_wait else max(MIN_PATIENCE_S, update_seconds)
+        with self._section("curate"), self._clock.role("curate"), self._stop.interruptible():
+            refresh = self._curator.take(patience_s=patience_s)
+        if refresh is None:
+            self._note_late(version, num_updates)
+            return
+        with self._section("curate"):
+            self._trainer.adopt(refresh.refreshed)
+        self._is_stale, self._pending = False, None
+        self._scoring_seconds = refresh.seconds
+        self._adoptions.record(version, drawn_next)
+        self._run.event("buffer_adopted", policy_version=version, update=drawn_next)
+
+    def _note_late(self, version: int, num_updates: int) -> None:
+        if not self._is_stale:
+            self._run.event("buffer_late", policy_version=version, update=num_updates)
+            self._reporter.note(f"the buffer of policy version {version} is late: the old one stays in use until then")
+        self._is_stale = True
+
+    def _give_up_late(self, num_updates: int) -> None:
+        """A refresh that has not come when the next one is asked for."""
+        if self._pending is None:
+            return
+        assert self._curator is not None
+        version = self._pending[0]
+        self._curator.cancel()
+        self._adoptions.record(version, NEVER)
+        self._run.event("refresh_lost", policy_version=version, update=num_updates)
+        self._pending = None

@@ -1,0 +1,61 @@
+"""Which section of a run waits for other processes, and how long it may take.
+
+One object for the whole driver: who drives the run opens a section, who waits for an answer looks at its deadline.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+
+from kinetix_dist.runtime.processes.failures import WorkerLostError
+
+# Sections whose first pass after a start compiles. What is started is not compiled yet.
+_COMPILING = ("update", "curate", "evaluate", "record")
+_FOREVER = math.inf
+
+
+class Sections:
+    """The section that runs now. Without limits (local mode) nothing is ever overdue."""
+
+    def __init__(self) -> None:
+        self.limits: Mapping[str, float] = {}  # s, by section; "compile" is added to the first pass after a start
+        self.name = ""
+        self.limit_s = _FOREVER
+        self._deadline = _FOREVER
+        self._compiled: set[str] = set()
+
+    @contextmanager
+    def section(self, name: str) -> Generator[None]:
+        """Everything inside has the limit of this section; a loss inside carries its name."""
+        before = self.name, self.limit_s, self._deadline
+        self.name = name
+        self._begin(is_compiled=name in self._compiled)
+        try:
+            yield
+            self._compiled.add(name)
+        except WorkerLostError as error:
+            error.section = error.section or name
+            raise
+        finally:
+            self.name, self.limit_s, self._deadline = before
+
+    @property
+    def is_overdue(self) -> bool:
+        return time.monotonic() > self._deadline
+
+    def begin_again(self) -> None:
+        """A process was replaced in the middle of a section: the new one has all of the time, and compiles."""
+        self._begin(is_compiled=False)
+
+    def forget(self) -> None:
+        """All processes are started afresh: what they do first, they compile."""
+        self._compiled.clear()
+
+    def _begin(self, *, is_compiled: bool) -> None:
+        self.limit_s = self.limits.get(self.name, _FOREVER)
+        if self.name in _COMPILING and not is_compiled:
+            self.limit_s += self.limits.get("compile", 0.0)
+        self._deadline = time.monotonic() + self.limit_s
