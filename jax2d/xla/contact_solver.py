@@ -138,14 +138,15 @@ def solve_soft(
 
     def solve(carry: tuple[Velocities, Blow], row: tuple) -> tuple[tuple[Velocities, Blow], tuple]:
         velocities, first = carry
-        c, bias, mass_scale, impulse_scale, is_blow, is_second, included = row
+        c, bias, mass_scale, impulse_scale, face, is_blow, is_second, included = row
         before = pair_velocities(c.pair, velocities)
-        impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + bias) - impulse_scale * c.impulse_normal
+        wanted = bias + closes_by(before, c, face)
+        impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + wanted) - impulse_scale * c.impulse_normal
         of, normal_total = push_apart(before, c, impulse)
         tangent_total, rolling_total = c.impulse_tangent, c.rolling_impulse
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
-        own = solve_blow(before, Blow(c, bias, jnp.zeros_like(bias)))
+        own = solve_blow(before, Blow(c, face, bias, jnp.zeros_like(bias)))
         agreed, first, own = solve_both_points(own[0], first, own[1], is_second & is_blow & included)
         blow = (agreed, own.contact.impulse_normal, own.contact.impulse_tangent)
         of, normal_total, tangent_total = choose(is_blow, blow, (of, normal_total, tangent_total))
@@ -158,8 +159,15 @@ def solve_soft(
         return (velocities, own), (*totals, *of_first, included & is_blow & (own.change > large))
 
     rows = rows_now(bodies, contacts, ahead)
-    none = Blow(jax.tree.map(lambda x: jnp.zeros_like(x[0]), rows), jnp.zeros_like(bias[0]), jnp.zeros_like(bias[0]))
-    xs = (rows, bias, mass_scale, impulse_scale, contacts.is_blow, contacts.is_second, included)
+    foreseen = use_bias & (~contacts.of_disc | contacts.disc_on_face)
+    face = Face(
+        is_of_a=contacts.follows_b > 0.5,
+        below_disc=contacts.disc_on_face,
+        seconds=jnp.where(foreseen, mass_scale * 0.5 * params.h, 0),
+        max_spin=jnp.full_like(separation, params.max_angular_speed),
+    )
+    none = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Blow(rows, face, bias, bias))
+    xs = (rows, bias, mass_scale, impulse_scale, face, contacts.is_blow, contacts.is_second, included)
     (velocities, _), (normal, tangent, rolling, first_normal, first_tangent, changed) = jax.lax.scan(
         solve, (bodies.velocities, none), xs
     )
@@ -175,10 +183,32 @@ def solve_soft(
     )
 
 
+class Face(NamedTuple):
+    """The face of a contact, which turns with its body."""
+
+    is_of_a: jax.Array  # bool, else b's
+    below_disc: jax.Array  # bool, b is a disc on it
+    seconds: jax.Array  # s that are foreseen, half of a sub-step; 0: not
+    max_spin: jax.Array  # rad/s; faster nothing turns in the end, however fast it does while velocities are solved
+
+
+def closes_by(of: PairVelocities, c: Row, face: Face) -> jax.Array:
+    """m/s by which a face that turns closes on what slides along it, which would go straight on; 0 where it opens. The
+    normal turns with the body of the face, and a corner with its own; the point of a disc stays below its centre."""
+    is_a, below_disc = face.is_of_a[..., None], face.below_disc[..., None]
+    spin = jnp.clip(jnp.where(face.is_of_a, of.omega_a, of.omega_b), -face.max_spin, face.max_spin)
+    of_corner = jnp.where(is_a, vec2.left(c.arm_b) * of.omega_b[..., None], vec2.left(c.arm_a) * -of.omega_a[..., None])
+    velocity = of.velocity_b - of.velocity_a + jnp.where(below_disc, 0, of_corner)
+    from_face = jnp.where(is_a, c.arm_a, -c.arm_b) - jnp.where(below_disc, c.arm_b, 0)
+    rate = 2 * spin * vec2.dot(vec2.left(c.normal), velocity) - spin * spin * vec2.dot(c.normal, from_face)
+    return face.seconds * jnp.minimum(rate, 0)
+
+
 class Blow(NamedTuple):
     """A contact whose normal impulse and friction are solved together."""
 
     contact: Row
+    face: Face
     bias: jax.Array
     change: jax.Array  # m/s, largest by which solving it changed a speed
 
@@ -205,10 +235,10 @@ def solve_both_points(
 def solve_blow(of: PairVelocities, blow: Blow) -> tuple[PairVelocities, Blow]:
     """Normal and friction of a blow together, as each changes the other's speed: it sticks, or slides at Coulomb's
     limit."""
-    c, bias, _ = blow
+    c, face, bias, _ = blow
     tangent = vec2.right(c.normal)
     v = relative_velocity(of, c.arm_a, c.arm_b)
-    vn, vt = vec2.dot(c.normal, v) + bias, vec2.dot(tangent, v)
+    vn, vt = vec2.dot(c.normal, v) + bias + closes_by(of, c, face), vec2.dot(tangent, v)
     if c.surface_speed is not None:
         vt -= c.surface_speed
     na, nb = vec2.cross(c.arm_a, c.normal), vec2.cross(c.arm_b, c.normal)
@@ -231,7 +261,7 @@ def solve_blow(of: PairVelocities, blow: Blow) -> tuple[PairVelocities, Blow]:
     added_n, added_t = n - c.impulse_normal, t - c.impulse_tangent
     of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * added_n[..., None] + tangent * added_t[..., None])
     change = jnp.maximum(jnp.abs(added_n) * knn, jnp.abs(added_t) * ktt)
-    return of, Blow(c._replace(impulse_normal=n, impulse_tangent=t), bias, change)
+    return of, Blow(c._replace(impulse_normal=n, impulse_tangent=t), face, bias, change)
 
 
 def normal_speed(of: PairVelocities, c: Row) -> jax.Array:

@@ -36,8 +36,16 @@ def test_most_shots_would_pass_were_they_not_stopped(engine, target: str):
 
 
 @pytest.mark.also_gpu
-@pytest.mark.parametrize(("target", "radius"), [("gap", 0.1), ("free wall", 0.1), ("hinged wall", 0.03)])
-def test_no_disc_passes(engine, target: str, radius: float):
-    """The gap is half as wide as the disc; before what grazes its corner was led onto the face, 4 of 5,000 passed."""
-    counts, passed = judge(fly(engine, target, radius, is_box=False, number=1500, seed=0))
+@pytest.mark.parametrize(
+    ("target", "size", "is_box"),
+    [
+        ("gap", 0.1, False),  # half as wide as the disc: 4 of 5,000 passed before grazing its corner led onto the face
+        ("free wall", 0.1, False),
+        ("hinged wall", 0.03, False),
+        ("turning bar", 0.03, False),  # 4 % passed before its turning was foreseen
+        ("turning bar", 0.03, True),  # 5 %
+    ],
+)
+def test_nothing_passes(engine, target: str, size: float, is_box: bool):
+    counts, passed = judge(fly(engine, target, size, is_box=is_box, number=1500, seed=0))
     assert counts.sum() > 1000 and passed.sum() == 0

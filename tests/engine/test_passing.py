@@ -95,7 +95,7 @@ def test_nothing_passes_the_end_of_a_wall(name: str, radius: float, thickness: f
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("radius", [0.03, 0.1])
 def test_bullets_do_not_pass_a_bar_that_turns(radius: float):
-    """A bar of 2 m at up to 45 rad/s, heavy, about a pivot; a few discs of 100 m/s still do."""
+    """A bar of 2 m at up to 45 rad/s, heavy, about a pivot; a few discs of 100 m/s still may, at its tip."""
     rng = np.random.default_rng(5)
     speeds, worlds = (20.0, 60.0, 100.0), []
     for speed in speeds:
