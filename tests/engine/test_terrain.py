@@ -152,7 +152,7 @@ def test_lines_that_make_no_ground_are_refused_and_add_nothing(points, message: 
 @pytest.mark.parametrize(
     ("points", "thickness", "message"),
     [
-        ([(0, 0), (1, 0), (1.0005, 0)], 1e-5, r"below points 1 and 2 .* an area of 5\.\d+e-09.*, and tiles of at least"),
+        ([(0, 0), (1, 0), (1.0005, 0)], 1e-5, r"below points 1 and 2 .* an area of 5\.\d+e-09.*; give a thickness"),
         ([(0, 0), (1, 0), (1.00001, 0)], 1e-4, r"a thickness of 0\.0001 the tile below points 1 and 2 .* an area of"),
         ([(0, 0), (1, 0), (2, 0.1)], 1e9, r"a thickness of 1e\+09 the tile below points 0 and 1 .* are the same point"),
         ([(0, 0), (1, 0), (2, 0.1)], 1e-7, r"a thickness of 1e-07 the tile below points 0 and 1 .* are the same point"),
