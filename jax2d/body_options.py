@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
-from jax2d.given import LARGEST, Point, SceneError, finite, not_negative, number, positive
+from jax2d.given import LARGEST, Point, SceneError, finite, flag, in_units, not_negative, number, positive
 from jax2d.scene import Capacity
 from jax2d.settings import Settings
 from jax2d.whole_numbers import whole_number
@@ -63,7 +63,7 @@ class Body(NamedTuple):
 def body_of(area: float, second_moment: float, options: BodyOptions, capacity: Capacity, settings: Settings) -> Body:
     """`second_moment`: of area about the centre of mass, m^4. Raises SceneError."""
     o = options
-    if o.fixed and o.kinematic:
+    if all([flag("fixed", o.fixed), flag("kinematic", o.kinematic)]):
         raise SceneError("a shape is fixed or kinematic, not both: drop fixed=True if it moves")
     density, restitution = positive("density", o.density), number("restitution", o.restitution)
     if not 0 <= restitution <= 1:
@@ -116,7 +116,8 @@ def _friction(o: BodyOptions, settings: Settings) -> float:
             f"friction {o.friction!r} and friction_coefficient {o.friction_coefficient!r} are the same in two units; "
             "give one of them"
         )
-    return not_negative("friction_coefficient", o.friction_coefficient) / settings.base_friction
+    name = "friction_coefficient"
+    return in_units(name, not_negative(name, o.friction_coefficient), settings, "base_friction")
 
 
 def _bits(name: str, value: int) -> int:

@@ -23,8 +23,9 @@ import numpy as np
 
 from jax2d import terrain
 from jax2d.body_options import PLACE_AND_MOTION, Body, BodyOptions, Filter, body_of
+from jax2d.checks import check_type
 from jax2d.distances import SpringOptions
-from jax2d.drives import MotorOptions, motor_units
+from jax2d.drives import MotorOptions
 from jax2d.fields import empty
 from jax2d.given import (
     LARGEST,
@@ -34,12 +35,13 @@ from jax2d.given import (
     SceneFullError,
     check_polygon,
     finite,
+    in_units,
     number,
     one_of,
     positive,
 )
 from jax2d.scene import Capacity, JointKind, Scene
-from jax2d.settings import Settings, preset
+from jax2d.settings import Settings, checked_settings
 from jax2d.shapes import polygon_integrals
 from jax2d.whole_numbers import whole_number
 
@@ -60,8 +62,9 @@ class SceneBuilder:
     def __init__(self, capacity: Capacity, *, gravity: Point = (0.0, -9.81), settings: Settings | None = None):
         """`settings`: those of the engine, whose base_* numbers turn torques, forces and speeds into the units of a
         scene; by default those that all presets have."""
+        check_type("capacity", capacity, Capacity)
         self.capacity = capacity
-        self.settings = settings if settings is not None else preset("standard")
+        self.settings = checked_settings(settings)
         self._gravity = np.asarray(finite("gravity", gravity, 2), np.float32)
         n = capacity.shapes
         self._polygons = self._circles = self._joints = self._springs = self._thrusters = 0
@@ -117,7 +120,7 @@ class SceneBuilder:
             raise SceneError(f"{wrong[0]} of terrain, which is where its points are and stays there; leave it out")
         try:
             line = np.asarray(points, np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             line = np.zeros(0)
         deep = positive("thickness", thickness)
         if not (np.abs(line) <= LARGEST).all():
@@ -252,7 +255,7 @@ class SceneBuilder:
             raise SceneError(f"thruster on shape {body}, which is {state}; put it on one that can be pushed")
         one_of(("power", power), ("force", force))
         if force is not None:
-            power = positive("force", force) / self.settings.base_thruster_power
+            power = in_units("force", positive("force", force), self.settings, "base_thruster_power")
         position = self._to_local(body, at)
         local_angle = number("angle", angle) - self._angle[body]
         power = positive("power", 1.0 if power is None else power)
@@ -311,7 +314,7 @@ class SceneBuilder:
             values["axis_angle"] = world_axis - float(self._angle[a])
         if motor is not None:
             inverse = sum(self._inverse_moved(body, at, kind, world_axis) for body in (a, b))
-            values |= motor.fields(motor_units(self.settings, kind), 1 / inverse)
+            values |= motor.fields(kind, self.settings, 1 / inverse)
         index = self._take("joints", self._joints)
         self._joints += 1
         for name, value in values.items():

@@ -79,10 +79,11 @@ def check_batches(scene: Scene, state: State) -> None:
     )
 
 
-def check_type(name: str, given: Any, expected: type) -> None:
+def check_type(name: str, given: Any, expected: type, remedy: str = "give one") -> None:
     if isinstance(given, expected):
         return
-    remedy = "give its .scene" if isinstance(getattr(given, "scene", None), expected) else "give one"
+    if isinstance(getattr(given, "scene", None), expected):
+        remedy = "give its .scene"
     raise TypeError(f"{name} is of type {type(given).__name__}, not {expected.__name__}; {remedy}")
 
 
@@ -117,6 +118,12 @@ def clamped_controls(controls: Controls) -> tuple[Controls, jax.Array]:
 
     within = make(Controls, clamped)
     return within, sum(invalid[1:], invalid[0])
+
+
+def check_real(name: str, values: Any) -> None:
+    """Before numbers are cast, which would drop the imaginary parts of complex ones."""
+    if any(map(np.iscomplexobj, jax.tree.leaves(values))):
+        raise ValueError(f"{name} has complex numbers; give real ones")
 
 
 def is_known(x: Array) -> bool:

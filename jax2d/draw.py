@@ -76,6 +76,15 @@ def joint_positions(scene: Scene, position: np.ndarray, angle: np.ndarray) -> np
     return position[..., body, :] + rotate(np.asarray(scene.joints.anchor_a), angle[..., body])
 
 
+def check_view(view: Box) -> None:
+    """Raises ValueError for what is no part of a world."""
+    box = np.asarray(view, np.float64) if np.shape(view) == (4,) else np.zeros(4)
+    if not (np.isfinite(box).all() and (box[:2] < box[2:]).all()):
+        raise ValueError(
+            f"view is {view}; give lowest x, lowest y, highest x, highest y in m, the lowest below the highest"
+        )
+
+
 @dataclasses.dataclass(frozen=True)
 class _Canvas:
     """A picture in the making: float colours, and the map from metres to pixels (y up to rows down)."""
@@ -86,6 +95,7 @@ class _Canvas:
 
     @staticmethod
     def blank(view: Box, scale: float) -> _Canvas:
+        check_view(view)
         width, height = (round((view[2 + axis] - view[axis]) * scale) for axis in (0, 1))
         if width < 1 or height < 1:
             raise ValueError(f"view {view} at {scale} pixels a metre has no pixels; make either larger")

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
-from jax2d.given import SceneError, finite, number, one_of, positive
+from jax2d.given import SceneError, finite, in_units, number, one_of, positive
 from jax2d.scene import JointDrive, JointKind
 from jax2d.settings import Settings
 
@@ -21,16 +21,16 @@ DRIVES = {drive.name.lower(): drive for drive in JointDrive}  # as a builder is 
 
 
 class MotorUnits(NamedTuple):
-    """What the numbers of a motor mean."""
+    """What the numbers of a motor mean: names of settings."""
 
-    speed: float  # rad/s or m/s at motor_speed 1
-    acceleration: float  # rad/s^2 or m/s^2 that a motor of power 1 gives to its two bodies alone
+    speed: str  # rad/s or m/s at motor_speed 1
+    acceleration: str  # rad/s^2 or m/s^2 that a motor of power 1 gives to its two bodies alone
 
 
-def motor_units(settings: Settings, kind: JointKind) -> MotorUnits:
+def motor_units(kind: JointKind) -> MotorUnits:
     if kind == JointKind.PRISMATIC:
-        return MotorUnits(settings.base_slider_speed, settings.base_slider_power)
-    return MotorUnits(settings.base_motor_speed, settings.base_motor_power)
+        return MotorUnits("base_slider_speed", "base_slider_power")
+    return MotorUnits("base_motor_speed", "base_motor_power")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,28 +45,31 @@ class MotorOptions:
     drive: str
     limits: tuple[float, float] | None
 
-    def fields(self, units: MotorUnits, moved: float) -> dict[str, float]:
+    def fields(self, kind: JointKind, settings: Settings, moved: float) -> dict[str, float]:
         """Fields of `Joints`; raises SceneError for what contradicts itself. `moved`: kg m^2, of a slider kg."""
-        return self._motor(units, moved) | self._limits()
+        return self._motor(motor_units(kind), settings, moved) | self._limits()
 
-    def _motor(self, units: MotorUnits, moved: float) -> dict[str, float]:
+    def _motor(self, units: MotorUnits, settings: Settings, moved: float) -> dict[str, float]:
         one_of(("motor_speed", self.motor_speed), ("speed", self.speed))
         one_of(("motor_power", self.motor_power), (self.strength_name, self.strength))
-        if self.drive not in DRIVES:
+        if not isinstance(self.drive, str) or self.drive not in DRIVES:
             raise SceneError(f"drive is {self.drive!r}; use {', '.join(map(repr, DRIVES))}")
         if self.motor_speed is None and self.speed is None:
-            if self.strength is not None or self.drive != "velocity":
-                what = f"drive {self.drive!r}" if self.strength is None else self.strength_name
+            strengths = {self.strength_name: self.strength, "motor_power": self.motor_power}
+            given = [name for name, value in strengths.items() if value is not None]
+            if given or self.drive != "velocity":
+                what = given[0] if given else f"drive {self.drive!r}"
                 raise SceneError(f"{what} without a motor; give its speed= (or motor_speed=) too")
             return {}
         if self.drive == "servo" and self.limits is None:
             raise SceneError("a servo without limits has no positions to move between; give limits=(lower, upper)")
         if self.speed is not None:
-            speed = number("speed", self.speed) / units.speed
+            speed = in_units("speed", number("speed", self.speed), settings, units.speed)
         else:
             speed = number("motor_speed", self.motor_speed)  # type: ignore[arg-type]
         if self.strength is not None:
-            power = positive(self.strength_name, self.strength) / (units.acceleration * moved)
+            name = self.strength_name
+            power = in_units(name, positive(name, self.strength), settings, units.acceleration) / moved
         else:
             power = positive("motor_power", 1.0 if self.motor_power is None else self.motor_power)
         return {"motor_on": True, "drive": DRIVES[self.drive], "motor_speed": speed, "motor_power": power}

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import operator
 import weakref
 from typing import Any
 
@@ -26,6 +27,7 @@ from jax2d.checks import (
     check_controls,
     check_layout,
     check_packed,
+    check_real,
     check_scene,
     check_state,
     check_type,
@@ -37,7 +39,7 @@ from jax2d.checks import (
 from jax2d.effects import Effects, MissingEffectError, called_for, check_effects, names_of_bits
 from jax2d.fields import Array, Field, broadcast, empty, make
 from jax2d.scene import Capacity, Controls, Scene, State, Touching, num_invalid
-from jax2d.settings import Settings, preset
+from jax2d.settings import Settings, checked_settings
 from jax2d.whole_numbers import whole_number
 
 MAX_STEPS = 2**31 - 1  # an int32 of the kernel
@@ -86,16 +88,18 @@ class Engine:
         reference in plain JAX (slow, differentiable, also in float64), or what makes another. `dtype` is that of states
         and of the arithmetic. With `report_contacts` every call says in `Touching.contacts` what contacts did in its
         last physics step; states are bitwise the same."""
-        if isinstance(backend, str) and backend not in BACKENDS:
+        check_type("capacity", capacity, Capacity)
+        if not callable(backend) and not (isinstance(backend, str) and backend in BACKENDS):
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
         self.capacity = capacity
-        self.settings = settings if settings is not None else preset("standard")
+        self.settings = checked_settings(settings)
         if capacity.extended_shapes and self.settings.solver != "soft_step":
             raise ValueError(
                 f"Capacity.extended_shapes is True, but solver {self.settings.solver!r} (preset paper) has nothing of "
                 "what it adds; leave it out, or use a preset of soft_step"
             )
         wanted = effects if effects is not None else Effects.full(capacity)
+        check_type("effects", wanted, Effects, "give effects_of(scenes), or leave it out for all")
         check_effects(wanted, capacity)
         self.effects = wanted.known_to(self.settings.solver)
         self.dtype = np.dtype(dtype)
@@ -118,10 +122,12 @@ class Engine:
         angular_velocity: Array | None = None,
     ) -> State:
         """A state without remembered impulses, for one world or a batch. Omitted parts are zero. Numbers of any kind
-        come out in the engine's dtype. Raises ValueError for shapes that are not the scene's."""
+        come out in the engine's dtype. Raises ValueError for complex ones and for shapes that are not the scene's."""
         check_type("scene", scene, Scene)
         batch = np.shape(scene.gravity)[:-1]
         check_layout("scene", scene, self.capacity, self.dtype, batch)
+        if position is None:
+            raise ValueError("position is None; give one place for each shape (only what follows it may be left out)")
 
         given = {"position": position, "angle": angle, "velocity": velocity, "angular_velocity": angular_velocity}
         state = broadcast(empty(State, self.capacity.sizes), batch)
@@ -130,6 +136,7 @@ class Engine:
             x = given.get(field.name)
             if x is None:
                 return jnp.asarray(field.get(state), field.dtype(self.dtype))
+            check_real(field.name, x)
             x, shape = jnp.asarray(x, self.dtype), (*batch, *field.shape(self.capacity.sizes))
             if x.shape != shape:
                 raise ValueError(f"{field.name} has shape {x.shape}; a state of this scene needs {shape}")
@@ -235,7 +242,7 @@ class Engine:
         if not 1 <= whole_number("num_steps", num_steps) <= MAX_STEPS:
             raise ValueError(f"num_steps is {num_steps}; a call takes 1 to {MAX_STEPS} steps")
         controls, invalid = clamped_controls(controls)
-        state, report = self.backend.step_packed(scene.tables, state, controls, num_steps)
+        state, report = self.backend.step_packed(scene.tables, state, controls, operator.index(num_steps))
         return state, Touching(
             **report._asdict(), invalid_controls=invalid, invalid_scene=scene.invalid, missing=scene.missing
         )

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jax2d.settings import Settings
 from jax2d.shapes import polygon_integrals
 from jax2d.xla.vec2 import cross
 
 Point = Sequence[float]
 SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
 SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
+SAME_POINT = 1e-6  # of the longest edge: shorter ones have no direction
 LARGEST = 1e18  # any number given, masses and inertias and their inverses too: the square must fit float32
 
 
@@ -39,6 +41,8 @@ def number(name: str, value: float) -> float:
         given = math.nan if isinstance(value, (str, bytes, bool)) else float(value)
     except (TypeError, ValueError):
         given = math.nan
+    except OverflowError:  # an int with more digits than a message should have
+        given = value = math.inf if value > 0 else -math.inf
     if not abs(given) <= LARGEST:
         raise SceneError(f"{name} is {value!r}; give a finite number (of at most {LARGEST:g})")
     return given
@@ -58,6 +62,20 @@ def not_negative(name: str, value: float) -> float:
     return checked
 
 
+def flag(name: str, value: bool) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise SceneError(f"{name} is {value!r}; it must be True or False")
+    return bool(value)
+
+
+def in_units(name: str, value: float, settings: Settings, unit: str) -> float:
+    """A number as scenes hold it, as a multiple of the setting `unit`."""
+    size = getattr(settings, unit)
+    if not abs(value) <= LARGEST * size or size == 0:
+        raise SceneError(f"{name} is {value:g}, but scenes hold it in units of Settings.{unit}, {size:g}; raise that")
+    return value / size
+
+
 def one_of(first: tuple[str, float | None], second: tuple[str, float | None]) -> None:
     """Raises SceneError where two ways to say the same are both used."""
     if first[1] is not None and second[1] is not None:
@@ -68,7 +86,7 @@ def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
     """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
     try:
         corners = np.asarray(vertices, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise SceneError("vertices are no list of (x, y) points; give numbers in metres, two for each") from None
     if corners.ndim != 2 or corners.shape[1] != 2:
         raise SceneError(f"vertices have shape {corners.shape}; give a list of (x, y) points")
@@ -82,7 +100,7 @@ def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
     edges = np.roll(corners, -1, 0) - corners
     lengths = np.hypot(edges[:, 0], edges[:, 1])
     for i, length in enumerate(lengths):
-        if length <= 1e-6 * max(lengths.max(), 1e-30):
+        if length <= SAME_POINT * max(lengths.max(), 1e-30):
             raise SceneError(f"vertices {i} and {(i + 1) % len(corners)} are the same point; drop one of them")
     area, _, _ = polygon_integrals(corners)
     turns = cross(edges, np.roll(edges, -1, 0)) / (lengths * np.roll(lengths, -1))

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.checks import check_type, is_known
+from jax2d.checks import check_real, check_type, is_known
 from jax2d.constants import CONSTANTS as C
 from jax2d.fields import Array
 from jax2d.scene import Scene
@@ -66,10 +66,10 @@ def cast_rays(scene: Scene, state: Any, origins: Array, translations: Array, *, 
     found = cast(scene.shapes, state.position, state.angle, origins, translations, seen)
     if is_known(found.invalid) and (wrong := np.asarray(found.invalid)).any():
         at = tuple(np.argwhere(wrong)[0])
+        start, way = (np.asarray(jax.lax.stop_gradient(x))[at].tolist() for x in (origins, translations))
         raise ValueError(
-            f"ray {', '.join(map(str, at))} goes from {np.asarray(origins)[at].tolist()} by "
-            f"{np.asarray(translations)[at].tolist()}; a ray has finite numbers and a length above 0 (inside jit it is "
-            "marked in RayHits.invalid)"
+            f"ray {', '.join(map(str, at))} goes from {start} by {way}; a ray has finite numbers and a length above 0 "
+            "(inside jit it is marked in RayHits.invalid)"
         )
     return found
 
@@ -130,7 +130,8 @@ def _hold_world(shapes: Any, position: Array, angle: Array, points: jax.Array) -
         holds &= vec2.dot(normal[None, :, k], away[:, :num_polygons]) <= distance[None, :, k]
     radius = jnp.asarray(shapes.radius)
     in_circle = vec2.length(away[:, num_polygons:]) <= radius
-    return jnp.concatenate([holds, in_circle], axis=1) & shapes.active
+    is_place = jnp.isfinite(away).all(-1)  # the length of NaN is 0
+    return jnp.concatenate([holds, in_circle], axis=1) & is_place & shapes.active
 
 
 _cast, _cast_batch = jax.jit(_cast_world), jax.jit(jax.vmap(_cast_world))
@@ -212,6 +213,8 @@ def _check_worlds(scene: Scene, state: Any) -> tuple[tuple[int, ...], np.dtype]:
     if len(batch) > 1:
         raise ValueError(f"scene has batch shape {batch}; fold batches into one leading world axis, or use jax.vmap")
     for name, trailing in (("position", (num_shapes, 2)), ("angle", (num_shapes,))):
+        if not hasattr(state, name):
+            raise TypeError(f"state is of type {type(state).__name__}, without {name}; give a State of the scene")
         shape = np.shape(getattr(state, name))
         if shape != (*batch, *trailing):
             raise ValueError(f"state.{name} has shape {shape}; this scene needs {(*batch, *trailing)}")
@@ -219,6 +222,9 @@ def _check_worlds(scene: Scene, state: Any) -> tuple[tuple[int, ...], np.dtype]:
 
 
 def _points(name: str, x: Array, batch: tuple[int, ...], dtype: np.dtype) -> jax.Array:
+    if x is None:
+        raise TypeError(f"{name} is None; give points in metres, an array [R, 2]")
+    check_real(name, x)
     x = jnp.asarray(x, dtype)
     if x.ndim != len(batch) + 2 or x.shape[: len(batch)] != batch or x.shape[-1] != 2:
         wanted = f"[{', '.join([*map(str, batch), 'R', '2'])}]"

@@ -298,7 +298,7 @@ class Touching:
     overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
     limited: Array  # [] int32, times a speed limit of the settings acted in this call
     invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
-    invalid_scene: Array  # [] int32, joints, springs and thrusters on no shape (off) and wrong num_vertices (clamped)
+    invalid_scene: Array  # [] int32, what `num_invalid` counts: it is off, or clamped
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without
     contacts: ContactReport | None = None  # of the last physics step; engines that are asked for it: report_contacts
 
@@ -344,8 +344,8 @@ def capacity_of(scene: Scene) -> Capacity:
 
 def only_what_acts(scene: Scene) -> Scene:
     """The scene as solvers need it, [..., n] on every field: shapes that are not active have no mass, joints, springs
-    and thrusters that are not on active shapes are off, and `can_touch` holds each pair once, at [lower, higher], and
-    only where both are active and one of the two can move. No index is out of range."""
+    and thrusters that are not on active shapes are off, joints of no JointKind too, and `can_touch` holds each pair
+    once, at [lower, higher], and only where both are active and one of the two can move. No index is out of range."""
     shapes = scene.shapes
     active = jnp.asarray(shapes.active)
     inverse_mass = jnp.where(active, shapes.inverse_mass, 0)
@@ -363,7 +363,7 @@ def only_what_acts(scene: Scene) -> Scene:
             "num_vertices": jnp.clip(jnp.asarray(shapes.num_vertices), 3, shapes.vertices.shape[-2]),
             "can_touch": meets,
         },
-        joints={"active": scene.joints.active & _joins(active, scene.joints)},
+        joints={"active": scene.joints.active & _joins(active, scene.joints) & _has_kind(scene.joints)},
         springs={"active": scene.springs.active & _joins(active, scene.springs)},
         thrusters={"active": scene.thrusters.active & _is_shape(active, body) & _of_shape(active, body)},
     )
@@ -371,12 +371,12 @@ def only_what_acts(scene: Scene) -> Scene:
 
 def num_invalid(scene: Scene) -> jax.Array:
     """[...] int32, what `only_what_acts` must mend: active joints, springs and thrusters whose indices name no (two)
-    shapes, and active polygons whose number of vertices is none."""
+    shapes, joints of no JointKind, and active polygons whose number of vertices is none."""
     active = jnp.asarray(scene.shapes.active)
     number = jnp.asarray(scene.shapes.num_vertices)
     polygons = (number >= 3) & (number <= scene.shapes.vertices.shape[-2])
     wrong = [
-        scene.joints.active & ~_are_two(active, scene.joints),
+        scene.joints.active & ~(_are_two(active, scene.joints) & _has_kind(scene.joints)),
         scene.springs.active & ~_are_two(active, scene.springs),
         scene.thrusters.active & ~_is_shape(active, scene.thrusters.body),
         active[..., : number.shape[-1]] & ~polygons,
@@ -387,6 +387,11 @@ def num_invalid(scene: Scene) -> jax.Array:
 def _joins(active: jax.Array, ends: Joints | Springs) -> jax.Array:
     """[..., k] bool, those between two active shapes."""
     return _are_two(active, ends) & _of_shape(active, ends.a) & _of_shape(active, ends.b)
+
+
+def _has_kind(joints: Joints) -> jax.Array:
+    """[..., J] bool, those of a JointKind."""
+    return (jnp.asarray(joints.kind) >= min(JointKind)) & (jnp.asarray(joints.kind) <= max(JointKind))
 
 
 def _are_two(active: jax.Array, ends: Joints | Springs) -> jax.Array:
@@ -411,4 +416,6 @@ def index_worlds(tree: Any, index: Any) -> Any:
 
 def stack_worlds(worlds: list[Any]) -> Any:
     """Stacks single worlds of one capacity into a batch with a leading world axis."""
+    if not worlds:
+        raise ValueError("stack_worlds has no worlds to stack; give a list of one or more")
     return jax.tree.map(lambda *xs: np.stack([np.asarray(x) for x in xs]), *worlds)

@@ -26,6 +26,13 @@ def fastest_spin(dt: float, substeps: int) -> float:
     return min(MAX_TURN_A_SUBSTEP * substeps, MAX_TURN_A_STEP) / dt
 
 
+def _is_finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an int beyond all floats
+        return False
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver`,
@@ -126,7 +133,7 @@ class Settings:
             elif field.type == "float":
                 if not isinstance(value, numbers.Real) or isinstance(value, bool):
                     raise ValueError(f"{name} is {value!r}; it must be a number")
-                if not (math.isfinite(value) and value >= 0):
+                if not (_is_finite(value) and value >= 0):
                     raise ValueError(f"{name} is {value}; it must be finite and not negative")
             elif field.type == "bool" and not isinstance(value, bool):
                 raise ValueError(f"{name} is {value!r}; it must be True or False")
@@ -174,6 +181,16 @@ PRESETS: dict[str, Settings] = {
 
 def preset(name: str) -> Settings:
     """The named settings; raises ValueError with the known names for any other."""
-    if name not in PRESETS:
+    if not isinstance(name, str) or name not in PRESETS:
         raise ValueError(f"unknown preset {name!r}; known presets: {', '.join(sorted(PRESETS))}")
     return PRESETS[name]
+
+
+def checked_settings(given: Settings | None) -> Settings:
+    """What callers give as settings; None is preset standard. Raises TypeError for the name of a preset."""
+    if given is None:
+        return preset("standard")
+    if not isinstance(given, Settings):
+        name = given if isinstance(given, str) and given in PRESETS else "standard"
+        raise TypeError(f"settings is {given!r}, not Settings; give settings=preset({name!r}), for example")
+    return given

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from jax2d.given import SAME_POINT, SMALLEST_AREA_M2, SceneError, check_polygon
 from jax2d.xla.vec2 import cross
 
 ROOT_SHARE = 0.5  # of the thickness, or of the neighbour's length: how far tiles reach over their joints
@@ -44,7 +45,7 @@ def wrong_with(points: np.ndarray, thickness: float) -> str | None:
         return f"terrain has points of shape {points.shape}; give a list of two or more (x, y) points"
     steps = np.diff(points, axis=0)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
-    if (lengths <= 1e-6 * lengths.max()).any():
+    if (lengths <= SAME_POINT * lengths.max()).any():
         i = int(np.argmin(lengths))
         return f"points {i} and {i + 1} of the terrain are the same; drop one of them"
     turns = np.arctan2(cross(steps[:-1], steps[1:]), (steps[:-1] * steps[1:]).sum(-1))
@@ -65,6 +66,20 @@ def wrong_with(points: np.ndarray, thickness: float) -> str | None:
                     f"the tile below points {i} and {i + 1} of the terrain comes out at points {j} and {j + 1}; give "
                     f"less thickness than {thickness:g}"
                 )
+    return _no_polygon(points, thickness)
+
+
+def _no_polygon(points: np.ndarray, thickness: float) -> str | None:
+    """Of the first tile that a builder would refuse."""
+    for i, (tile, at) in enumerate(zip(tiles(points, thickness), points)):
+        try:
+            check_polygon(tile - at, len(tile))
+        except SceneError as error:
+            return (
+                f"with a thickness of {thickness:g} the tile below points {i} and {i + 1} of the terrain makes no "
+                f"polygon ({str(error).partition(';')[0]}); give a thickness nearer to their distance, and tiles of at "
+                f"least {SMALLEST_AREA_M2:g} m^2"
+            )
     return None
 
 

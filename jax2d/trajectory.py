@@ -65,12 +65,16 @@ class Trajectory:
     # Parts
 
     def world(self, index: int) -> Trajectory:
-        """One world of a batch."""
+        """One world of a batch. Raises ValueError for a trajectory of one world."""
+        if self.position.ndim == 3:
+            raise ValueError("the trajectory is of one world, not of a batch; use it as it is")
         return self._with_arrays(lambda x: x[:, index], scene=index_worlds(self.scene, index))
 
     def until(self, seconds: float) -> Trajectory:
-        """The first `seconds`, to the nearest sample."""
-        end = min(round(seconds / self.interval), self.num_intervals) + 1
+        """The first `seconds`, to the nearest sample. Raises ValueError for a time before the start."""
+        if not seconds >= 0:
+            raise ValueError(f"seconds is {seconds}; give 0 or more, counted from the first sample")
+        end = round(min(seconds / self.interval, self.num_intervals)) + 1
         return self._with_arrays(lambda x: x[:end])
 
     def index_at(self, seconds: float) -> int:

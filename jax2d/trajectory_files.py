@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jax2d.contact_report import ContactReport
-from jax2d.draw import Box
+from jax2d.draw import Box, check_view
 from jax2d.draw import draw as draw_world
 from jax2d.fields import as_dict, from_dict
 from jax2d.images import write_gif, write_png
@@ -49,8 +49,13 @@ def load(kind: type[Trajectory], path: str | os.PathLike[str]) -> Trajectory:
             arrays = dict(file)
         if str(arrays.pop("format")) != FORMAT:
             raise ValueError
+        return _from_arrays(kind, arrays)
     except (ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile):
         raise ValueError(f"{os.fspath(path)} is no file that Trajectory.save wrote ({FORMAT!r})") from None
+
+
+def _from_arrays(kind: type[Trajectory], arrays: dict[str, np.ndarray]) -> Trajectory:
+    """Raises KeyError or TypeError where some are missing or too many."""
     parts: dict[str, dict[str, np.ndarray]] = {"scene": {}, "contacts": {}}
     values: dict[str, Any] = {}
     for name, x in arrays.items():
@@ -78,6 +83,8 @@ def draw(
     for name, value in (("width", width), ("frames_per_second", frames_per_second), ("speed", speed)):
         if not value > 0:
             raise ValueError(f"{name} is {value}; give more than 0")
+    if view is not None:
+        check_view(view)
     box = view if view is not None else view_of(trajectory)
 
     def picture(sample: int, trails: Any = ()) -> np.ndarray:

@@ -159,6 +159,20 @@ def test_indices_of_no_shape_are_off_and_counted_inside_jit():
     assert int(step(changed(scene, **{"joints.b": scene.joints.a}))[1].invalid_scene) == 1
 
 
+@pytest.mark.also_gpu
+@pytest.mark.parametrize("kind", [-1, 3, 4, 7, 2**30])
+def test_joints_of_no_kind_are_off_and_counted_inside_jit(kind: int):
+    scene, state = start()
+    step = jax.jit(lambda scene: engine().step(scene, state, controls(motor=1.0, thruster=1.0), num_steps=5))
+    bad = changed(scene, **{"joints.kind": holding(scene.joints.kind, kind, 0)})
+    off = changed(scene, **{"joints.active": scene.joints.active & False})
+    ended, touching = step(bad)
+    jax.tree.map(np.testing.assert_array_equal, ended, step(off)[0])
+    assert int(touching.invalid_scene) == 1
+    with pytest.raises(ValueError, match=rf"scene\.joints\.kind\[0\] is {kind}; it must be from 0 to 2"):
+        engine().step(bad, state)
+
+
 def test_a_scene_of_jax_arrays_is_checked_once_and_one_that_can_change_every_time():
     scene, state = start()
     fixed = jax.tree.map(jnp.asarray, scene)

@@ -228,6 +228,29 @@ def test_no_rays_are_refused_in_one_line_and_marked_inside_jit():
         assert np.isfinite(np.asarray(x, float)).all()
 
 
+def test_a_point_that_is_not_finite_is_in_no_shape():
+    scene, state, _, disc = box_and_disc()
+    points = [(x, y) for x in (6, np.nan, np.inf, -np.inf) for y in (0, np.nan, np.inf)]
+    inside = np.asarray(point_in_shapes(scene, state, points))
+    assert np.argwhere(inside).tolist() == [[0, disc]]
+    batch = stack_worlds([scene, scene]), stack_worlds([state, state])
+    np.testing.assert_array_equal(point_in_shapes(*batch, np.stack([points, points])), np.stack([inside, inside]))
+
+
+def test_what_is_no_state_or_no_points_is_named():
+    scene, state, *_ = box_and_disc()
+    rays: Any = np.zeros((3, 2)), np.ones((3, 2))
+    nothing: Any = None
+    with pytest.raises(TypeError, match=r"^state is of type NoneType, without position; give a State of the scene$"):
+        cast_rays(scene, nothing, *rays)
+    with pytest.raises(TypeError, match=r"^translations is None; give points in metres"):
+        cast_rays(scene, state, rays[0], nothing)
+    with pytest.raises(TypeError, match=r"^points is None"):
+        point_in_shapes(scene, state, nothing)
+    with pytest.raises(ValueError, match=r"^points has complex numbers"):
+        point_in_shapes(scene, state, rays[0] + 1j)
+
+
 def test_wrong_shapes_are_named():
     scene, state, *_ = box_and_disc()
     rays = np.zeros((3, 2)), np.ones((3, 2))
@@ -252,3 +275,14 @@ def test_gradient_of_a_distance_is_that_of_the_way_to_the_face():
         return cast_rays(scene, state, jnp.array([[x, 0.1]]), jnp.array([[8.0, 0.0]])).distance[0]
 
     assert jax.grad(distance)(0.5) == pytest.approx(-1.0)
+
+
+def test_a_ray_without_length_is_refused_under_grad_as_elsewhere():
+    scene, state, *_ = box_and_disc()
+
+    def distance(way):
+        return cast_rays(scene, state, jnp.zeros((1, 2)), way[None]).distance[0]
+
+    for transformed in (jax.grad(distance), lambda way: jax.jvp(distance, (way,), (way,))):
+        with pytest.raises(ValueError, match=r"ray 0 goes from \[0.0, 0.0\] by \[0.0, 0.0\]; a ray has"):
+            transformed(jnp.zeros(2))

@@ -149,6 +149,24 @@ def test_lines_that_make_no_ground_are_refused_and_add_nothing(points, message: 
     assert not b.build().scene.shapes.active.any()
 
 
+@pytest.mark.parametrize(
+    ("points", "thickness", "message"),
+    [
+        ([(0, 0), (1, 0), (1.0005, 0)], 1e-5, r"below points 1 and 2 .* an area of 5\.\d+e-09.*; give a thickness"),
+        ([(0, 0), (1, 0), (1.00001, 0)], 1e-4, r"a thickness of 0\.0001 the tile below points 1 and 2 .* an area of"),
+        ([(0, 0), (1, 0), (2, 0.1)], 1e9, r"a thickness of 1e\+09 the tile below points 0 and 1 .* are the same point"),
+        ([(0, 0), (1, 0), (2, 0.1)], 1e-7, r"a thickness of 1e-07 the tile below points 0 and 1 .* are the same point"),
+    ],
+)
+def test_tiles_that_make_no_polygon_are_refused_before_any_is_added(points, thickness: float, message: str):
+    b = SceneBuilder(CAPACITY)
+    with pytest.raises(SceneError, match=message) as error:
+        b.add_terrain(points, thickness=thickness)
+    assert "\n" not in str(error.value)
+    assert not b.build().scene.shapes.active.any()
+    assert b.add_box(width=1, height=1) == 0
+
+
 def test_capacity_that_does_not_suffice_is_named():
     points = [(0, 0), (1, 0), (2, -0.2), (3, -0.6)]
     with pytest.raises(SceneFullError, match=r"terrain of 3 tiles, and 0 of 2 .* Capacity\(polygons=3\)"):
