@@ -163,7 +163,8 @@ def solve_soft(
     face = Face(
         is_of_a=contacts.follows_b > 0.5,
         below_disc=contacts.disc_on_face,
-        seconds=jnp.where(foreseen, mass_scale * 0.5 * params.h, 0),
+        seconds=jnp.where(foreseen, 0.5 * params.h, 0),
+        mass_scale=mass_scale,
         max_spin=jnp.full_like(separation, params.max_angular_speed),
     )
     none = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Blow(rows, face, bias, bias))
@@ -189,19 +190,22 @@ class Face(NamedTuple):
     is_of_a: jax.Array  # bool, else b's
     below_disc: jax.Array  # bool, b is a disc on it
     seconds: jax.Array  # s that are foreseen, half of a sub-step; 0: not
+    mass_scale: jax.Array  # of the softness
     max_spin: jax.Array  # rad/s; faster nothing turns in the end, however fast it does while velocities are solved
 
 
 def closes_by(of: PairVelocities, c: Row, face: Face) -> jax.Array:
-    """m/s by which a face that turns closes on what slides along it, which would go straight on; 0 where it opens. The
-    normal turns with the body of the face, and a corner with its own; the point of a disc stays below its centre."""
+    """m/s by which a face that turns closes on what slides along it, which would go straight on, negative; 0 where it
+    opens, or closes by less than what rests may move. The normal turns with the body of the face, and a corner with its
+    own; the point of a disc stays below its centre."""
     is_a, below_disc = face.is_of_a[..., None], face.below_disc[..., None]
     spin = jnp.clip(jnp.where(face.is_of_a, of.omega_a, of.omega_b), -face.max_spin, face.max_spin)
     of_corner = jnp.where(is_a, vec2.left(c.arm_b) * of.omega_b[..., None], vec2.left(c.arm_a) * -of.omega_a[..., None])
     velocity = of.velocity_b - of.velocity_a + jnp.where(below_disc, 0, of_corner)
     from_face = jnp.where(is_a, c.arm_a, -c.arm_b) - jnp.where(below_disc, c.arm_b, 0)
     rate = 2 * spin * vec2.dot(vec2.left(c.normal), velocity) - spin * spin * vec2.dot(c.normal, from_face)
-    return face.seconds * jnp.minimum(rate, 0)
+    speed = face.seconds * rate
+    return face.mass_scale * jnp.where(speed < -C.resting_speed, speed, 0)
 
 
 class Blow(NamedTuple):

@@ -264,18 +264,20 @@ struct Contacts {
     }
   }
 
-  // m/s^2 at which a face that turns closes on what slides along it, which would go straight on, negative; 0 where it
-  // opens. The normal turns with the body of the face, and a corner with its own; the point of a disc stays below its
-  // centre.
-  KFN static real closing(const Pair& pair, const Contact& c, Arms arms, real max_spin) {
+  // m/s by which a face that turns closes on what slides along it, which would go straight on, negative; 0 where it
+  // opens, or closes by less than what rests may move. The normal turns with the body of the face, and a corner with its
+  // own; the point of a disc stays below its centre.
+  KFN static real closes_by(const Pair& pair, const Contact& c, Arms arms, const Soft& soft) {
     bool is_a = c.follows_b > real(0.5);
-    real spin = Math::clamp(is_a ? pair.omega_a : pair.omega_b, -max_spin, max_spin);
+    real spin = Math::clamp(is_a ? pair.omega_a : pair.omega_b, -soft.max_spin, soft.max_spin);
     Vec2 velocity = pair.velocity_b - pair.velocity_a, from_face = is_a ? arms.a : -arms.b;
     if (c.disc_on_face)
       from_face = from_face - arms.b;
     else
       velocity = velocity + (is_a ? arms.b.left() * pair.omega_b : arms.a.left() * -pair.omega_a);
-    return Math::min(real(2) * spin * c.normal.left().dot(velocity) - spin * spin * c.normal.dot(from_face), real(0));
+    real rate = real(2) * spin * c.normal.left().dot(velocity) - spin * spin * c.normal.dot(from_face);
+    real speed = real(0.5) * soft.h * rate;
+    return speed < -RESTING_SPEED ? speed : real(0);
   }
 
   KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
@@ -332,7 +334,7 @@ struct Contacts {
         bias = Math::max(mass_scale * of.bias_rate * separation, -soft.push_out_speed);
       }
       if (use_bias && (c.b < NUM_POLYGONS || c.disc_on_face))
-        bias += mass_scale * real(0.5) * soft.h * closing(pair, c, arms, soft.max_spin);
+        bias += mass_scale * closes_by(pair, c, arms, soft);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
       real mass = c.mass_normal, mass_tangent = c.mass_tangent;
