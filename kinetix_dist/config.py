@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jax2d.settings import preset
-from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.config import OWN_SECTIONS, CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
@@ -219,6 +219,9 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     sections = to_dict(config)
     kept = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
     del kept["env"]["effect_groups"]  # a matter of time: engines agree bit for bit within their effects
+    for section in OWN_SECTIONS:
+        if section not in config.curriculum_class.sections:
+            del kept["curriculum"][section]
     return kept | {"run": {"seed": config.run.seed, "policy_lag": config.run.policy_lag}}
 
 

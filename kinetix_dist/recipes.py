@@ -79,6 +79,7 @@ def tiny() -> TrainConfig:
 _CURRICULA = {
     "sfl": CurriculumConfig(),
     "dr": CurriculumConfig(name="domain_randomization"),
+    "plr": CurriculumConfig(name="plr", buffer_size=4096),
 }
 
 

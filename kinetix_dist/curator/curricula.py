@@ -3,6 +3,7 @@
 | name | levels of an update |
 |---|---|
 | `sfl` | a share from a buffer of learnable levels, the rest fresh from the generator |
+| `plr` | a share from a buffer of levels of high score, by rank and staleness, the rest fresh |
 | `domain_randomization` | all fresh from the generator |
 | `fixed` | a given set, spread evenly |
 """
@@ -13,11 +14,13 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.curator.domain_randomization import DomainRandomization
 from kinetix_dist.curator.fixed import Fixed
+from kinetix_dist.curator.plr import Plr
 from kinetix_dist.curator.sfl import Sfl
 from kinetix_dist.registry import Registry
 
 CURRICULA: Registry[type[Curriculum]] = Registry("curriculum")
 CURRICULA.register("sfl", Sfl)
+CURRICULA.register("plr", Plr)
 CURRICULA.register("domain_randomization", DomainRandomization)
 CURRICULA.register("fixed", Fixed)
 

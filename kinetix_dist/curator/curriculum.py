@@ -9,8 +9,8 @@
 its result adopted at an update that is fixed beforehand. The state is one pytree of arrays, the same on all devices;
 checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
 
-How others are written: PLR keeps a buffer of levels with scores as its state, proposes some of it and some fresh
-levels, and puts scores of what was played into `observe`. ACCEL is PLR that proposes mutated levels of the buffer.
+How others are written: `plr.py` keeps a buffer of levels with scores as its state, proposes some of it and some fresh
+levels, and scores what was played in `observe`. ACCEL is PLR that proposes mutated levels of the buffer.
 A bandit over level sets observes success and proposes accordingly. Each is one file and its registration.
 """
 
@@ -67,6 +67,7 @@ class Curriculum(abc.ABC):
     observes: bool = False  # sees outcomes after each update
     refreshes: bool = False  # has a curator
     takes_levels: bool = False  # needs `curriculum.levels`
+    sections: tuple[str, ...] = ()  # of `CurriculumConfig` that are its own: the hash of other runs leaves them out
 
     def __init__(self, tools: CurriculumTools) -> None:
         self.tools = tools

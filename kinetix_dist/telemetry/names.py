@@ -75,6 +75,13 @@ _ALL = (
     Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, kept or not"),
     Metric("curriculum/buffer_age", "updates", "updates done since the policy version that scored the buffer"),
     Metric("curriculum/buffer_is_stale", "0 or 1", "1 when a refresh was lost and the previous buffer is still in use"),
+    Metric("curriculum/filled_share", "share", "of the places of the replay buffer, how many hold a level"),
+    Metric(
+        "curriculum/replay_score",
+        "that of curriculum.plr.score",
+        "mean score of the levels in the replay buffer; nan while it is empty",
+    ),
+    Metric("curriculum/replay_age", "updates", "since a level of the replay buffer was last played, mean"),
     Metric("curriculum/scoring_seconds", "s", "how long the scoring of the buffer in use took the curator"),
     # Learner
     Metric("learner/policy_loss", "1", "clipped surrogate loss, mean over gradient steps"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import list_checkpoints
-from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.config import CurriculumConfig, PlrConfig
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -18,6 +18,7 @@ from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, ti
 SAVED_AT, NUM_UPDATES = 3, 5
 CURRICULA = {
     "domain_randomization": CurriculumConfig(name="domain_randomization"),
+    "plr": CurriculumConfig(name="plr", buffer_size=12),
 }
 
 
@@ -54,3 +55,12 @@ def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_pat
         np.testing.assert_equal(_what_was_learned(ours), _what_was_learned(theirs))
     assert_same_bits(final_arrays(tmp_path / "cut"), final_arrays(tmp_path / "unbroken"))
     assert all(np.isfinite(row["learner/policy_loss"]) for row in rows)
+
+
+def test_settings_of_plr_are_part_of_the_hash_of_its_own_runs_alone():
+    def hash_of(name, **plr):
+        curriculum = CurriculumConfig(name=name, plr=PlrConfig(**plr))
+        return dataclasses.replace(tiny_config(num_updates=1), curriculum=curriculum).hash
+
+    assert hash_of("sfl") == hash_of("sfl", staleness=0.5)
+    assert hash_of("plr") != hash_of("plr", staleness=0.5)
