@@ -14,7 +14,7 @@ PRIORITISATIONS = ("rank", "top_k")
 class PlrConfig:
     """Which levels of its buffer Prioritized Level Replay plays again (Jiang et al. 2021, section 3)."""
 
-    score: str = "learnability"  # of `REPLAY_SCORES` in kinetix_dist/curator/replay_scores.py
+    score: str = "max_mc"  # of `REPLAY_SCORES` in kinetix_dist/curator/replay_scores.py
     prioritisation: str = "rank"  # "rank": (1 / rank)^(1 / temperature); "top_k": the best top_k alike, no other
     temperature: float = 0.3  # beta; towards 0 only the best level is played
     top_k: int = 256  # levels

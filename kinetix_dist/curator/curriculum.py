@@ -1,6 +1,7 @@
 """What a curriculum is: it proposes the levels of an update, sees what became of them, and owns its state.
 
     levels of update u   proposal = propose(state, keys of the world groups, numbers of the groups)     on every device
+    where it was played  outcome.summary = summarise(trajectory, last values)               if it `observes`
     after update u       state = observe(state, proposal, outcome)                          if it `observes`
     now and then         refreshed = refresh(params, policy version, key)                   if it `refreshes`
                          state = adopt(state, refreshed)
@@ -27,7 +28,7 @@ from jax2d.scene import Array, Capacity
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.level.level import Level
-from kinetix_dist.messages import LevelOutcome
+from kinetix_dist.messages import LevelOutcome, Trajectory
 
 
 @jax.tree_util.register_dataclass
@@ -49,6 +50,7 @@ class CurriculumTools:
     solves_itself: Callable[[Level], Array]  # [W, ...] -> [W] bool, solved without any action
     play: Callable[[Any, Level, Array, int], LevelOutcome]  # (params, levels, key, steps): episodes of the policy
     load_levels: Callable[[str], Level]  # of a level set or a path, in the run's size
+    advantages: Callable[[Trajectory, Array], Array]  # (trajectory, last values) -> [T, W], the learner's
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
         """[groups * levels_per_group] random levels, group by group, without those that solve themselves."""
@@ -92,6 +94,15 @@ class Curriculum(abc.ABC):
         must depend on the state, on its key and on its number only, so that they do not depend on how groups are
         spread over devices.
         """
+
+    def summarise(self, trajectory: Trajectory, last_value: Array) -> Any:
+        """What `observe` finds in `outcome.summary`: a pytree [W, ...] of what was played, by default nothing.
+
+        trajectory [T, W, ...], last_value [W]: of the worlds of one device, on which it works, inside jit and
+        shard_map. A world's part must depend on that world only. The trajectory itself goes to the learner alone.
+        """
+        del trajectory, last_value
+        return None
 
     def observe(self, state: Any, proposal: Proposal, outcome: LevelOutcome) -> Any:
         """The next state. proposal, outcome: of all worlds of an update, [W, ...], in the order of the groups."""

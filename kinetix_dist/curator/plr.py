@@ -2,6 +2,7 @@
 
     propose   of each group, `buffer_share` of the worlds play levels of the buffer, drawn by `replay_chances`, the
               others fresh ones
+    summarise values, advantages and returns of what was played, for scores
     observe   the score of what was played: levels of the buffer get theirs anew, new levels take places of others
 
 Departures from the paper, which plays one level at a time: an update plays `buffer_share` of its levels from the
@@ -30,10 +31,11 @@ from kinetix_dist.curator.replay_buffer import (
     played_again,
     replay_chances,
     taken_in,
+    with_returns,
 )
-from kinetix_dist.curator.replay_scores import REPLAY_SCORES
+from kinetix_dist.curator.replay_scores import REPLAY_SCORES, ValueSummary, summarise_values
 from kinetix_dist.level.generator import generate_level
-from kinetix_dist.messages import LevelOutcome
+from kinetix_dist.messages import LevelOutcome, Trajectory
 
 
 class Plr(Curriculum):
@@ -78,13 +80,17 @@ class Plr(Curriculum):
         )
         return Proposal(levels=join_by_group(replayed, fresh), tags=join_by_group(*tags))
 
+    def summarise(self, trajectory: Trajectory, last_value: Array) -> ValueSummary:
+        return summarise_values(trajectory, self.tools.advantages(trajectory, last_value))
+
     def observe(self, state: ReplayBuffer, proposal: Proposal, outcome: LevelOutcome) -> ReplayBuffer:
         config, tags = self.tools.config.plr, proposal.tags
         # In the split placement a level may have lost its place since it was proposed.
         is_there = (tags["born"] != NEVER) & (tags["born"] == state.born[tags["place"]])
-        score = REPLAY_SCORES[config.score](outcome)
+        state, best_return = with_returns(state, tags["place"], outcome.summary.max_return, is_there)
+        score = REPLAY_SCORES[config.score](outcome, best_return)
         state = played_again(state, tags["place"], score, is_there)
-        state = taken_in(state, proposal.levels, score, tags["is_new"], config)
+        state = taken_in(state, proposal.levels, score, best_return, tags["is_new"], config)
         return dataclasses.replace(state, num_updates=state.num_updates + 1)
 
     def metrics(self, state: ReplayBuffer, num_updates: int) -> dict[str, Any]:

@@ -32,6 +32,7 @@ class ReplayBuffer:
 
     levels: Level  # [K, ...]
     score: Array  # [K] float32, mean over the worlds that played it when it was last scored
+    best_return: Array  # [K] float32, highest return of an episode that ended on the level, UNKNOWN without one
     born: Array  # [K] int32, number of the update that brought the level, or NEVER
     last_played: Array  # [K] int32, number of the update that last played it
     num_updates: Array  # [] int32, observed so far: the number of the next one
@@ -46,6 +47,7 @@ def empty_buffer(level: Level, size: int) -> ReplayBuffer:
     return ReplayBuffer(
         levels=jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *jnp.shape(x))), level),
         score=jnp.full(size, UNKNOWN, jnp.float32),
+        best_return=jnp.full(size, UNKNOWN, jnp.float32),
         born=jnp.full(size, NEVER, jnp.int32),
         last_played=jnp.zeros(size, jnp.int32),
         num_updates=jnp.zeros((), jnp.int32),
@@ -70,6 +72,16 @@ def replay_chances(buffer: ReplayBuffer, config: PlrConfig) -> Array:
     return (1.0 - config.staleness) * shares(by_score) + config.staleness * shares(by_age)
 
 
+def with_returns(buffer: ReplayBuffer, place: Array, max_return: Array, is_there: Array) -> tuple[ReplayBuffer, Array]:
+    """The buffer with best returns raised by those of this update, and the best return of each world's level [W].
+
+    place, is_there [W]: as in `played_again`; a world elsewhere has its own max_return [W] alone.
+    """
+    into = jnp.where(is_there, place, buffer.score.shape[0])
+    best = buffer.best_return.at[into].max(max_return, mode="drop")
+    return dataclasses.replace(buffer, best_return=best), jnp.where(is_there, best[place], max_return)
+
+
 def played_again(buffer: ReplayBuffer, place: Array, score: Array, is_there: Array) -> ReplayBuffer:
     """New scores of levels that worlds played from the buffer.
 
@@ -86,7 +98,9 @@ def played_again(buffer: ReplayBuffer, place: Array, score: Array, is_there: Arr
     )
 
 
-def taken_in(buffer: ReplayBuffer, levels: Level, score: Array, is_new: Array, config: PlrConfig) -> ReplayBuffer:
+def taken_in(
+    buffer: ReplayBuffer, levels: Level, score: Array, best_return: Array, is_new: Array, config: PlrConfig
+) -> ReplayBuffer:
     """The buffer after new levels (is_new [W]) took places: empty ones first, then the least likely to be played."""
     score = jnp.where(is_new, score, UNKNOWN)
     num_places = min(score.shape[0], buffer.score.shape[0])
@@ -104,6 +118,7 @@ def taken_in(buffer: ReplayBuffer, levels: Level, score: Array, is_new: Array, c
         buffer,
         levels=jax.tree.map(lambda old, new: put(old, new[best]), buffer.levels, levels),
         score=put(buffer.score, score[best]),
+        best_return=put(buffer.best_return, best_return[best]),
         born=put(buffer.born, now),
         last_played=put(buffer.last_played, now),
     )

@@ -12,6 +12,7 @@ from kinetix_dist.curator.config import CurriculumConfig, PlrConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.replay_buffer import empty_buffer
+from kinetix_dist.curator.replay_scores import ValueSummary
 
 GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
 
@@ -36,6 +37,7 @@ def _curriculum(name="plr", **plr):
         solves_itself=unused,
         play=unused,
         load_levels=unused,
+        advantages=unused,
     )
     return curriculum_class(config, PER_GROUP)(tools)
 
@@ -68,7 +70,12 @@ class _Training:
         solved = jax.random.uniform(key, (EPISODES, levels.size)) < levels
         none = no_outcomes(levels.size)
         outcome = dataclasses.replace(
-            none, num_finished=none.num_finished + EPISODES, num_solved=solved.sum(0, dtype=jnp.int32)
+            none,
+            num_finished=none.num_finished + EPISODES,
+            num_solved=solved.sum(0, dtype=jnp.int32),
+            summary=ValueSummary(
+                mean_value=levels, max_return=solved.any(0) * 1.0, positive_value_loss=levels, l1_value_loss=levels
+            ),
         )
         return self.curriculum.observe(state, proposal, outcome)
 
@@ -88,6 +95,13 @@ def test_by_learnability_it_plays_what_is_solved_every_other_time():
 def test_by_failure_it_plays_what_is_hardly_ever_solved(by_failure):
     _, replayed = by_failure.run(40)
     assert replayed.mean() < 0.1
+
+
+def test_by_max_mc_it_plays_what_was_solved_once_and_is_hardly_expected_to_be():
+    """With a value function that is right: R = 1 once solved, V = p. A level that nobody ever solved scores -p < 0."""
+    state, replayed = _Training(score="max_mc", staleness=0.1).run(40)
+    assert 0.02 < np.median(replayed) < 0.25
+    assert (np.asarray(state.best_return) == 1.0).mean() > 0.9
 
 
 def test_the_first_update_repeats_its_fresh_levels_and_takes_them_in_once(by_failure):
@@ -121,7 +135,7 @@ def test_what_became_of_a_level_that_lost_its_place_changes_nothing_of_the_one_t
     ("fields", "message"),
     [
         ({"buffer_share": 1.0}, "buffer_share 1.0 of 8 worlds a group is 8; 'plr' needs worlds of both kinds"),
-        ({"plr": PlrConfig(score="beauty")}, "unknown score of levels 'beauty'; choose one of learnability"),
+        ({"plr": PlrConfig(score="beauty")}, "unknown score of levels 'beauty'; choose one of max_mc"),
     ],
 )
 def test_a_configuration_that_it_cannot_run_with_is_refused(fields, message):

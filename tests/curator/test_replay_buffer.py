@@ -15,6 +15,7 @@ from kinetix_dist.curator.replay_buffer import (
     played_again,
     replay_chances,
     taken_in,
+    with_returns,
 )
 
 
@@ -25,6 +26,7 @@ def _buffer(score, *, last_played=None, born=None, num_updates=10):
     return ReplayBuffer(
         levels=100 + jnp.arange(score.size),
         score=score,
+        best_return=score,
         born=jnp.where(score > UNKNOWN, 0, NEVER) if born is None else jnp.asarray(born),
         last_played=zeros if last_played is None else jnp.asarray(last_played),
         num_updates=jnp.int32(num_updates),
@@ -66,6 +68,14 @@ def test_a_level_gets_the_mean_score_of_the_worlds_that_played_it():
     np.testing.assert_array_equal(after.last_played, [10, 1, 10])
 
 
+def test_the_best_return_of_a_level_is_that_of_all_its_worlds_so_far():
+    buffer = _buffer([0.5, 0.1])  # best returns are the same numbers
+    place, is_there = jnp.array([0, 1, 1, 1]), jnp.array([True, True, True, False])
+    after, of_world = with_returns(buffer, place, jnp.array([0.2, UNKNOWN, 0.7, 0.9]), is_there)
+    np.testing.assert_allclose(after.best_return, [0.5, 0.7])
+    np.testing.assert_allclose(of_world, [0.5, 0.7, 0.7, 0.9])
+
+
 def test_means_by_place_are_those_of_numpy():
     random = np.random.default_rng(0)
     place, value = random.integers(0, 8, 50), random.random(50).astype(np.float32)
@@ -79,23 +89,24 @@ def test_the_best_new_levels_take_empty_places_and_then_those_least_likely_to_be
     config = PlrConfig(staleness=0.0)
     buffer = _buffer([0.5, UNKNOWN, 0.1, 0.3])
     levels, is_new = jnp.arange(5), jnp.array([True, True, True, True, False])
-    after = taken_in(buffer, levels, jnp.array([0.2, 0.6, 0.4, 0.05, 0.9]), is_new, config)
+    after = taken_in(buffer, levels, jnp.array([0.2, 0.6, 0.4, 0.05, 0.9]), jnp.arange(5.0), is_new, config)
     # 0.6 -> the empty place; 0.4 > 0.1; 0.2 < 0.3 stays out, as does what is not new
     np.testing.assert_array_equal(after.levels, [100, 1, 2, 103])
     np.testing.assert_allclose(after.score, [0.5, 0.6, 0.4, 0.3])
+    np.testing.assert_allclose(after.best_return, [0.5, 1.0, 2.0, 0.3])
     np.testing.assert_array_equal(after.born, [0, 10, 10, 0])
 
 
 def test_a_level_that_nobody_played_for_long_is_likely_and_keeps_its_place():
     buffer = _buffer([0.1, 0.2], last_played=[0, 9])
-    after = taken_in(buffer, jnp.arange(1), jnp.array([0.3]), jnp.array([True]), PlrConfig(staleness=0.9))
+    after = taken_in(buffer, jnp.arange(1), jnp.array([0.3]), jnp.zeros(1), jnp.array([True]), PlrConfig(staleness=0.9))
     np.testing.assert_array_equal(after.levels, [100, 0])  # chances: .9 x 10/11 for the old one
 
 
 def test_new_levels_of_which_nothing_is_known_take_no_place():
     buffer = empty_buffer(jnp.zeros((), jnp.int32), 3)
     score = jnp.array([UNKNOWN, jnp.nan])
-    after = taken_in(buffer, jnp.arange(2), score, jnp.ones(2, bool), PlrConfig())
+    after = taken_in(buffer, jnp.arange(2), score, score, jnp.ones(2, bool), PlrConfig())
     assert not after.is_filled.any()
     assert after.score.max() == UNKNOWN
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 
 from jax2d.scene import Array
-from kinetix_dist.actors.unroll import Worlds, unroll
+from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
@@ -97,9 +98,13 @@ class RolloutCore:
             config.rollout.num_steps,
             first_world=groups[0] * worlds_per_group,
         )
-        seen = (proposal, played.outcome) if self._curriculum.observes else None
+        seen = (proposal, self._summarised(played)) if self._curriculum.observes else None
         batch = Batch(prepared.static_obs, played.trajectory, played.last_value)
         return batch, seen, _sums(played.outcome, played.trajectory.rewards)
+
+    def _summarised(self, played: Played) -> LevelOutcome:
+        summary = self._curriculum.summarise(played.trajectory, played.last_value)
+        return dataclasses.replace(played.outcome, summary=summary)
 
 
 def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Any]:
