@@ -203,6 +203,12 @@ class TrainConfig:
         return self.curriculum_class.refreshes
 
     @property
+    def num_trained_envs(self) -> int:
+        """Worlds that the policy learns from, over all devices."""
+        rollout = self.rollout
+        return rollout.num_groups * self.curriculum_class.num_trained(self.curriculum, rollout.worlds_per_group)
+
+    @property
     def curriculum_class(self) -> type[Curriculum]:
         """Raises ValueError for a curriculum that is unknown or cannot run with this configuration."""
         return curriculum_class(self.curriculum, self.rollout.worlds_per_group)

@@ -37,7 +37,7 @@ class PlrConfig:
 class CurriculumConfig:
     """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
 
-    name: str = "sfl"  # "sfl", "plr", "domain_randomization" or "fixed"
+    name: str = "sfl"  # "sfl", "plr", "robust_plr", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
     num_candidates: int = 12288  # N, fresh levels scored in a refresh
     scoring_steps: int = 512  # L, environment steps played on each candidate

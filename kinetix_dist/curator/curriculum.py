@@ -79,6 +79,12 @@ class Curriculum(abc.ABC):
         """Raises ValueError for a configuration that it cannot run with."""
         del config, worlds_per_group
 
+    @classmethod
+    def num_trained(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
+        """Worlds of a group that the policy learns from, the first ones; the others are played and observed only."""
+        del config
+        return worlds_per_group
+
     def init(self) -> Any:
         """The first state, also the shapes and types of later ones; None: it has none.
 

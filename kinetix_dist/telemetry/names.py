@@ -30,7 +30,11 @@ PER_MILLION = "per million physics steps"
 _ALL = (
     # Progress
     Metric("progress/updates", "updates", "policy updates done since the start of the run"),
-    Metric("progress/env_steps", "env steps", "environment steps trained on since the start of the run"),
+    Metric(
+        "progress/env_steps",
+        "env steps",
+        "environment steps played for training since the start of the run, learned from or not",
+    ),
     Metric(
         "progress/seconds", "s", "time spent since the start of the run, earlier sessions of a resumed run included"
     ),

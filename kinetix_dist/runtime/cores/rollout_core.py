@@ -100,11 +100,25 @@ class RolloutCore:
         )
         seen = (proposal, self._summarised(played)) if self._curriculum.observes else None
         batch = Batch(prepared.static_obs, played.trajectory, played.last_value)
+        batch = worlds_trained(batch, self._groups_per_device, config.num_trained_envs // config.rollout.num_groups)
         return batch, seen, _sums(played.outcome, played.trajectory.rewards)
 
     def _summarised(self, played: Played) -> LevelOutcome:
         summary = self._curriculum.summarise(played.trajectory, played.last_value)
         return dataclasses.replace(played.outcome, summary=summary)
+
+
+def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
+    """Of each group the first `kept` worlds, those that the policy learns from."""
+    size = batch.last_value.shape[0] // num_groups
+    if kept == size:
+        return batch
+    world = (jnp.arange(num_groups)[:, None] * size + jnp.arange(kept)).reshape(-1)
+    return Batch(
+        jax.tree.map(lambda x: x[world], batch.static_obs),
+        jax.tree.map(lambda x: x[:, world], batch.trajectory),
+        batch.last_value[world],
+    )
 
 
 def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Any]:
