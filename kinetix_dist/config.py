@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jax2d.settings import preset
-from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.config import OWN_SECTIONS, CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
@@ -203,6 +203,12 @@ class TrainConfig:
         return self.curriculum_class.refreshes
 
     @property
+    def num_trained_envs(self) -> int:
+        """Worlds that the policy learns from, over all devices."""
+        rollout = self.rollout
+        return rollout.num_groups * self.curriculum_class.num_trained(self.curriculum, rollout.worlds_per_group)
+
+    @property
     def curriculum_class(self) -> type[Curriculum]:
         """Raises ValueError for a curriculum that is unknown or cannot run with this configuration."""
         return curriculum_class(self.curriculum, self.rollout.worlds_per_group)
@@ -219,6 +225,9 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     sections = to_dict(config)
     kept = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
     del kept["env"]["effect_groups"]  # a matter of time: engines agree bit for bit within their effects
+    for section in OWN_SECTIONS:
+        if section not in config.curriculum_class.sections:
+            del kept["curriculum"][section]
     return kept | {"run": {"seed": config.run.seed, "policy_lag": config.run.policy_lag}}
 
 

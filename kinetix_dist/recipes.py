@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Callable
 
 from kinetix_dist.config import (
@@ -74,33 +75,32 @@ def tiny() -> TrainConfig:
     )
 
 
-def sfl_s() -> TrainConfig:
-    """The paper's SFL on size S."""
-    return _sfl("s")
+# The curricula of `sfl_s` and its like: the paper's hyperparameters for each size of levels.
+_CURRICULA = {
+    "sfl": CurriculumConfig(),
+    "dr": CurriculumConfig(name="domain_randomization"),
+    "plr": CurriculumConfig(name="plr", buffer_size=4096),
+    "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=4096),
+}
 
 
-def sfl_m() -> TrainConfig:
-    """The paper's SFL on size M."""
-    return _sfl("m")
-
-
-def sfl_l() -> TrainConfig:
-    """The paper's SFL on size L."""
-    return _sfl("l")
-
-
-def _sfl(size: str) -> TrainConfig:
+def _paper(curriculum: str, size: str) -> TrainConfig:
     """Hyperparameters of the paper, activations in bfloat16; ends after 1 B environment steps unless told otherwise."""
     return TrainConfig(
         env=EnvConfig(size=size),
         policy=PolicyConfig(dtype="bfloat16"),
+        # Robust PLR learns from half of the worlds: as many samples in a minibatch.
+        ppo=PpoConfig(minibatches=16) if curriculum == "robust_plr" else PpoConfig(),
+        curriculum=_CURRICULA[curriculum],
         evaluation=EvaluationConfig(sets=(f"random_{size}", f"designed_{size}")),
-        run=RunConfig(name=f"sfl_{size}", total_env_steps=1_000_000_000, device="gpu", checkpoint_every=100),
+        run=RunConfig(name=f"{curriculum}_{size}", total_env_steps=1_000_000_000, device="gpu", checkpoint_every=100),
     )
 
 
 RECIPES: dict[str, Callable[[], TrainConfig]] = {
-    function.__name__: function for function in (quickstart, single_level, sfl_s, sfl_m, sfl_l, tiny)
+    **{function.__name__: function for function in (quickstart, single_level)},
+    **{f"{name}_{size}": functools.partial(_paper, name, size) for name in _CURRICULA for size in "sml"},
+    "tiny": tiny,
 }
 
 

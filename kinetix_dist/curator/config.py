@@ -6,12 +6,38 @@ import dataclasses
 
 from kinetix_dist.level.generator_config import GeneratorConfig
 
+OWN_SECTIONS = ("plr",)  # of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`
+PRIORITISATIONS = ("rank", "top_k")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlrConfig:
+    """Which levels of its buffer Prioritized Level Replay plays again (Jiang et al. 2021, section 3)."""
+
+    score: str = "max_mc"  # of `REPLAY_SCORES` in kinetix_dist/curator/replay_scores.py
+    prioritisation: str = "rank"  # "rank": (1 / rank)^(1 / temperature); "top_k": the best top_k alike, no other
+    temperature: float = 0.3  # beta; towards 0 only the best level is played
+    top_k: int = 256  # levels
+    staleness: float = 0.3  # rho, share of the draws by how long ago a level was played
+
+    def __post_init__(self) -> None:
+        if self.prioritisation not in PRIORITISATIONS:
+            raise ValueError(
+                f"PlrConfig.prioritisation is {self.prioritisation!r}; choose from {', '.join(PRIORITISATIONS)}"
+            )
+        if not self.temperature > 0:
+            raise ValueError(f"PlrConfig.temperature is {self.temperature}; it must be positive")
+        if self.top_k < 1:
+            raise ValueError(f"PlrConfig.top_k is {self.top_k}; it must be 1 or more")
+        if not 0.0 <= self.staleness <= 1.0:
+            raise ValueError(f"PlrConfig.staleness is {self.staleness}; it must be from 0 to 1")
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
 
-    name: str = "sfl"  # "sfl", "domain_randomization" or "fixed"
+    name: str = "sfl"  # "sfl", "plr", "robust_plr", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
     num_candidates: int = 12288  # N, fresh levels scored in a refresh
     scoring_steps: int = 512  # L, environment steps played on each candidate
@@ -20,6 +46,7 @@ class CurriculumConfig:
     adopt_after: int = 4  # updates from the request of a refresh to its adoption, while scoring is free
     buffer_size: int = 1024  # K, levels kept
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
+    plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
 
     def __post_init__(self) -> None:

@@ -3,6 +3,8 @@
 | name | levels of an update |
 |---|---|
 | `sfl` | a share from a buffer of learnable levels, the rest fresh from the generator |
+| `plr` | a share from a buffer of levels of high score, by rank and staleness, the rest fresh |
+| `robust_plr` | the same; fresh levels give no gradient |
 | `domain_randomization` | all fresh from the generator |
 | `fixed` | a given set, spread evenly |
 """
@@ -13,11 +15,15 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.curator.domain_randomization import DomainRandomization
 from kinetix_dist.curator.fixed import Fixed
+from kinetix_dist.curator.plr import Plr
+from kinetix_dist.curator.robust_plr import RobustPlr
 from kinetix_dist.curator.sfl import Sfl
 from kinetix_dist.registry import Registry
 
 CURRICULA: Registry[type[Curriculum]] = Registry("curriculum")
 CURRICULA.register("sfl", Sfl)
+CURRICULA.register("plr", Plr)
+CURRICULA.register("robust_plr", RobustPlr)
 CURRICULA.register("domain_randomization", DomainRandomization)
 CURRICULA.register("fixed", Fixed)
 

@@ -1,6 +1,7 @@
 """What a curriculum is: it proposes the levels of an update, sees what became of them, and owns its state.
 
     levels of update u   proposal = propose(state, keys of the world groups, numbers of the groups)     on every device
+    where it was played  outcome.summary = summarise(trajectory, last values)               if it `observes`
     after update u       state = observe(state, proposal, outcome)                          if it `observes`
     now and then         refreshed = refresh(params, policy version, key)                   if it `refreshes`
                          state = adopt(state, refreshed)
@@ -9,8 +10,8 @@
 its result adopted at an update that is fixed beforehand. The state is one pytree of arrays, the same on all devices;
 checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
 
-How others are written: PLR keeps a buffer of levels with scores as its state, proposes some of it and some fresh
-levels, and puts scores of what was played into `observe`. ACCEL is PLR that proposes mutated levels of the buffer.
+How others are written: `plr.py` keeps a buffer of levels with scores as its state, proposes some of it and some fresh
+levels, and scores what was played in `observe`. ACCEL is PLR that proposes mutated levels of the buffer.
 A bandit over level sets observes success and proposes accordingly. Each is one file and its registration.
 """
 
@@ -27,7 +28,7 @@ from jax2d.scene import Array, Capacity
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.level.level import Level
-from kinetix_dist.messages import LevelOutcome
+from kinetix_dist.messages import LevelOutcome, Trajectory
 
 
 @jax.tree_util.register_dataclass
@@ -49,6 +50,7 @@ class CurriculumTools:
     solves_itself: Callable[[Level], Array]  # [W, ...] -> [W] bool, solved without any action
     play: Callable[[Any, Level, Array, int], LevelOutcome]  # (params, levels, key, steps): episodes of the policy
     load_levels: Callable[[str], Level]  # of a level set or a path, in the run's size
+    advantages: Callable[[Trajectory, Array], Array]  # (trajectory, last values) -> [T, W], the learner's
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
         """[groups * levels_per_group] random levels, group by group, without those that solve themselves."""
@@ -67,6 +69,7 @@ class Curriculum(abc.ABC):
     observes: bool = False  # sees outcomes after each update
     refreshes: bool = False  # has a curator
     takes_levels: bool = False  # needs `curriculum.levels`
+    sections: tuple[str, ...] = ()  # of `CurriculumConfig` that are its own: the hash of other runs leaves them out
 
     def __init__(self, tools: CurriculumTools) -> None:
         self.tools = tools
@@ -75,6 +78,12 @@ class Curriculum(abc.ABC):
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
         """Raises ValueError for a configuration that it cannot run with."""
         del config, worlds_per_group
+
+    @classmethod
+    def num_trained(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
+        """Worlds of a group that the policy learns from, the first ones; the others are played and observed only."""
+        del config
+        return worlds_per_group
 
     def init(self) -> Any:
         """The first state, also the shapes and types of later ones; None: it has none.
@@ -91,6 +100,15 @@ class Curriculum(abc.ABC):
         must depend on the state, on its key and on its number only, so that they do not depend on how groups are
         spread over devices.
         """
+
+    def summarise(self, trajectory: Trajectory, last_value: Array) -> Any:
+        """What `observe` finds in `outcome.summary`: a pytree [W, ...] of what was played, by default nothing.
+
+        trajectory [T, W, ...], last_value [W]: of the worlds of one device, on which it works, inside jit and
+        shard_map. A world's part must depend on that world only. The trajectory itself goes to the learner alone.
+        """
+        del trajectory, last_value
+        return None
 
     def observe(self, state: Any, proposal: Proposal, outcome: LevelOutcome) -> Any:
         """The next state. proposal, outcome: of all worlds of an update, [W, ...], in the order of the groups."""

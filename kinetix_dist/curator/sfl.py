@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.curator.level_buffer import LevelBuffer, buffer_metrics, draw, keep_best
@@ -54,12 +55,8 @@ class Sfl(Curriculum):
         if num_buffered:
             parts.append(jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0]))
         if num_fresh:
-            fresh = self.tools.draw_fresh(split[:, 1], num_fresh)
-            parts.append(jax.tree.map(lambda x: x.reshape(num_groups, num_fresh, *x.shape[1:]), fresh))
-        levels = jax.tree.map(
-            lambda *xs: jnp.concatenate(xs, axis=1).reshape(num_groups * size, *xs[0].shape[2:]), *parts
-        )
-        return Proposal(levels=levels)
+            parts.append(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups))
+        return Proposal(levels=join_by_group(*parts))
 
     def refresh(self, params: Any, policy_version: int, key: Array) -> LevelBuffer:
         """A new buffer of candidates scored by `params`; the whole previous one is replaced."""
@@ -81,14 +78,3 @@ class Sfl(Curriculum):
         levels, num_solved, num_finished = jax.tree.map(lambda *xs: jnp.concatenate(xs), *parts)
         size = self.tools.config.buffer_size
         return keep_best(levels, num_solved, num_finished, size=size, policy_version=policy_version)
-
-
-def num_from_buffer(config: CurriculumConfig, worlds_per_group: int) -> int:
-    """Worlds of a group that play levels of the buffer; raises where the share is not a whole number of worlds."""
-    exact = config.buffer_share * worlds_per_group
-    if abs(exact - round(exact)) > 1e-6:
-        raise ValueError(
-            f"buffer_share {config.buffer_share} of {worlds_per_group} worlds a group is {exact:g}, no whole number; "
-            "change buffer_share or the number of environments"
-        )
-    return round(exact)

@@ -30,7 +30,11 @@ PER_MILLION = "per million physics steps"
 _ALL = (
     # Progress
     Metric("progress/updates", "updates", "policy updates done since the start of the run"),
-    Metric("progress/env_steps", "env steps", "environment steps trained on since the start of the run"),
+    Metric(
+        "progress/env_steps",
+        "env steps",
+        "environment steps played for training since the start of the run, learned from or not",
+    ),
     Metric(
         "progress/seconds", "s", "time spent since the start of the run, earlier sessions of a resumed run included"
     ),
@@ -75,6 +79,13 @@ _ALL = (
     Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, kept or not"),
     Metric("curriculum/buffer_age", "updates", "updates done since the policy version that scored the buffer"),
     Metric("curriculum/buffer_is_stale", "0 or 1", "1 when a refresh was lost and the previous buffer is still in use"),
+    Metric("curriculum/filled_share", "share", "of the places of the replay buffer, how many hold a level"),
+    Metric(
+        "curriculum/replay_score",
+        "that of curriculum.plr.score",
+        "mean score of the levels in the replay buffer; nan while it is empty",
+    ),
+    Metric("curriculum/replay_age", "updates", "since a level of the replay buffer was last played, mean"),
     Metric("curriculum/scoring_seconds", "s", "how long the scoring of the buffer in use took the curator"),
     # Learner
     Metric("learner/policy_loss", "1", "clipped surrogate loss, mean over gradient steps"),

@@ -31,6 +31,7 @@ def _propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fi
         solves_itself=noop_solved,
         play=play,
         load_levels=lambda name: fixed_levels,
+        advantages=play,
     )
     curriculum = curriculum_class(config, PER_GROUP)(tools)
     groups = jnp.asarray(groups)

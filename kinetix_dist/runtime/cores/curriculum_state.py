@@ -16,10 +16,11 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.noop import noop_solved
+from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.sharding import local_values, replicate, replicated
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
-from kinetix_dist.messages import LevelOutcome
+from kinetix_dist.messages import LevelOutcome, Trajectory
 from kinetix_dist.runtime.cores.stored import CURRICULUM
 
 
@@ -29,6 +30,10 @@ def make_curriculum(config: TrainConfig, env: Environment, policy: Any) -> Curri
     def play(params: Any, levels: Level, key: Array, num_steps: int) -> LevelOutcome:
         return score(policy, params, env, env.prepare(levels), key, num_steps)
 
+    def advantages(trajectory: Trajectory, last_value: Array) -> Array:
+        rewards, values, done_after = trajectory.rewards, trajectory.values, trajectory.done_after
+        return gae(rewards, values, done_after, last_value, discount=config.ppo.discount, trace=config.ppo.trace)
+
     tools = CurriculumTools(
         config=config.curriculum,
         capacity=env.capacity,
@@ -36,6 +41,7 @@ def make_curriculum(config: TrainConfig, env: Environment, policy: Any) -> Curri
         solves_itself=lambda levels: noop_solved(env, levels),
         play=play,
         load_levels=lambda name: load_level_set(name, config.env.size)[0],
+        advantages=advantages,
     )
     return config.curriculum_class(tools)
 

@@ -27,7 +27,7 @@ class LearnerCore:
 
     def __init__(self, config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> None:
         config.ppo.check_batch(
-            num_steps=config.rollout.num_steps, num_worlds=config.rollout.num_envs, num_devices=mesh.devices.size
+            num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs, num_devices=mesh.devices.size
         )
         self._config = config
         self._mesh = mesh

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 
 from jax2d.scene import Array
-from kinetix_dist.actors.unroll import Worlds, unroll
+from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
@@ -97,9 +98,27 @@ class RolloutCore:
             config.rollout.num_steps,
             first_world=groups[0] * worlds_per_group,
         )
-        seen = (proposal, played.outcome) if self._curriculum.observes else None
+        seen = (proposal, self._summarised(played)) if self._curriculum.observes else None
         batch = Batch(prepared.static_obs, played.trajectory, played.last_value)
+        batch = worlds_trained(batch, self._groups_per_device, config.num_trained_envs // config.rollout.num_groups)
         return batch, seen, _sums(played.outcome, played.trajectory.rewards)
+
+    def _summarised(self, played: Played) -> LevelOutcome:
+        summary = self._curriculum.summarise(played.trajectory, played.last_value)
+        return dataclasses.replace(played.outcome, summary=summary)
+
+
+def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
+    """Of each group the first `kept` worlds, those that the policy learns from."""
+    size = batch.last_value.shape[0] // num_groups
+    if kept == size:
+        return batch
+    world = (jnp.arange(num_groups)[:, None] * size + jnp.arange(kept)).reshape(-1)
+    return Batch(
+        jax.tree.map(lambda x: x[world], batch.static_obs),
+        jax.tree.map(lambda x: x[:, world], batch.trajectory),
+        batch.last_value[world],
+    )
 
 
 def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Any]:

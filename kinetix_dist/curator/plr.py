@@ -1,0 +1,104 @@
+"""Prioritized Level Replay (Jiang et al. 2021): levels are played again by what training saw of them.
+
+    propose   of each group, `buffer_share` of the worlds play levels of the buffer, drawn by `replay_chances`, the
+              others fresh ones
+    summarise values, advantages and returns of what was played, for scores
+    observe   the score of what was played: levels of the buffer get theirs anew, new levels take places of others
+
+Departures from the paper, which plays one level at a time: an update plays `buffer_share` of its levels from the
+buffer, where the paper decides by chance for each; age counts updates, not episodes; and replay begins when the buffer
+has any level. Before that, in the first update (the first two in the split placement), the worlds of the buffer repeat
+the fresh levels of their group.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array
+from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.curriculum import Curriculum, Proposal
+from kinetix_dist.curator.replay_buffer import (
+    NEVER,
+    ReplayBuffer,
+    empty_buffer,
+    played_again,
+    replay_chances,
+    taken_in,
+    with_returns,
+)
+from kinetix_dist.curator.replay_scores import REPLAY_SCORES, ValueSummary, summarise_values
+from kinetix_dist.level.generator import generate_level
+from kinetix_dist.messages import LevelOutcome, Trajectory
+
+
+class Plr(Curriculum):
+    """Its state is the `ReplayBuffer`. Tags: place in the buffer, `born` of the level there, whether it is new."""
+
+    observes = True
+    sections = ("plr",)
+
+    @classmethod
+    def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
+        num_replayed = num_from_buffer(config, worlds_per_group)
+        if not 0 < num_replayed < worlds_per_group:
+            raise ValueError(
+                f"buffer_share {config.buffer_share} of {worlds_per_group} worlds a group is {num_replayed}; "
+                f"{config.name!r} needs worlds of both kinds, the others bring the levels of its buffer"
+            )
+        _ = REPLAY_SCORES[config.plr.score]  # raises for an unknown one
+
+    def init(self) -> ReplayBuffer:
+        level = generate_level(jax.random.key(0), self.tools.capacity, self.tools.config.generator)
+        return empty_buffer(level, self.tools.config.buffer_size)
+
+    def propose(self, state: ReplayBuffer, group_keys: Array, groups: Array) -> Proposal:
+        """A group's worlds are those of the buffer first, then the fresh ones."""
+        del groups
+        size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
+        num_replayed = num_from_buffer(self.tools.config, size)
+        split = jax.vmap(jax.random.split)(group_keys)
+        fresh = by_group(self.tools.draw_fresh(split[:, 1], size - num_replayed), num_groups)
+
+        log_chances, shape = jnp.log(replay_chances(state, self.tools.config.plr)), (num_replayed,)
+        place = jax.vmap(lambda key: jax.random.categorical(key, log_chances, shape=shape))(split[:, 0])
+        is_empty = ~state.is_filled.any()
+        repeated = jnp.arange(num_replayed) % (size - num_replayed)
+        replayed = jax.tree.map(
+            lambda buffered, new: jnp.where(is_empty, new[:, repeated], buffered[place]), state.levels, fresh
+        )
+        no_place = jnp.zeros((num_groups, size - num_replayed), jnp.int32)
+        tags = (
+            {"place": place.astype(jnp.int32), "born": state.born[place], "is_new": jnp.zeros(place.shape, bool)},
+            {"place": no_place, "born": no_place + NEVER, "is_new": jnp.ones(no_place.shape, bool)},
+        )
+        return Proposal(levels=join_by_group(replayed, fresh), tags=join_by_group(*tags))
+
+    def summarise(self, trajectory: Trajectory, last_value: Array) -> ValueSummary:
+        return summarise_values(trajectory, self.tools.advantages(trajectory, last_value))
+
+    def observe(self, state: ReplayBuffer, proposal: Proposal, outcome: LevelOutcome) -> ReplayBuffer:
+        config, tags = self.tools.config.plr, proposal.tags
+        # In the split placement a level may have lost its place since it was proposed.
+        is_there = (tags["born"] != NEVER) & (tags["born"] == state.born[tags["place"]])
+        state, best_return = with_returns(state, tags["place"], outcome.summary.max_return, is_there)
+        score = REPLAY_SCORES[config.score](outcome, best_return)
+        state = played_again(state, tags["place"], score, is_there)
+        state = taken_in(state, proposal.levels, score, best_return, tags["is_new"], config)
+        return dataclasses.replace(state, num_updates=state.num_updates + 1)
+
+    def metrics(self, state: ReplayBuffer, num_updates: int) -> dict[str, Any]:
+        del num_updates
+        is_filled = np.asarray(state.is_filled)
+        score, age = np.asarray(state.score)[is_filled], np.asarray(state.num_updates - state.last_played)[is_filled]
+        return {
+            "curriculum/filled_share": is_filled.mean(),
+            "curriculum/replay_score": score.mean() if score.size else np.nan,
+            "curriculum/replay_age": age.mean() if age.size else np.nan,
+        }

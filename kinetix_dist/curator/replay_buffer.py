@@ -1,0 +1,145 @@
+"""The buffer of Prioritized Level Replay (Jiang et al. 2021, section 3) and the chances with which it is drawn from.
+
+P(i) = (1 - staleness) P_score(i) + staleness P_stale(i)
+P_score(i) ~ (1 / rank_i)^(1 / temperature)      rank 1 has the highest score; or alike for the `top_k` best
+P_stale(i) ~ c - C_i                             c: now, C_i: when level i was last played, in updates
+
+All worlds of an update are seen at once: first the levels that were played again get their new scores, then new levels
+take the places of the least likely ones, the best new one against the least likely old one and so on, each where its
+score is higher. Nothing is added by scattering, which GPUs do in any order: an update that is repeated gives the same
+bits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+from kinetix_dist.curator.config import PlrConfig
+from kinetix_dist.curator.replay_scores import UNKNOWN
+from kinetix_dist.level.level import Level
+
+NEVER = -1  # `born` of a place that holds no level yet
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReplayBuffer:
+    """`K` places for levels."""
+
+    levels: Level  # [K, ...]
+    score: Array  # [K] float32, mean over the worlds that played it when it was last scored
+    best_return: Array  # [K] float32, highest return of an episode that ended on the level, UNKNOWN without one
+    born: Array  # [K] int32, number of the update that brought the level, or NEVER
+    last_played: Array  # [K] int32, number of the update that last played it
+    num_updates: Array  # [] int32, observed so far: the number of the next one
+
+    @property
+    def is_filled(self) -> Array:
+        return self.born != NEVER
+
+
+def empty_buffer(level: Level, size: int) -> ReplayBuffer:
+    """level: any, for shapes and types."""
+    return ReplayBuffer(
+        levels=jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *jnp.shape(x))), level),
+        score=jnp.full(size, UNKNOWN, jnp.float32),
+        best_return=jnp.full(size, UNKNOWN, jnp.float32),
+        born=jnp.full(size, NEVER, jnp.int32),
+        last_played=jnp.zeros(size, jnp.int32),
+        num_updates=jnp.zeros((), jnp.int32),
+    )
+
+
+def replay_chances(buffer: ReplayBuffer, config: PlrConfig) -> Array:
+    """[K] float32, adding up to 1; all zero while the buffer is empty. Equal scores rank in the order of places."""
+    order = jnp.argsort(-buffer.score, stable=True)  # places without a level come last
+    places = jnp.arange(1, order.size + 1)
+    rank = jnp.zeros_like(order).at[order].set(places, unique_indices=True)
+    if config.prioritisation == "rank":
+        by_score = (1.0 / rank) ** (1.0 / config.temperature)
+    else:
+        by_score = (rank <= config.top_k).astype(jnp.float32)
+    by_age = (buffer.num_updates - buffer.last_played).astype(jnp.float32)  # at least 1
+
+    def shares(weight: Array) -> Array:
+        weight = jnp.where(buffer.is_filled, weight, 0.0)
+        return weight / jnp.maximum(weight.sum(), jnp.finfo(jnp.float32).tiny)
+
+    return (1.0 - config.staleness) * shares(by_score) + config.staleness * shares(by_age)
+
+
+def with_returns(buffer: ReplayBuffer, place: Array, max_return: Array, is_there: Array) -> tuple[ReplayBuffer, Array]:
+    """The buffer with best returns raised by those of this update, and the best return of each world's level [W].
+
+    place, is_there [W]: as in `played_again`; a world elsewhere has its own max_return [W] alone.
+    """
+    into = jnp.where(is_there, place, buffer.score.shape[0])
+    best = buffer.best_return.at[into].max(max_return, mode="drop")
+    return dataclasses.replace(buffer, best_return=best), jnp.where(is_there, best[place], max_return)
+
+
+def played_again(buffer: ReplayBuffer, place: Array, score: Array, is_there: Array) -> ReplayBuffer:
+    """New scores of levels that worlds played from the buffer.
+
+    place [W]: of the level of each world; score [W]; is_there [W] bool: the world played the level that is in that
+    place now. A level that all its worlds say nothing of (UNKNOWN) keeps its score.
+    """
+    size = buffer.score.shape[0]
+    played = jnp.where(is_there, place, size)
+    mean, is_known = mean_by_place(jnp.where(score > UNKNOWN, played, size), score, size)
+    return dataclasses.replace(
+        buffer,
+        score=jnp.where(is_known, mean, buffer.score),
+        last_played=buffer.last_played.at[played].max(buffer.num_updates, mode="drop"),
+    )
+
+
+def taken_in(
+    buffer: ReplayBuffer, levels: Level, score: Array, best_return: Array, is_new: Array, config: PlrConfig
+) -> ReplayBuffer:
+    """The buffer after new levels (is_new [W]) took places: empty ones first, then the least likely to be played."""
+    score = jnp.where(is_new, score, UNKNOWN)
+    num_places = min(score.shape[0], buffer.score.shape[0])
+    best = jnp.argsort(-score, stable=True)[:num_places]
+    chance = jnp.where(buffer.is_filled, replay_chances(buffer, config), -1.0)
+    place = jnp.argsort(chance, stable=True)[:num_places]
+    takes = score[best] > buffer.score[place]
+
+    def put(old: Array, new: Array) -> Array:
+        chosen = jnp.where(takes.reshape(-1, *[1] * (old.ndim - 1)), new, old[place])
+        return old.at[place].set(chosen, unique_indices=True)
+
+    now = jnp.full(num_places, buffer.num_updates)
+    return dataclasses.replace(
+        buffer,
+        levels=jax.tree.map(lambda old, new: put(old, new[best]), buffer.levels, levels),
+        score=put(buffer.score, score[best]),
+        best_return=put(buffer.best_return, best_return[best]),
+        born=put(buffer.born, now),
+        last_played=put(buffer.last_played, now),
+    )
+
+
+def mean_by_place(place: Array, value: Array, size: int) -> tuple[Array, Array]:
+    """Means of the values [W] of each place, [size], and whether it had any. A place of `size` is none.
+
+    Values are added in the order of worlds: a scatter that adds would do so in any order on a GPU.
+    """
+    order = jnp.argsort(place, stable=True)
+    place = place[order]
+
+    def add(left: tuple[Array, ...], right: tuple[Array, ...]) -> tuple[Array, ...]:
+        is_same = left[0] == right[0]
+        total, count = (jnp.where(is_same, a + b, b) for a, b in zip(left[1:], right[1:], strict=True))
+        return right[0], total, count
+
+    value = jnp.where(place < size, value[order], 0.0)
+    _, total, count = jax.lax.associative_scan(add, (place, value, jnp.ones_like(value)))
+    is_last = jnp.append(place[1:] != place[:-1], True)
+    into = jnp.where(is_last, place, size)
+    mean = jnp.zeros(size, value.dtype).at[into].set(total / count, mode="drop")
+    return mean, jnp.zeros(size, bool).at[into].set(True, mode="drop")

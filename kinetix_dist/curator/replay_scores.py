@@ -1,0 +1,97 @@
+"""What Prioritized Level Replay ranks levels by, `curriculum.plr.score`: a function of what an update saw of a level.
+
+| name | score of a level | source |
+|---|---|---|
+| `max_mc` | mean over steps of R - V(s_t), R: highest return of an episode of this level so far | Jiang et al. 2021b |
+| `positive_value_loss` | mean over steps of max(A_t, 0), A_t: advantages (GAE) of the learner | Jiang et al. 2021b |
+| `l1_value_loss` | mean over steps of abs(A_t) | Jiang et al. 2021a |
+| `learnability` | p (1 - p), p = solved / finished episodes | Rutherford et al. 2024 |
+| `failure` | 1 - p: levels that are never solved come first | |
+
+2021a: Prioritized Level Replay; 2021b: Replay-Guided Adversarial Environment Design. R is not discounted, V(s_t) is, as
+in published code. All steps of an update count, those of an episode that did not end within it too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+from kinetix_dist.curator.scores import learnability, solve_rate
+from kinetix_dist.messages import LevelOutcome, Trajectory
+from kinetix_dist.registry import Registry
+
+UNKNOWN = -jnp.inf  # the score of a level of which nothing is known: below all others
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ValueSummary:
+    """What a trajectory says of each world."""
+
+    mean_value: Array  # [W] float32, of the value function, over all steps
+    max_return: Array  # [W] float32, highest undiscounted return of an episode that ended, UNKNOWN without one
+    positive_value_loss: Array  # [W] float32
+    l1_value_loss: Array  # [W] float32
+
+
+def summarise_values(trajectory: Trajectory, advantages: Array) -> ValueSummary:
+    """advantages [T, W]: of the steps of the trajectory, which begins with an episode."""
+
+    def step(carry: tuple[Array, Array], at: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
+        so_far, highest = carry
+        reward, done = at
+        so_far = so_far + reward
+        highest = jnp.where(done, jnp.maximum(highest, so_far), highest)
+        return (jnp.where(done, 0.0, so_far), highest), None
+
+    zero = jnp.zeros_like(trajectory.rewards[0])
+    (_, max_return), _ = jax.lax.scan(step, (zero, zero + UNKNOWN), (trajectory.rewards, trajectory.done_after))
+    return ValueSummary(
+        mean_value=trajectory.values.mean(axis=0),
+        max_return=max_return,
+        positive_value_loss=jnp.maximum(advantages, 0.0).mean(axis=0),
+        l1_value_loss=jnp.abs(advantages).mean(axis=0),
+    )
+
+
+# (outcome, with a ValueSummary; best_return [W]: R of the level of each world, this update's episodes included, UNKNOWN
+# where none ended yet) -> [W] float32, UNKNOWN where nothing was seen
+ReplayScore = Callable[[LevelOutcome, Array], Array]
+
+REPLAY_SCORES: Registry[ReplayScore] = Registry("score of levels")
+
+
+def _max_mc(outcome: LevelOutcome, best_return: Array) -> Array:
+    return best_return - outcome.summary.mean_value
+
+
+def _positive_value_loss(outcome: LevelOutcome, best_return: Array) -> Array:
+    del best_return
+    return outcome.summary.positive_value_loss
+
+
+def _l1_value_loss(outcome: LevelOutcome, best_return: Array) -> Array:
+    del best_return
+    return outcome.summary.l1_value_loss
+
+
+def _learnability(outcome: LevelOutcome, best_return: Array) -> Array:
+    del best_return
+    return jnp.where(outcome.num_finished > 0, learnability(outcome.num_solved, outcome.num_finished), UNKNOWN)
+
+
+def _failure(outcome: LevelOutcome, best_return: Array) -> Array:
+    del best_return
+    return jnp.where(outcome.num_finished > 0, 1.0 - solve_rate(outcome.num_solved, outcome.num_finished), UNKNOWN)
+
+
+REPLAY_SCORES.register("max_mc", _max_mc)
+REPLAY_SCORES.register("positive_value_loss", _positive_value_loss)
+REPLAY_SCORES.register("l1_value_loss", _l1_value_loss)
+REPLAY_SCORES.register("learnability", _learnability)
+REPLAY_SCORES.register("failure", _failure)

@@ -1,0 +1,90 @@
+"""Runs with the curricula beside SFL: cut and resumed in the split placement, to the same bits."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+
+from kinetix_dist.checkpoint import list_checkpoints
+from kinetix_dist.curator.config import CurriculumConfig, PlrConfig
+from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained
+from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.split import SplitTrainer
+from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.placement import plan
+from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
+
+SAVED_AT, NUM_UPDATES = 3, 5
+CURRICULA = {
+    "domain_randomization": CurriculumConfig(name="domain_randomization"),
+    "plr": CurriculumConfig(name="plr", buffer_size=12),
+    "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=12),
+}
+IN_MAKE_TEST = "plr"  # it keeps as much as any; its learner is compiled for other tests too
+
+
+def _config(name, **run):
+    config = tiny_config(num_updates=NUM_UPDATES, **run)
+    env = dataclasses.replace(config.env, max_steps=5)  # so that episodes end within an update of 8 steps
+    return dataclasses.replace(config, env=env, curriculum=CURRICULA[name])
+
+
+def _train(config, path, *, resume):
+    """Rows of metrics."""
+    run = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
+    run.write_json(run.config_path, {})
+    reporter = QuietReporter()
+    trainer = SplitTrainer(config, LocalBackend(), plan(config, num_gpus=0))
+    controller = Controller(config, run, trainer, None, reporter)
+    controller.restore(resume=resume)
+    controller.train()
+    run.close()
+    return reporter.rows
+
+
+def _what_was_learned(row):
+    return {name: value for name, value in row.items() if name.startswith(("train/", "learner/", "curriculum/"))}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == IN_MAKE_TEST else pytest.mark.slow) for name in CURRICULA]
+)
+def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_path):
+    """In the split placement: what was in flight at the checkpoint is played again from the state that proposed it."""
+    config = _config(name, placement="split", checkpoint_every=SAVED_AT)
+    rows = _train(config, tmp_path / "unbroken", resume=False)
+    shutil.copytree(tmp_path / "unbroken", tmp_path / "cut")
+    saved, last = list_checkpoints(tmp_path / "cut" / "checkpoints")
+    assert int(saved.name) == SAVED_AT
+    shutil.rmtree(last)
+    resumed = _train(config, tmp_path / "cut", resume=True)
+    for ours, theirs in zip(resumed, rows[SAVED_AT:], strict=True):
+        np.testing.assert_equal(_what_was_learned(ours), _what_was_learned(theirs))
+    assert_same_bits(final_arrays(tmp_path / "cut"), final_arrays(tmp_path / "unbroken"))
+    if name != "domain_randomization":
+        assert (final_arrays(tmp_path / "cut")["curriculum/born"] > 0).any()  # of updates after the first
+    learned_from, _ = final_arrays(tmp_path / "cut")["learner/env_steps"]
+    assert learned_from == NUM_UPDATES * config.rollout.num_steps * config.num_trained_envs
+    assert all(np.isfinite(row["learner/policy_loss"]) for row in rows)
+
+
+def test_settings_of_plr_are_part_of_the_hash_of_its_own_runs_alone():
+    def hash_of(name, **plr):
+        curriculum = CurriculumConfig(name=name, plr=PlrConfig(**plr))
+        return dataclasses.replace(tiny_config(num_updates=1), curriculum=curriculum).hash
+
+    assert hash_of("sfl") == hash_of("sfl", staleness=0.5)
+    assert hash_of("plr") != hash_of("plr", staleness=0.5)
+
+
+def test_the_learner_gets_the_first_worlds_of_each_group_where_a_curriculum_says_so():
+    """Robust PLR: two groups of 4 worlds, half of them of the buffer."""
+    assert _config("robust_plr").num_trained_envs * 2 == _config("plr").num_trained_envs == 16
+    world = np.arange(8)
+    batch = worlds_trained(Batch({"static": world}, {"step": world + np.array([[0], [100]])}, world), 2, 2)
+    kept = np.array([0, 1, 4, 5])
+    np.testing.assert_array_equal(batch.static_obs["static"], kept)
+    np.testing.assert_array_equal(batch.trajectory["step"], [kept, kept + 100])
+    np.testing.assert_array_equal(batch.last_value, kept)
