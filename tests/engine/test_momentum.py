@@ -69,7 +69,8 @@ def jointed(kind: str, links: int = 2) -> Build:
             else:
                 limits = (-0.5, 0.5) if kind == "limits" else None
                 speed = 1.0 if kind == "motor" else None
-                b.add_revolute_joint(*ends, at=at, limits=limits, motor_speed=speed, motor_power=2.0)
+                motor = {} if speed is None else {"motor_speed": speed, "motor_power": 2.0}
+                b.add_revolute_joint(*ends, at=at, limits=limits, **motor)
 
     return build
 
