@@ -31,7 +31,7 @@ from jax2d.xla.contact_solver import (
     surface_work,
     with_impulses,
 )
-from jax2d.xla.contacts import Contacts
+from jax2d.xla.contacts import Contacts, hits
 from jax2d.xla.impact_propagation import skips_bounces
 from jax2d.xla.joints import Joints
 from jax2d.xla.rules import Rules
@@ -219,8 +219,7 @@ def update_secant_mass(
 
 def leaving_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, params: SolverNumbers) -> jax.Array:
     """Speed with which what hit in this step must leave, [K] m/s; 0 where nothing bounces."""
-    hits = (contacts.restitution > 0) & (contacts.approach <= -params.restitution_threshold)
-    bounces = hits & (contacts.max_impulse != 0)
+    bounces = hits(contacts.restitution, contacts.approach, params) & (contacts.max_impulse != 0)
     return jnp.where(bounces, contacts.restitution * impact_speed(bodies, contacts, gravity, params.h), 0)
 
 

@@ -101,6 +101,7 @@ def find(
     )
     pair = pair_up(bodies, a, b, points.exists)
     friction_a, friction_b = scene.shapes.friction[a], scene.shapes.friction[b]
+    restitution = jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b])
     # Where the surfaces are apart each is met at its own point: they will have moved together by then.
     half_gap = points.normal * (0.5 * jnp.maximum(points.separation, 0))[:, None]
     arm_a = points.point - half_gap
@@ -111,7 +112,7 @@ def find(
     arm_b = points.point + half_gap - met
     key = jnp.where(points.exists, (a << C.feature_bits + C.shape_bits) | (b << C.feature_bits) | points.feature, -1)
     velocity = relative_velocity(pair_velocities(pair, bodies.velocities), arm_a, arm_b)
-    dynamic = bodies.is_dynamic
+    against_fixed = ~(bodies.is_dynamic[a] & bodies.is_dynamic[b])
     approach = vec2.dot(points.normal, velocity)
     # What a blow next to it has left of an impulse would throw apart what it no longer holds.
     is_lasting = (params.warm_start > 0) & ~(rules.is_soft & is_start & (approach > C.leaving_speed))
@@ -124,8 +125,7 @@ def find(
     is_blow |= (is_second & jnp.roll(is_blow, 1)) | jnp.roll(is_second & is_blow, -1)  # both points or none
     if rules.is_soft:
         hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)
-        restitution = jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b])
-        bounces = are_discs & dynamic[a] & dynamic[b] & (restitution > 0) & (approach <= -params.restitution_threshold)
+        bounces = are_discs & ~against_fixed & hits(restitution, approach, params)
         of_centres = bodies.velocities.velocity[b] - bodies.velocities.velocity[a]
         bounces &= _meet_aside(points, approach, of_centres, d, dt)
         each_substep |= jnp.any(points.exists & (hard | bounces))
@@ -146,10 +146,10 @@ def find(
         impulse_tangent=impulse[:, 1],
         **_of_extended_shapes(scene, a, b, key, cache, is_lasting),
         friction=mix_friction(friction_a, friction_b, params, rules),
-        restitution=jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b]),
+        restitution=restitution,
         approach=approach,
         max_impulse=jnp.zeros_like(points.separation),
-        against_fixed=~(dynamic[a] & dynamic[b]),
+        against_fixed=against_fixed,
         is_blow=is_blow,
         is_second=is_second,
         of_disc=points.exists & (b >= context.capacity.polygons),
@@ -219,6 +219,11 @@ def _hits_hard(
     foresaw: around a corner, or over an end."""
     thin = C.safe_core_share * jnp.minimum(core_a, core_b)
     return -approach * dt > jnp.maximum(points.separation, 0) + params.speculative_distance + thin
+
+
+def hits(restitution: jax.Array, approach: jax.Array, params: SolverNumbers) -> jax.Array:
+    """What meets so fast that it bounces."""
+    return (restitution > 0) & (approach <= -params.restitution_threshold)
 
 
 def _meet_aside(points: Points, approach: jax.Array, velocity: jax.Array, d: jax.Array, dt: Scalar) -> jax.Array:

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d import Capacity, Controls, Engine, JointKind, Scene, SceneBuilder, State, stack_worlds
+from jax2d import Capacity, Controls, Engine, JointKind, Scene, SceneBuilder, stack_worlds
 from jax2d.effects import EFFECTS, Effects, effects_of
 from jax2d.fields import broadcast, empty
 from kinetix_dist.benchmarks.random_play import FRAME_SKIP, take_worlds
@@ -76,10 +76,10 @@ def without(scene: Scene, effect: str) -> Scene:
     return scene.replace(**changes[effect])
 
 
-def with_room(scene: Scene, capacity: Capacity) -> Scene:
-    """A batch of scenes in arrays of a capacity that differs in what they have nothing of."""
-    kept = broadcast(empty(Scene, capacity.sizes), np.shape(scene.gravity)[:-1])
-    return jax.tree.map(lambda new, old: old if np.shape(old) == np.shape(new) else new, kept, scene)
+def with_room(records: Any, capacity: Capacity, batch: tuple[int, ...]) -> Any:
+    """A batch of scenes or states in arrays of a capacity that differs in what they have nothing of."""
+    wider = broadcast(empty(type(records), capacity.sizes), batch)
+    return jax.tree.map(lambda new, old: old if np.shape(old) == np.shape(new) else jnp.asarray(new), wider, records)
 
 
 def with_effect(scene: Scene, effect: str) -> Scene:
@@ -136,9 +136,10 @@ def _cases_with_room(full: Engine, scene: Scene, start: Any, spread: Callable[[A
     """Of effects that only a larger capacity has; the worlds start where the full engine's do."""
     capacity = dataclasses.replace(full.capacity, extended_shapes=True, springs=NUM_SPRINGS)
     engine = Engine(capacity, settings=full.settings)
-    scene = with_room(scene, capacity)
+    scene = with_room(scene, capacity, np.shape(scene.gravity)[:-1])
     scenes = {AS_THEY_ARE: scene} | {effect: with_effect(scene, effect) for effect in ADDED}
-    starts = engine.pack_state(_with_room(full.unpack_state(start), engine))
+    state = full.unpack_state(start)
+    starts = engine.pack_state(with_room(state, capacity, state.position.shape[:-2]))
     return [
         Case(
             effect=name,
@@ -150,12 +151,6 @@ def _cases_with_room(full: Engine, scene: Scene, start: Any, spread: Callable[[A
         )
         for name, one in scenes.items()
     ]
-
-
-def _with_room(state: State, engine: Engine) -> State:
-    """A batch of states in arrays of another engine's, which remember nothing of what the first did not have."""
-    kept = broadcast(empty(State, engine.capacity.sizes), np.shape(state.position)[:-2])
-    return jax.tree.map(lambda new, old: old if np.shape(old) == np.shape(new) else jnp.asarray(new), kept, state)
 
 
 def _falling_boxes(engine: Engine, num_boxes: int, worlds: int) -> tuple[Any, Any]:

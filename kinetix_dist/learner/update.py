@@ -141,20 +141,19 @@ def make_update(
     return jax.jit(update)
 
 
+def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig) -> Array:
+    """[T, W] float32, by which a policy is updated."""
+    rewards, values, done_after = trajectory.rewards, trajectory.values, trajectory.done_after
+    return gae(rewards, values, done_after, last_value, discount=config.discount, trace=config.trace)
+
+
 def _update(
     program: _Program, state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
 ) -> tuple[LearnerState, dict[str, Array]]:
     """The update as one device sees it; arrays hold its own worlds."""
     config, num_devices = program.config, program.num_devices
     num_steps, num_worlds = trajectory.rewards.shape
-    advantages = gae(
-        trajectory.rewards,
-        trajectory.values,
-        trajectory.done_after,
-        last_value,
-        discount=config.discount,
-        trace=config.trace,
-    )
+    advantages = advantages_of(trajectory, last_value, config)
     targets = advantages + trajectory.values
     # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
     flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))

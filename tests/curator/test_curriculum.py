@@ -7,10 +7,10 @@ import pytest
 
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
-from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.level_buffer import keep_best
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import SIZES
+from tests.curator.made import curriculum_of
 
 CAPACITY = SIZES["s"]
 GROUPS, PER_GROUP = 4, 4
@@ -21,19 +21,8 @@ def _nothing_solves_itself(levels):
 
 
 def _propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fixed_levels=None):
-    def play(*arguments):
-        raise AssertionError(f"nothing is played to propose levels: {arguments}")
-
-    tools = CurriculumTools(
-        config=config,
-        capacity=CAPACITY,
-        worlds_per_group=PER_GROUP,
-        solves_itself=noop_solved,
-        play=play,
-        load_levels=lambda name: fixed_levels,
-        advantages=play,
-    )
-    curriculum = curriculum_class(config, PER_GROUP)(tools)
+    tools = {"solves_itself": noop_solved, "load_levels": lambda name: fixed_levels}
+    curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY, **tools)
     groups = jnp.asarray(groups)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(3), groups)
     return jax.jit(curriculum.propose)(buffer, keys, groups).levels

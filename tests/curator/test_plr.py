@@ -13,6 +13,7 @@ from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.replay_buffer import empty_buffer
 from kinetix_dist.curator.replay_scores import ValueSummary
+from tests.curator.made import curriculum_of
 
 GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
 
@@ -26,20 +27,7 @@ class _Tools(CurriculumTools):
 
 def _curriculum(name="plr", **plr):
     config = CurriculumConfig(name=name, plr=PlrConfig(**plr))
-
-    def unused(*arguments):
-        raise AssertionError(f"no level is played by a curriculum that only observes: {arguments}")
-
-    tools = _Tools(
-        config=config,
-        capacity=None,
-        worlds_per_group=PER_GROUP,
-        solves_itself=unused,
-        play=unused,
-        load_levels=unused,
-        advantages=unused,
-    )
-    return curriculum_class(config, PER_GROUP)(tools)
+    return curriculum_of(config, PER_GROUP, _Tools)
 
 
 class _Training:

@@ -166,6 +166,8 @@ struct Bodies {
     }
   }
 
+  KFN bool is_slowed(int a, int b) const { return has(slowed, a) || has(slowed, b); }
+
   KFN void count_limit(int i) {
     ++limited;
     add(slowed, i);

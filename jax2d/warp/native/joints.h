@@ -72,7 +72,7 @@ struct Joints {
     springs.forget_slowed(bodies);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
-      if (!SOFT_STEP || !(Bodies::has(bodies.slowed, joint.a) || Bodies::has(bodies.slowed, joint.b))) continue;
+      if (!SOFT_STEP || !bodies.is_slowed(joint.a, joint.b)) continue;
       joint.impulse = {real(0), real(0)};
       joint.angular_impulse = joint.impulse_lower = joint.impulse_upper = real(0);
     }

@@ -124,7 +124,7 @@ struct Springs {
 
   KFN void forget_slowed(const Bodies& bodies) {
     for (int k = 0; k < count; ++k)
-      if (Bodies::has(bodies.slowed, list[k].a) || Bodies::has(bodies.slowed, list[k].b))
+      if (bodies.is_slowed(list[k].a, list[k].b))
         list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0);
   }
 

@@ -16,8 +16,8 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.noop import noop_solved
-from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.sharding import local_values, replicate, replicated
+from kinetix_dist.learner.update import advantages_of
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.messages import LevelOutcome, Trajectory
@@ -31,8 +31,7 @@ def make_curriculum(config: TrainConfig, env: Environment, policy: Any) -> Curri
         return score(policy, params, env, env.prepare(levels), key, num_steps)
 
     def advantages(trajectory: Trajectory, last_value: Array) -> Array:
-        rewards, values, done_after = trajectory.rewards, trajectory.values, trajectory.done_after
-        return gae(rewards, values, done_after, last_value, discount=config.ppo.discount, trace=config.ppo.trace)
+        return advantages_of(trajectory, last_value, config.ppo)
 
     tools = CurriculumTools(
         config=config.curriculum,
