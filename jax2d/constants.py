@@ -30,6 +30,19 @@ class Constants:
         "limits that span more say how often a body has turned: it is not wrapped",
         "2 pi: what leans into one limit comes out at the other",
     )
+    # Joints
+    max_share_of_welds: float = _constant(
+        1.6,
+        "1",
+        "the shares of a body in its joints, above which they yield (yielding_joints.py)",
+        "1.5: a beam gives way at the wall; 1.7: some trees of welds gain energy",
+    )
+    light_share: float = _constant(
+        0.9,
+        "1",
+        "a body with more of a joint's movement is light beside the other one",
+        "0.97: a light arm between a wall and a weight gains energy",
+    )
     # Geometry
     far_distance: float = _constant(
         1e30, "m", "a distance of what does not exist", "float32 overflows when squared: compared only"

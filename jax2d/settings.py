@@ -66,6 +66,8 @@ class Settings:
     joint_hertz: float = 88.0
     joint_hertz_share: float = 0.367
     joint_damping_ratio: float = 10.0  # at 2 stretched chains and welded beams ring for seconds
+    yielding_hertz_share: float = 0.105  # of joints that hold what is light between heavy bodies (yielding_joints.py)
+    yielding_damping_ratio: float = 2.0  # at 10 some trees of welds gain energy
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
     joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed
     joint_turn_speed: float = 4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld

@@ -39,6 +39,7 @@ class SolverNumbers(NamedTuple):
     contact: Softness
     fixed: Softness  # contacts with fixed bodies, which do not yield: twice as stiff
     joint: Softness
+    yielding: Softness  # joints that hold what is light between heavy bodies
     push_out_speed: Scalar
     joint_pull_speed: Scalar
     joint_turn_speed: Scalar
@@ -66,6 +67,7 @@ def solver_numbers(settings: Settings) -> SolverNumbers:
         "contact": softness(contact_hertz, settings.contact_damping_ratio, h),
         "fixed": softness(2 * contact_hertz, settings.contact_damping_ratio, h),
         "joint": softness(joint_hertz, settings.joint_damping_ratio, h),
+        "yielding": softness(min(joint_hertz, settings.yielding_hertz_share / h), settings.yielding_damping_ratio, h),
     }
     given = {name: getattr(settings, name) for name in SolverNumbers._fields if name not in derived}
     return SolverNumbers(**given, **derived)

@@ -33,9 +33,11 @@ from jax2d.warp.layout import (
     scene_floats,
     state_floats,
     whole_numbers,
+    word_constants,
 )
 from jax2d.warp.source import PARAMETERS
 from jax2d.warp.variant import CompileOptions, KernelVariant
+from jax2d.yielding_joints import yields
 
 # The kernel's tables of the state, which come after four others.
 STATE_ARGUMENT = 4
@@ -130,14 +132,15 @@ class WarpBackend:
     def pack_scene(self, scene: Scene) -> SceneTables:
         """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
         scene = only_what_acts(scene)
-        words = [_packed_word(scene, word) for word in packed_words().values()]
+        words = {part: _packed_word(scene, word) for part, word in packed_words().items()}
+        words["joints"] |= yields(scene).astype(jnp.int32) << word_constants()["JOINTS_YIELDS_SHIFT"]
         tables = SceneTables(
             floats=jnp.concatenate([_worlds_last(field.get(scene), jnp.float32) for field in scene_floats()]),
             ints=jnp.concatenate(
                 [
                     *(_bit_rows(field.get(scene)) for field in bit_sets()),
                     *(_worlds_last(field.get(scene), jnp.int32) for field in whole_numbers()),
-                    *(_worlds_last(word, jnp.int32) for word in words),
+                    *(_worlds_last(word, jnp.int32) for word in words.values()),
                 ]
             ),
         )

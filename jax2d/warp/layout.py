@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Iterable
 
 from jax2d.fields import Field, fields_of, num_elements
 from jax2d.scene import Capacity, Controls, Scene, State
@@ -28,6 +29,7 @@ REPORT_ROWS = (
     ("CONTACT_IMPULSE", 2),
 )
 WORD_BITS = 31  # of an int32 that stays positive
+DERIVED_BITS = {"joints": ("yields",)}  # of packed words, above those of fields: what follows from the scene
 
 
 def scene_floats() -> list[Field]:
@@ -52,10 +54,14 @@ def packed_words() -> dict[str, dict[Field, int]]:
     for field in fields_of(Scene):
         if field.bits is not None:
             word = words.setdefault(field.path[0], {})
-            word[field] = sum(earlier.bits or 0 for earlier in word)
+            word[field] = field_bits(word)
     for part, word in words.items():
-        assert sum(field.bits or 0 for field in word) <= WORD_BITS, f"{part} does not fit a word"
+        assert field_bits(word) + len(DERIVED_BITS.get(part, ())) <= WORD_BITS, f"{part} does not fit a word"
     return words
+
+
+def field_bits(word: Iterable[Field]) -> int:
+    return sum(field.bits or 0 for field in word)
 
 
 def state_floats(table: str) -> list[Field]:
@@ -101,10 +107,12 @@ def cpp_name(field: Field) -> str:
 def word_constants() -> dict[str, int]:
     """JOINTS_A_SHIFT, JOINTS_A_MASK and so on: where numbers stand in packed words."""
     constants = {}
-    for word in packed_words().values():
+    for part, word in packed_words().items():
         for field, shift in word.items():
             constants[f"{cpp_name(field)}_SHIFT"] = shift
             constants[f"{cpp_name(field)}_MASK"] = (1 << (field.bits or 0)) - 1
+        for i, name in enumerate(DERIVED_BITS.get(part, ())):
+            constants[f"{part}_{name}_SHIFT".upper()] = field_bits(word) + i
     return constants
 
 

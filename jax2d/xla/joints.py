@@ -38,6 +38,7 @@ from jax2d.xla.drives import Servo, servo_of, speed_towards
 from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
 from jax2d.xla.rules import Rules
 from jax2d.xla.springs import SpringImpulses, Springs
+from jax2d.yielding_joints import yields
 
 
 class JointImpulses(NamedTuple):
@@ -61,6 +62,7 @@ class Joints(NamedTuple):
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
+    yields: jax.Array  # [J] bool
     is_prismatic: jax.Array  # [J] bool
     is_driven: jax.Array  # [J] bool, a motor with a control, a brake or a servo
     is_servo: jax.Array  # [J] bool
@@ -108,6 +110,7 @@ def prepare(bodies: Bodies, scene: Scene, before: Remembered, controls: Controls
     joints = Joints(
         is_held=is_held,
         is_fixed=is_fixed,
+        yields=yields(scene),
         is_prismatic=is_prismatic,
         is_driven=is_driven,
         is_servo=is_servo,
@@ -251,7 +254,9 @@ class Row(NamedTuple):
     first: Jacobian
     second: Jacobian
     axial_mass: jax.Array
-    held_mass: jax.Array  # [2, 2], of the two rows that are held
+    held_mass: jax.Array  # [2, 2], of the two rows that are held; of a weld with its angle held, too
+    held_lever: jax.Array  # [2] speed along these rows after a unit of impulse about the axis of a weld; else 0
+    soft: Softness
     motor_target: jax.Array
     motor_mass: jax.Array
     motor_answer: jax.Array  # [2], of what is held to a unit of a motor's impulse
@@ -268,10 +273,10 @@ class Row(NamedTuple):
 def solve_soft(
     bodies: Bodies, joints: Joints, params: SolverNumbers, active: ActiveSet, *, use_bias: bool, motors: bool = True
 ) -> tuple[Bodies, Joints, jax.Array]:
-    """One pass over springs and all joints: motor and limits, or the angle of a fixed joint; then what is held. No
-    `motors` in a bounce: a force or torque does nothing in an instant. Also the bodies [n] that it moved in a repeated
-    pass."""
-    soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
+    """One pass over springs and all joints: motor and limits, then what is held. No `motors` in a bounce: a force or
+    torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass."""
+    of_kinds = (params.joint, params.yielding) if use_bias else (Softness(0.0, 1.0, 0.0),) * 2
+    soft = Softness(*(jnp.where(joints.yields, yielding, other) for other, yielding in zip(*of_kinds)))
     bodies, springs, by_springs = springs_of.solve(
         bodies, joints.springs, params, active, use_bias=use_bias, forces=motors
     )
@@ -279,6 +284,7 @@ def solve_soft(
     # Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
     bend_time = 0.5 * C.bend_share * params.h if use_bias else 0.0
     bend_a, bend_b = (jnp.where(joints.is_prismatic[:, None], 0, bend_time * arm) for arm in arms(bodies, joints))
+    is_welded = joints.is_fixed & (joints.axial_mass > 0)
     rows = Row(
         pair=joints.pair,
         is_fixed=joints.is_fixed,
@@ -288,7 +294,9 @@ def solve_soft(
         first=now.first,
         second=now.second,
         axial_mass=joints.axial_mass,
-        held_mass=held_mass(joints.pair, now),
+        held_mass=jnp.where(is_welded[:, None, None], welded_mass(joints, now), held_mass(joints.pair, now)),
+        held_lever=jnp.where(is_welded[:, None], wrong_of_drive(joints.pair, now), 0),
+        soft=soft,
         motor_target=jnp.where(
             joints.is_servo,
             speed_towards(joints.servo, joints.servo.position - now.position, params.h),
@@ -301,7 +309,7 @@ def solve_soft(
         angle=current_angle(bodies, joints),
         lower_room=now.position - joints.lower,
         upper_room=joints.upper - now.position,
-        correction=correction_speed(now.error * soft.bias_rate, joints.is_prismatic, params),
+        correction=correction_speed(now.error * soft.bias_rate[:, None], joints.is_prismatic, params),
         bend_a=bend_a,
         bend_b=bend_b,
     )
@@ -310,13 +318,12 @@ def solve_soft(
         row, unsolved, included = row_and_impulses
         before = pair_velocities(row.pair, velocities)
         # In the relax pass a motor that is not at a limit has the last word: what holds the joint costs it no speed.
-        motor_last = ~row.is_fixed & (not use_bias) & (unsolved.lower + unsolved.upper == 0)
-        of, impulses = solve_motor_or_angle(before, row._replace(is_driven=row.is_driven & ~motor_last), unsolved, soft)
-        of, impulses = solve_limits(of, row, impulses, params, soft, use_bias=use_bias)
-        of, impulses = solve_held(of, row, impulses, soft, params.max_angular_speed)
+        motor_last = (not use_bias) & (unsolved.lower + unsolved.upper == 0)
+        of, impulses = solve_motor(before, row._replace(is_driven=row.is_driven & ~motor_last), unsolved)
+        of, impulses = solve_limits(of, row, impulses, params, use_bias=use_bias)
+        of, impulses = solve_held(of, row, impulses, params.max_angular_speed)
         if not use_bias:
-            last = row._replace(is_driven=row.is_driven & motor_last, is_fixed=jnp.zeros_like(row.is_fixed))
-            of, impulses = solve_motor_or_angle(of, last, impulses, soft)
+            of, impulses = solve_motor(of, row._replace(is_driven=row.is_driven & motor_last), impulses)
         of, impulses = choose(included, (of, impulses), (before, unsolved))
         return scatter_velocities(velocities, row.pair, before, of), (impulses, active.moves(before, of))
 
@@ -336,16 +343,12 @@ def correction_speed(wanted: jax.Array, is_prismatic: jax.Array, params: SolverN
     return jnp.where(is_prismatic[:, None], jnp.clip(wanted, -max_speed, max_speed), point)
 
 
-def solve_motor_or_angle(
-    of: PairVelocities, row: Row, impulses: JointImpulses, soft: Softness
-) -> tuple[PairVelocities, JointImpulses]:
+def solve_motor(of: PairVelocities, row: Row, impulses: JointImpulses) -> tuple[PairVelocities, JointImpulses]:
     """A motor is a velocity constraint with a bounded impulse: dt changes neither its target nor its strength."""
     speed, before = speed_along(row.axial, of), impulses.angular_impulse
     driven = before - row.motor_mass * (speed - row.motor_target)
     driven = jnp.clip(driven, -row.max_motor_impulse, row.max_motor_impulse)
-    turn_back = jnp.clip(soft.bias_rate * row.angle, -row.return_speed, row.return_speed)
-    held = before - row.axial_mass * soft.mass_scale * (speed + turn_back) - soft.impulse_scale * before
-    total = jnp.where(row.is_fixed, held, jnp.where(row.is_driven, driven, before))
+    total = jnp.where(row.is_driven, driven, before)
     of = push(of, row.pair, row.axial, total - before)
     # What is held answers a brake or servo at once, so that limits see the speed that stays.
     answer = jnp.where(row.is_driven, row.motor_answer * (total - before), 0)
@@ -354,12 +357,12 @@ def solve_motor_or_angle(
 
 
 def solve_limits(
-    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, soft: Softness, *, use_bias: bool
+    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, *, use_bias: bool
 ) -> tuple[PairVelocities, JointImpulses]:
     def total(room: jax.Array, speed: jax.Array, accumulated: jax.Array) -> jax.Array:
         """Of a one-sided limit; `speed` is that at which room grows."""
         # Not softened when violated: a strong motor would lean into a limit that yields.
-        back = jnp.maximum(soft.bias_rate * room, -row.return_speed) if use_bias else 0
+        back = jnp.maximum(params.joint.bias_rate * room, -row.return_speed) if use_bias else 0
         impulse = -row.axial_mass * (speed + jnp.where(room > 0, room / params.h, back))
         return jnp.where(row.is_limited, jnp.maximum(accumulated + impulse, 0), accumulated)
 
@@ -371,16 +374,25 @@ def solve_limits(
 
 
 def solve_held(
-    of: PairVelocities, row: Row, impulses: JointImpulses, soft: Softness, max_spin: Scalar
+    of: PairVelocities, row: Row, impulses: JointImpulses, max_spin: Scalar
 ) -> tuple[PairVelocities, JointImpulses]:
+    """The two rows of a point or slider; of a weld its angle with them: one after the other, each undoes most of the
+    other where the arms are long beside what the bodies' inertia is like, and the impulses that are kept grow."""
     # Faster nothing turns in the end, however fast it does while velocities are solved.
     spin_a, spin_b = (jnp.minimum(jnp.abs(omega), max_spin) for omega in (of.omega_a, of.omega_b))
     bend = row.bend_a * spin_a**2 - row.bend_b * spin_b**2
     wrong = jnp.stack([speed_along(row.first, of), speed_along(row.second, of)]) + row.correction + bend
+    turn_back = jnp.clip(row.soft.bias_rate * row.angle, -row.return_speed, row.return_speed)
+    turn = row.axial_mass * (speed_along(row.axial, of) + turn_back)
+    wrong = wrong - row.held_lever * turn
     needed = jnp.stack([vec2.dot(row.held_mass[0], wrong), vec2.dot(row.held_mass[1], wrong)])
-    impulse = -needed * soft.mass_scale - impulses.point * soft.impulse_scale
+    turn = turn - row.axial_mass * vec2.dot(row.held_lever, needed)
+    angular = -turn * row.soft.mass_scale - impulses.angular_impulse * row.soft.impulse_scale
+    angular = jnp.where(row.is_fixed, angular, 0)
+    impulse = -needed * row.soft.mass_scale - impulses.point * row.soft.impulse_scale
     of = push(push(of, row.pair, row.first, impulse[0]), row.pair, row.second, impulse[1])
-    return of, impulses._replace(point=impulses.point + impulse)
+    of = push(of, row.pair, row.axial, angular)
+    return of, impulses._replace(point=impulses.point + impulse, angular_impulse=impulses.angular_impulse + angular)
 
 
 def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
@@ -411,9 +423,21 @@ def held_mass(pair: Pair, rows: Constraints) -> jax.Array:
     k11 = inverse_mass(pair, rows.first, rows.first)
     k12 = inverse_mass(pair, rows.first, rows.second)
     k22 = inverse_mass(pair, rows.second, rows.second)
-    k22 = jnp.where(k22 > 0, k22, 1)  # two bodies that cannot turn keep their angle anyway
+    return inverse_of_symmetric(k11, k12, jnp.where(k22 > 0, k22, 1))  # what cannot turn keeps its angle anyway
+
+
+def welded_mass(joints: Joints, rows: Constraints) -> jax.Array:
+    """The same where the angle is held, too: K less what a turn of both would take, without a difference of the two."""
+    pair, first, second = joints.pair, rows.first, rows.second
+    mass, inertia = pair.mass_a + pair.mass_b, pair.inertia_a * pair.inertia_b * joints.axial_mass
+    x, y = first.lever_a - first.lever_b, second.lever_a - second.lever_b
+    return inverse_of_symmetric(mass + inertia * x * x, inertia * x * y, mass + inertia * y * y)
+
+
+def inverse_of_symmetric(k11: jax.Array, k12: jax.Array, k22: jax.Array) -> jax.Array:
+    """[J, 2, 2]; 0 where there is none."""
     determinant = k11 * k22 - k12 * k12
     is_regular = determinant != 0
     inverse = jnp.where(is_regular, 1 / jnp.where(is_regular, determinant, 1), 0)
-    rows_of_inverse = jnp.stack([jnp.stack([k22, -k12], -1), jnp.stack([-k12, k11], -1)], -2)
-    return inverse[:, None, None] * rows_of_inverse
+    rows = jnp.stack([jnp.stack([k22, -k12], -1), jnp.stack([-k12, k11], -1)], -2)
+    return inverse[:, None, None] * rows

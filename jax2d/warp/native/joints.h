@@ -174,14 +174,14 @@ struct Joints {
       if (active.leaves_out(joint.a, joint.b)) continue;
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       Vec2 before = pair.velocity_b - pair.velocity_a;
+      const Softness& own = joint.yields() ? soft.yielding : soft.joint;
       if (joint.is_prismatic()) {
         joint.turn_arms(bodies);
         Slider slider = Slider::of(bodies, joint, local_axis[k]);
         if (motors && joint.is_driven()) aim(k, slider.translation(), soft);
         slider.solve(bodies, pair, joint, motor_mass(k), soft, use_bias, motors);
       } else if (joint.is_fixed()) {
-        solve_angle(pair, joint, joint.current_angle(bodies), soft, use_bias);
-        solve_point(bodies, pair, joint, soft, use_bias);
+        solve_weld(bodies, pair, joint, soft, own, use_bias);
       } else {
         bool driven = motors && joint.is_driven(), motor_last = joint.is_motor_last(use_bias);
         if (driven) aim(k, joint.current_angle(bodies), soft);
@@ -190,7 +190,7 @@ struct Joints {
           if (driven && last == motor_last) solve_motor(bodies, pair, joint, motor_mass(k));
           if (last) break;
           if (joint.is_limited()) solve_limits(pair, joint, joint.current_angle(bodies), soft, use_bias);
-          solve_point(bodies, pair, joint, soft, use_bias);
+          solve_point(bodies, pair, joint, soft, own, use_bias);
         }
       }
       active.mark_if_moved(bodies, pair, before);
@@ -237,15 +237,25 @@ struct Joints {
     return work;
   }
 
-  KFN static void solve_angle(Pair& pair, Joint& joint, real angle, const Soft& soft, bool use_bias) {
+  // Angle and common point at once: one after the other, each undoes most of the other where the arms are long beside
+  // what the bodies' inertia is like, and what they remember for the next sub-step then grows.
+  KFN static void solve_weld(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, const Softness& own,
+                             bool use_bias) {
     real max_speed = soft.turn_back_speed;
-    real bias = use_bias ? Math::clamp(soft.joint.bias_rate * angle, -max_speed, max_speed) : real(0);
-    real mass_scale = use_bias ? soft.joint.mass_scale : real(1);
-    real impulse_scale = use_bias ? soft.joint.impulse_scale : real(0);
-    real speed = pair.omega_b - pair.omega_a;
-    real angular_impulse = -joint.axial_mass * mass_scale * (speed + bias) - impulse_scale * joint.angular_impulse;
-    joint.angular_impulse += angular_impulse;
-    pair.apply_angular_impulse(angular_impulse);
+    real bias = use_bias ? Math::clamp(own.bias_rate * joint.current_angle(bodies), -max_speed, max_speed) : real(0);
+    real mass_scale = use_bias ? own.mass_scale : real(1);
+    real impulse_scale = use_bias ? own.impulse_scale : real(0);
+    real turn = (pair.omega_b - pair.omega_a + bias) * joint.axial_mass;
+    Arms arms;
+    Vec2 wrong = wrong_of_point(bodies, pair, joint, soft, own.bias_rate, use_bias, arms);
+    Vec2 lever = wrong_of_turn(pair, arms);
+    Vec2 point = point_mass_times(pair, arms, wrong - lever * turn, joint.axial_mass);
+    real angular = -mass_scale * (turn - lever.dot(point) * joint.axial_mass) - impulse_scale * joint.angular_impulse;
+    Vec2 impulse = -(point * mass_scale) - joint.impulse * impulse_scale;
+    joint.angular_impulse += angular;
+    joint.impulse = joint.impulse + impulse;
+    pair.apply_angular_impulse(angular);
+    pair.apply_impulse(arms.a, arms.b, impulse);
   }
 
   KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Soft& soft, bool use_bias) {
@@ -257,23 +267,29 @@ struct Joints {
     pair.apply_angular_impulse(-upper);
   }
 
-  KFN static void solve_point(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, bool use_bias) {
-    joint.turn_arms(bodies);
-    Vec2 gap = joint.gap(bodies);
-    Arms arms = joint.common_arms(pair, gap);
-    Vec2 wrong = pair.relative(arms.a, arms.b);
-    real mass_scale = real(1), impulse_scale = real(0);
-    if (use_bias) {
-      // Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
-      real spin_a = Math::min(Math::abs(pair.omega_a), soft.max_spin), spin_b = Math::min(Math::abs(pair.omega_b), soft.max_spin);
-      Vec2 bend = joint.arm_a * (spin_a * spin_a) - joint.arm_b * (spin_b * spin_b);
-      wrong = wrong + clamp_length(gap * soft.joint.bias_rate, soft.pull_speed) + bend * soft.bend_time;
-      mass_scale = soft.joint.mass_scale;
-      impulse_scale = soft.joint.impulse_scale;
-    }
+  KFN static void solve_point(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, const Softness& own,
+                              bool use_bias) {
+    Arms arms;
+    Vec2 wrong = wrong_of_point(bodies, pair, joint, soft, own.bias_rate, use_bias, arms);
+    real mass_scale = use_bias ? own.mass_scale : real(1);
+    real impulse_scale = use_bias ? own.impulse_scale : real(0);
     Vec2 impulse = -(point_mass_times(pair, arms, wrong) * mass_scale) - joint.impulse * impulse_scale;
     joint.impulse = joint.impulse + impulse;
     pair.apply_impulse(arms.a, arms.b, impulse);
+  }
+
+  // How fast b's point goes from a's, beyond what closes their gap; and the arms to where they are held.
+  KFN static Vec2 wrong_of_point(const Bodies& bodies, const Pair& pair, Joint& joint, const Soft& soft, real rate,
+                                 bool use_bias, Arms& arms) {
+    joint.turn_arms(bodies);
+    Vec2 gap = joint.gap(bodies);
+    arms = joint.common_arms(pair, gap);
+    Vec2 wrong = pair.relative(arms.a, arms.b);
+    if (!use_bias) return wrong;
+    // Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
+    real spin_a = Math::min(Math::abs(pair.omega_a), soft.max_spin), spin_b = Math::min(Math::abs(pair.omega_b), soft.max_spin);
+    Vec2 bend = joint.arm_a * (spin_a * spin_a) - joint.arm_b * (spin_b * spin_b);
+    return wrong + clamp_length(gap * rate, soft.pull_speed) + bend * soft.bend_time;
   }
 
   KFN static Vec2 clamp_length(Vec2 v, real max_length) {
@@ -282,10 +298,17 @@ struct Joints {
   }
 
   // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.
-  KFN static Vec2 point_mass_times(const Pair& pair, Arms arms, Vec2 v) {
+  // With the bodies held to turn together by `axial_mass`, of a weld: less what that takes.
+  KFN static Vec2 point_mass_times(const Pair& pair, Arms arms, Vec2 v, real axial_mass = real(0)) {
     real mass = pair.inverse_mass_a + pair.inverse_mass_b;
     real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
     Vec2 ra = arms.a, rb = arms.b;
+    // As one body turns: ia ra + ib rb is in both, what is left is ia ib / (ia + ib) (ra - rb) twice.
+    if (axial_mass != real(0)) {
+      Vec2 d = ra - rb;
+      real i = ia * ib * axial_mass;
+      return Symmetric::solve(mass + i * d.y * d.y, -i * d.x * d.y, mass + i * d.x * d.x, v);
+    }
     real k11 = mass + ia * ra.y * ra.y + ib * rb.y * rb.y;
     real k12 = -ia * ra.x * ra.y - ib * rb.x * rb.y;
     real k22 = mass + ia * ra.x * ra.x + ib * rb.x * rb.x;

@@ -10,7 +10,7 @@ struct Softness {
 
 // How a sub-step is solved.
 struct Soft {
-  Softness contact, fixed, joint;  // fixed: contacts with what cannot move
+  Softness contact, fixed, joint, yielding;  // fixed: contacts with what cannot move
   real h, inverse_h;
   real bend_time;  // s, times a spin squared and an arm: speed that keeps an anchor on its circle
   real max_spin;   // faster nothing turns in the end, however fast it does while velocities are solved
@@ -18,7 +18,7 @@ struct Soft {
 
   KFN static Soft load(const Column& params) {
     return {Softness::load(params, PARAM_CONTACT_BIAS_RATE), Softness::load(params, PARAM_FIXED_BIAS_RATE),
-            Softness::load(params, PARAM_JOINT_BIAS_RATE), params.get(PARAM_H), real(1) / params.get(PARAM_H),
+            Softness::load(params, PARAM_JOINT_BIAS_RATE), Softness::load(params, PARAM_YIELDING_BIAS_RATE), params.get(PARAM_H), real(1) / params.get(PARAM_H),
             real(0.5) * BEND_SHARE * params.get(PARAM_H), params.get(PARAM_MAX_ANGULAR_SPEED),
             params.get(PARAM_PUSH_OUT_SPEED), params.get(PARAM_JOINT_PULL_SPEED), params.get(PARAM_JOINT_TURN_SPEED)};
   }
