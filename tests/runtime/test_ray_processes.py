@@ -30,9 +30,7 @@ def backend():
 
 def _plan_of_slots():
     """Three workers and a curator; their memory is not shared out, since there is no GPU to ask."""
-    config = recipe("sfl_s")
-    config = dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, num_envs=96, num_groups=3))
-    placement = plan(config, num_gpus=3)
+    placement = plan(recipe("sfl_s"), num_gpus=3)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
 

@@ -196,8 +196,8 @@ class SplitTrainer:
 
     def _replace(self, update: int, part: int) -> None:
         lost = [update, *(issued for issued, of_part in self._in_flight if of_part == part)]
-        steps_per_part = self._config.rollout.steps_per_update // len(self._rollout_plans)
-        self._work.drop(steps_per_part * len(lost))
+        num_groups = len(self._config.groups_of_part(part, len(self._rollout_plans)))
+        self._work.drop(num_groups * self._config.rollout.steps_per_group * len(lost))
         self.backend.kill([self._actors[part]])
         self._actors[part] = self.backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
         self.backend.sections.begin_again()

@@ -53,10 +53,11 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
         num_workers = config.run.num_workers or (num_gpus if on_gpus else 1)
         if on_gpus and num_workers > num_gpus:
             raise PlacementError(f"run.num_workers {num_workers} needs as many GPUs; there are {num_gpus}")
-        if config.rollout.num_groups % num_workers:
+        if num_workers > config.num_blocks:
             raise PlacementError(
-                f"{num_workers} workers cannot share {config.rollout.num_groups} world groups evenly; "
-                "change run.num_workers or rollout.num_groups"
+                f"{num_workers} workers cannot share {config.num_blocks} blocks of worlds: some would have none; lower "
+                f"run.num_workers, or raise rollout.num_groups {config.rollout.num_groups} and ppo.virtual_shards "
+                f"{config.ppo.virtual_shards}"
             )
         gpus = [[("worker", index)] for index in range(num_workers)]
         beside_curator, num_in_group = 0, num_workers
