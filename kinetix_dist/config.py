@@ -129,6 +129,8 @@ class RunConfig:
     device: str = "auto"  # "auto" (gpu if there is one), "cpu" or "gpu"
     num_workers: int = 0  # learner processes; 0: one a GPU, on CPU one
     num_rollout_actors: int = 1  # split placement only
+    min_workers: int = 1  # or rollout actors, with which to go on while nodes are lost; with fewer it waits
+    node_wait_seconds: float = 60.0  # for a lost node to come back, before going on with fewer
     gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
     curator_memory_gib: float = 0.0  # of that, for the curator; 0: by scoring_batch and size
     checkpoint_every: int = 50  # updates
@@ -150,6 +152,8 @@ class RunConfig:
             ("max_seconds", 0),
             ("num_workers", 0),
             ("num_rollout_actors", 1),
+            ("min_workers", 1),
+            ("node_wait_seconds", 0),
             ("gpu_memory_gib", 0),
             ("curator_memory_gib", 0),
             ("checkpoint_every", 1),

@@ -29,11 +29,11 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
-from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.clock import RoleClock, seconds_left
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
 from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.refreshes import Refreshes
@@ -45,6 +45,9 @@ from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Loss, Losses
+
+if TYPE_CHECKING:
+    from kinetix_dist.runtime.driver.resizing import Resizing
 
 T = TypeVar("T")
 
@@ -62,6 +65,7 @@ class Controller:
         *,
         on_rollouts: Callable[[list[Any]], None] = lambda rollouts: None,
         stop: StopSignals | None = None,
+        resizing: Resizing | None = None,
     ) -> None:
         self.config = config
         self.run = run
@@ -81,6 +85,7 @@ class Controller:
         self.backend.losses = self._losses
         self._section = self.backend.sections.section
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)
+        self._resizing = resizing
         self._loss: Loss | None = None  # the first one since the last new result
         self._update_seconds = 0.0  # of the last update
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
@@ -157,6 +162,8 @@ class Controller:
             self._recover(error)
         except StopRequested:
             pass  # while waiting for the curator, with the last update complete
+        else:
+            self._grow()
         if self.stop.requested is not None:
             self._stop()
         if self._skipped.must_go_back(self.num_updates):
@@ -240,7 +247,8 @@ class Controller:
         }
         if self._saver.seconds is not None:
             metrics["runtime/save_seconds"] = self._saver.seconds
-        self.reporter.metrics(self.num_updates, metrics, self._seconds_left())
+        left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
+        self.reporter.metrics(self.num_updates, metrics, left)
         physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):
             self.run.event("physics_warning", counter=kind, count=count, update=self.num_updates)
@@ -270,16 +278,6 @@ class Controller:
         if run.total_env_steps and self.env_steps >= run.total_env_steps:
             return True
         return bool(run.max_seconds) and self.training_seconds >= run.max_seconds
-
-    def _seconds_left(self) -> float:
-        run = self.config.run
-        ends = []
-        if run.max_seconds:
-            ends.append(run.max_seconds - self.training_seconds)
-        if run.total_env_steps:
-            steps_per_second = self.env_steps / max(self.training_seconds, 1e-9)
-            ends.append((run.total_env_steps - self.env_steps) / max(steps_per_second, 1e-9))
-        return max(min(ends), 0.0)
 
     # Checkpoints and recovery
 
@@ -362,11 +360,28 @@ class Controller:
             loss = self._losses.lost(error)
             self._loss = self._loss or loss
             try:
+                if self._resizing is not None:
+                    self._resizing.fit(self.num_updates, self.stop)
                 with self._section("recover"):
                     self._restart()
                 return
             except WorkerLostError as again:
                 error = again
+
+    def _grow(self) -> None:
+        """Where nodes have come back and this update is saved: nothing has to be done again."""
+        is_saved = _is_due(self.config.run.checkpoint_every, self.num_updates)
+        if self._resizing is None or not is_saved or not self._resizing.has_room_to_grow():
+            return
+        self._saver.wait()
+        if self._saver.saved_at != self.num_updates:
+            return
+        try:
+            self._resizing.place(self.num_updates, self.stop)
+            with self._section("recover"):
+                self._restart()
+        except WorkerLostError as error:
+            self._recover(error)
 
     def _note_recovery(self) -> None:
         if self._loss is not None:
