@@ -212,6 +212,11 @@ class TrainConfig:
         return self.curriculum_class.refreshes
 
     @property
+    def evaluates_beside(self) -> bool:
+        """Whether an evaluator works beside training."""
+        return self.run.placement != "local" and (self.evaluation.every > 0 or self.recording.every > 0)
+
+    @property
     def num_blocks(self) -> int:
         """Of worlds, each of whole groups and whole virtual shards: what can lie on different devices."""
         return math.gcd(self.rollout.num_groups, self.ppo.virtual_shards)

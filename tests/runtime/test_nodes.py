@@ -52,7 +52,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     placement, trainer, stop = plan(config, num_gpus=0), _Placed(), StopSignals()
     backend.reserve(placement)
     listen = {"on_event": lambda kind, **details: told.append((kind, details)), "on_note": notes.append}
-    resizing = Resizing(config, backend, placement, trainer, _Placed(), **listen)
+    resizing = Resizing(config, backend, placement, trainer, {"curator": _Placed()}, **listen)
     resizing.fit(3, stop)
     assert not notes and not resizing.has_room_to_grow()  # nothing is lost
 

@@ -55,8 +55,14 @@ def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_res
 
 def test_gpus_that_another_run_holds_are_refused_in_words(backend, monkeypatch):
     monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 1.0)
-    with pytest.raises(PlacementError, match="needs 3 of the cluster's 3 GPUs, and they were not free"):
+    backend.release()
+    taken = ray.util.placement_group([{"GPU": 1}])
+    assert taken.wait(10)
+    with pytest.raises(
+        PlacementError, match=r"needs 3 of the cluster's 3 GPUs, .* not free within 1 s: .*3 GPUs\); wait"
+    ):
         backend.reserve(_plan_of_slots())
+    ray.util.remove_placement_group(taken)
 
 
 def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(backend, monkeypatch):

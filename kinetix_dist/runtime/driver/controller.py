@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.runtime.driver.clock import RoleClock, seconds_left
+from kinetix_dist.runtime.driver.evaluations import Evaluations, EvaluationsHere
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
 from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.refreshes import Refreshes
@@ -65,8 +66,10 @@ class Controller:
         *,
         on_rollouts: Callable[[list[Any]], None] = lambda rollouts: None,
         stop: StopSignals | None = None,
+        evaluations: Evaluations | None = None,
         resizing: Resizing | None = None,
     ) -> None:
+        """evaluations: those during training, beside it; None: the trainer makes them."""
         self.config = config
         self.run = run
         self.trainer = trainer
@@ -85,6 +88,7 @@ class Controller:
         self.backend.losses = self._losses
         self._section = self.backend.sections.section
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)
+        self._evaluations = evaluations or EvaluationsHere(config, self._evaluate, self._record)
         self._resizing = resizing
         self._loss: Loss | None = None  # the first one since the last new result
         self._update_seconds = 0.0  # of the last update
@@ -212,23 +216,12 @@ class Controller:
         if self.stop.requested is not None:
             self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
             return
-        if _is_due(self.config.evaluation.every, self.num_updates):
-            metrics |= self._evaluate_metrics()
-        if _is_due(self.config.recording.every, self.num_updates):
-            self._record(self.config.recording.num_rollouts)
+        metrics |= self._evaluations.after_update(self.num_updates, self.clock, is_last=self._is_over())
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
         # What the updates that are skipped began from is what to go back to.
         is_well = self._skipped.in_a_row == 0
         if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._save()
-
-    def _evaluate_metrics(self) -> dict[str, float]:
-        rates = self._evaluate(use_policy=True)
-        return {
-            f"evaluation/{name}/{metric}": rate[field]
-            for name, rate in rates.items()
-            for metric, field in (("solve_rate", "rate"), ("low", "low"), ("high", "high"))
-        }
 
     def _report(self, metrics: dict[str, float]) -> None:
         self._saver.collect()
@@ -284,13 +277,14 @@ class Controller:
     def _save(self) -> None:
         """Begins a save of this update. A failed one is an event: the older checkpoints are still there."""
         with self._section("save"), self.clock.role("checkpoint"):
-            arrays = self.trainer.snapshot() | self._refreshes.in_flight()
+            arrays = self.trainer.snapshot() | self._refreshes.in_flight() | self._evaluations.in_flight()
             description = {
                 "config": to_dict(self.config),
                 "config_hash": self.config.hash,
                 "env_steps": self.env_steps,
                 "training_seconds": self.training_seconds,
                 **self._refreshes.description(),
+                **self._evaluations.description(),
                 "versions": versions(),
                 "topology": self._topology,
             }
@@ -340,6 +334,7 @@ class Controller:
             self.trainer.start(0, None)
             self._topology = self.trainer.topology()
             self._refreshes.start({}, {})
+            self._evaluations.start({}, {})
             return
         description = checkpoint.description
         self.num_updates = self._saver.saved_at = description["num_updates"]
@@ -350,6 +345,7 @@ class Controller:
         if differs:
             self.reporter.note(f"resumed with {', '.join(differs)}: works, but is not bit for bit the unbroken run")
         self._refreshes.start(description, checkpoint.arrays)
+        self._evaluations.start(description, checkpoint.arrays)
 
     def _recover(self, error: WorkerLostError) -> None:
         """Goes back to the newest good checkpoint; a loss on the way is one more. Raises TooManyLossesError."""

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.driver.evaluations import Evaluations
 from kinetix_dist.runtime.driver.roles import Curator, Trainer
 from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, plan
@@ -35,15 +36,15 @@ class Resizing:
         backend: RayBackend,
         placement: Placement,
         trainer: Trainer,
-        curator: Curator | None,
+        beside: Mapping[str, Curator | Evaluations],
         *,
         on_event: Callable[..., None],
         on_note: Callable[[str], None],
     ) -> None:
-        """placement: that of the run as it was asked for."""
+        """placement: that of the run as it was asked for. beside: what works beside the trainer, by role."""
         self._backend = backend
         self._trainer = trainer
-        self._curator = curator
+        self._beside = beside
         self._on_event = on_event
         self._on_note = on_note
         self._role = "rollout" if config.run.placement == "split" else "worker"
@@ -82,8 +83,8 @@ class Resizing:
     def place(self, update: int, stop: StopSignals) -> None:
         """Ends all processes and gives the run as many places as there is room for; waits where that is too few."""
         self._trainer.stop()
-        if self._curator is not None:
-            self._curator.stop()
+        for part in self._beside.values():
+            part.stop()
         self._backend.release()
         before, began, is_told = self.size, time.monotonic(), False
         while True:
@@ -97,8 +98,8 @@ class Resizing:
             _pause(stop)
         self._placed = placement
         self._trainer.place(placement)
-        if self._curator is not None:
-            self._curator.place(placement.of("curator")[0])
+        for role, part in self._beside.items():
+            part.place(placement.of(role)[0])
         self._on_event("resized", role=self._role, before=before, now=self.size, update=update)
         self._on_note(f"goes on with {self._in_words(self.size)} instead of {before}: {nodes_in_words()}")
 

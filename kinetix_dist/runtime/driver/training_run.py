@@ -16,6 +16,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.evaluations import Evaluations
 from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
@@ -55,11 +56,12 @@ def train(
     recorder = Recorder(run)
     started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
-        backend, trainer, curator, resizing = _start_roles(config, run, reporter)
+        backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder)
         stop.install()
-        started = [role.stop for role in (curator, trainer, backend) if role is not None]
+        started = [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
+        told = {"on_rollouts": recorder, "stop": stop}
         controller = Controller(
-            config, run, trainer, curator, reporter, on_rollouts=recorder, stop=stop, resizing=resizing
+            config, run, trainer, curator, reporter, **told, evaluations=evaluations, resizing=resizing
         )
         started.insert(0, controller.close)
         controller.restore(resume=resume)
@@ -166,8 +168,8 @@ def _failed_run(run: RunDirectory, error: ProcessFailedError | TooManyLossesErro
 
 
 def _start_roles(
-    config: TrainConfig, run: RunDirectory, reporter: RunReporter
-) -> tuple[Backend, Trainer, CuratorClient | None, Resizing | None]:
+    config: TrainConfig, run: RunDirectory, reporter: RunReporter, recorder: Recorder
+) -> tuple[Backend, Trainer, CuratorClient | None, Evaluations | None, Resizing | None]:
     hold_to_cpu(config)
     if config.run.placement == "local":
         from kinetix_dist.runtime.processes.local import LocalBackend
@@ -176,7 +178,8 @@ def _start_roles(
         local = LocalBackend()
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
         curator_plan = ProcessPlan(role="curator", index=0)
-        return local, trainer, CuratorClient(config, local, curator_plan) if config.has_curator else None, None
+        curator = CuratorClient(config, local, curator_plan) if config.has_curator else None
+        return local, trainer, curator, None, None
     from kinetix_dist.runtime.driver.resizing import Resizing
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
@@ -195,8 +198,13 @@ def _start_roles(
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
     curators = placement.of("curator")
     curator = CuratorClient(config, backend, curators[0]) if curators else None
-    told = {"on_event": run.event, "on_note": reporter.note}
-    return backend, trainer, curator, Resizing(config, backend, placement, trainer, curator, **told)
+    evaluators = placement.of("evaluator")
+    told = {"on_event": run.event, "on_rollouts": recorder}
+    evaluations = Evaluations(config, trainer, evaluators[0], **told) if evaluators else None
+    beside = {"curator": curator, "evaluator": evaluations}
+    beside = {role: part for role, part in beside.items() if part is not None}
+    resizing = Resizing(config, backend, placement, trainer, beside, on_event=run.event, on_note=reporter.note)
+    return backend, trainer, curator, evaluations, resizing
 
 
 def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:
