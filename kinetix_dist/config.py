@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import types
 import typing
 from collections.abc import Mapping
@@ -40,7 +41,7 @@ class RolloutConfig:
 
     num_envs: int = 2048  # worlds, over all devices
     num_steps: int = 256  # environment steps of each world in an update
-    num_groups: int = 8  # of worlds, with levels drawn from a key each; the number of devices must divide it
+    num_groups: int = 64  # of worlds, with levels drawn from a key each; no more devices can play
 
     def __post_init__(self) -> None:
         for name in ("num_envs", "num_steps", "num_groups"):
@@ -54,6 +55,10 @@ class RolloutConfig:
     @property
     def worlds_per_group(self) -> int:
         return self.num_envs // self.num_groups
+
+    @property
+    def steps_per_group(self) -> int:
+        return self.worlds_per_group * self.num_steps
 
     @property
     def steps_per_update(self) -> int:
@@ -124,6 +129,8 @@ class RunConfig:
     device: str = "auto"  # "auto" (gpu if there is one), "cpu" or "gpu"
     num_workers: int = 0  # learner processes; 0: one a GPU, on CPU one
     num_rollout_actors: int = 1  # split placement only
+    min_workers: int = 1  # or rollout actors, with which to go on while nodes are lost; with fewer it waits
+    node_wait_seconds: float = 60.0  # for a lost node to come back, before going on with fewer
     gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
     curator_memory_gib: float = 0.0  # of that, for the curator; 0: by scoring_batch and size
     checkpoint_every: int = 50  # updates
@@ -145,6 +152,8 @@ class RunConfig:
             ("max_seconds", 0),
             ("num_workers", 0),
             ("num_rollout_actors", 1),
+            ("min_workers", 1),
+            ("node_wait_seconds", 0),
             ("gpu_memory_gib", 0),
             ("curator_memory_gib", 0),
             ("checkpoint_every", 1),
@@ -191,16 +200,32 @@ class TrainConfig:
                 f"takes {takes}; change one of them"
             )
         curriculum_class(self.curriculum, self.rollout.worlds_per_group)
-        if self.run.placement == "split" and self.rollout.num_groups % self.run.num_rollout_actors:
+        if self.run.placement == "split" and self.run.num_rollout_actors > self.rollout.num_groups:
             raise ConfigError(
-                f"{self.run.num_rollout_actors} rollout actors cannot share {self.rollout.num_groups} world groups "
-                "evenly; change run.num_rollout_actors or rollout.num_groups"
+                f"{self.run.num_rollout_actors} rollout actors cannot share {self.rollout.num_groups} world groups: "
+                "some would have none; lower run.num_rollout_actors or raise rollout.num_groups"
             )
 
     @property
     def has_curator(self) -> bool:
         """Whether a curator works beside training."""
         return self.curriculum_class.refreshes
+
+    @property
+    def evaluates_beside(self) -> bool:
+        """Whether an evaluator works beside training."""
+        return self.run.placement != "local" and (self.evaluation.every > 0 or self.recording.every > 0)
+
+    @property
+    def num_blocks(self) -> int:
+        """Of worlds, each of whole groups and whole virtual shards: what can lie on different devices."""
+        return math.gcd(self.rollout.num_groups, self.ppo.virtual_shards)
+
+    def groups_of_part(self, part: int, num_parts: int) -> range:
+        """World groups of a rollout actor; the first ones have one more where they cannot be shared evenly."""
+        least, more = divmod(self.rollout.num_groups, num_parts)
+        first = part * least + min(part, more)
+        return range(first, first + least + (part < more))
 
     @property
     def num_trained_envs(self) -> int:

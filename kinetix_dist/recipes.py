@@ -27,12 +27,19 @@ def quickstart() -> TrainConfig:
         env=EnvConfig(size="s", frame_skip=8, max_steps=64, dense_reward_scale=0.3),
         policy=PolicyConfig(encoder_size=48, num_layers=1, hidden_size=64, hidden_layers=1),
         ppo=PpoConfig(
-            epochs=3, minibatches=8, clip=0.2, value_clip=False, learning_rate=1.5e-3, max_grad_norm=0.5, discount=0.98
+            epochs=3,
+            minibatches=8,
+            virtual_shards=8,
+            clip=0.2,
+            value_clip=False,
+            learning_rate=1.5e-3,
+            max_grad_norm=0.5,
+            discount=0.98,
         ),
         curriculum=CurriculumConfig(
             num_candidates=512, scoring_batch=256, scoring_steps=192, refresh_every=16, adopt_after=2, buffer_size=128
         ),
-        rollout=RolloutConfig(num_envs=256, num_steps=64),
+        rollout=RolloutConfig(num_envs=256, num_steps=64, num_groups=8),
         evaluation=EvaluationConfig(sets=("random_s", "designed_s"), attempts=4, min_attempts=400),
         recording=RecordingConfig(num_rollouts=8),
         run=RunConfig(
@@ -47,10 +54,17 @@ def single_level() -> TrainConfig:
         env=EnvConfig(size="s", dense_reward_scale=1.0),
         policy=PolicyConfig(encoder_size=32, num_layers=1, hidden_size=64, hidden_layers=1),
         ppo=PpoConfig(
-            epochs=4, minibatches=8, clip=0.2, value_clip=False, learning_rate=1e-3, max_grad_norm=0.5, discount=0.99
+            epochs=4,
+            minibatches=8,
+            virtual_shards=8,
+            clip=0.2,
+            value_clip=False,
+            learning_rate=1e-3,
+            max_grad_norm=0.5,
+            discount=0.99,
         ),
         curriculum=CurriculumConfig(name="fixed", levels="s/hop_home"),
-        rollout=RolloutConfig(num_envs=128, num_steps=64),
+        rollout=RolloutConfig(num_envs=128, num_steps=64, num_groups=8),
         evaluation=EvaluationConfig(sets=("s/hop_home",), attempts=100, every=1),
         recording=RecordingConfig(num_rollouts=4),
         run=RunConfig(

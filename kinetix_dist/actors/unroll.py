@@ -48,17 +48,17 @@ def unroll(
     key: Array,
     num_steps: int,
     *,
-    first_world: Array | int = 0,
+    numbers: Array | None = None,
 ) -> Played:
     """`num_steps` steps of W worlds.
 
-    key: a typed key, used up by this call (fold in a counter for the next). first_world: number of the first of these
-    worlds in the whole batch.
+    key: a typed key, used up by this call (fold in a counter for the next). numbers: [W] of these worlds in the
+    whole batch; None: from 0 on.
     """
     prepared = worlds.prepared
     distribution = env.action_distribution
     num_worlds = _num_worlds(worlds.obs)
-    world_keys = _world_keys(key, first_world, num_worlds)
+    world_keys = _world_keys(key, jnp.arange(num_worlds) if numbers is None else numbers)
 
     def step(carry: tuple[Any, Any, LevelOutcome], number: Array) -> tuple[tuple[Any, Any, LevelOutcome], Trajectory]:
         env_state, obs, outcome = carry
@@ -93,7 +93,7 @@ def score(
     distribution = env.action_distribution
     env_state, obs = env.reset(prepared)
     num_worlds = _num_worlds(obs)
-    world_keys = _world_keys(key, 0, num_worlds)
+    world_keys = _world_keys(key, jnp.arange(num_worlds))
 
     def step(carry: tuple[Any, Any, LevelOutcome], number: Array) -> tuple[tuple[Any, Any, LevelOutcome], None]:
         env_state, obs, outcome = carry
@@ -111,9 +111,8 @@ def _num_worlds(obs: Any) -> int:
     return jax.tree.leaves(obs)[0].shape[0]
 
 
-def _world_keys(key: Array, first_world: Array | int, num_worlds: int) -> Array:
-    worlds = jnp.arange(num_worlds, dtype=jnp.uint32) + jnp.asarray(first_world, jnp.uint32)
-    return jax.vmap(jax.random.fold_in, (None, 0))(key, worlds)
+def _world_keys(key: Array, numbers: Array) -> Array:
+    return jax.vmap(jax.random.fold_in, (None, 0))(key, numbers.astype(jnp.uint32))
 
 
 def _uniforms(world_keys: Array, step: Array, count: int) -> Array:

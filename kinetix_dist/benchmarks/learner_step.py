@@ -21,7 +21,8 @@ from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_ob
 from kinetix_dist.benchmarks.timing import median_seconds
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.errors import user_errors
-from kinetix_dist.learner.sharding import data_mesh, replicate, shard_worlds
+from kinetix_dist.learner.division import Division
+from kinetix_dist.learner.sharding import data_mesh, replicate, spread_worlds
 from kinetix_dist.learner.state import init_learner_state
 from kinetix_dist.learner.update import PpoConfig, make_update
 from kinetix_dist.level.level import SIZES
@@ -73,9 +74,11 @@ class Options(BenchmarkOptions):
 def measure(options: Options, results: Results) -> None:
     """One record."""
     with user_errors(ValueError):
-        config = PpoConfig(epochs=options.epochs, minibatches=options.num_samples // options.minibatch)
-        num_devices = len(jax.devices())
-        config.check_batch(num_steps=options.steps, num_worlds=options.worlds, num_devices=num_devices)
+        config = PpoConfig(
+            epochs=options.epochs, minibatches=options.num_samples // options.minibatch, virtual_shards=8
+        )
+        config.check_batch(num_steps=options.steps, num_worlds=options.worlds)
+        Division(config.virtual_shards, len(jax.devices()))
     if options.profile is None:
         record = _timed(options, config)
     else:
@@ -110,10 +113,11 @@ def _timed(options: Options, config: PpoConfig) -> Record:
     )
     params = init_params(policy, first, jax.random.key(0))
     state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(1)), mesh)
+    division = Division(config.virtual_shards, mesh.devices.size)
     inputs = (
-        shard_worlds(static, mesh),
-        shard_worlds(trajectory, mesh, axis=1),
-        shard_worlds(np.zeros(options.worlds, np.float32), mesh),
+        spread_worlds(static, mesh, division),
+        spread_worlds(trajectory, mesh, division, axis=1),
+        spread_worlds(np.zeros(options.worlds, np.float32), mesh, division),
     )
     # A forward pass over one minibatch, on one device.
     chosen = np.arange(options.minibatch)

@@ -2,7 +2,8 @@
 
 Every `refresh_every` updates: N fresh candidates, `scoring_steps` environment steps of the policy on each, score
 p(1-p), keep the best K. A share of the worlds plays levels of this buffer, the rest fresh ones. What is kept depends on
-the key and the parameters alone; `scoring_batch` only bounds memory (each batch has keys of its own).
+the key and the parameters alone. Candidates are scored in batches of `scoring_batch`, each with a key of its own, and
+batches in turn on the devices of the process: the buffer is the same to the bit however many these are.
 """
 
 from __future__ import annotations
@@ -62,8 +63,15 @@ class Sfl(Curriculum):
         """A new buffer of candidates scored by `params`; the whole previous one is replaced."""
         config = self.tools.config
         num_batches = config.num_candidates // config.scoring_batch
-        parts = [self._score_batch(params, jax.random.fold_in(key, index)) for index in range(num_batches)]
-        return self._keep_best(parts, jnp.int32(policy_version))
+        devices = self.tools.devices[:num_batches]
+        placed = [jax.device_put((params, key), device) for device in devices]
+
+        def score(index: int) -> Any:
+            params, key = placed[index % len(devices)]
+            return self._score_batch(params, jax.random.fold_in(key, index))
+
+        parts = [score(index) for index in range(num_batches)]  # asked of all devices before any is waited for
+        return self._keep_best(jax.device_put(parts, devices[0]), jnp.int32(policy_version))
 
     def metrics(self, state: LevelBuffer | None, num_updates: int) -> dict[str, Any]:
         return {} if state is None else buffer_metrics(state, num_updates)

@@ -28,6 +28,7 @@ class Samples:
     old_values: Array  # [B] float32
     advantages: Array  # [B] float32, normalised
     targets: Array  # [B] float32, of the value
+    is_counted: Array | None = None  # [B] bool, whether a sample is part of the sums; None: all are
 
 
 def ppo_terms(
@@ -45,6 +46,8 @@ def ppo_terms(
     approx_kl = ratio - 1.0 - log_ratio  # of old from new; never negative, lower variance than -log_ratio
     is_clipped = jnp.abs(ratio - 1.0) > clip
     terms = (policy, 0.5 * error, entropies, approx_kl, is_clipped.astype(jnp.float32))
+    if samples.is_counted is not None:
+        terms = tuple(jnp.where(samples.is_counted, term, 0.0) for term in terms)
     return jnp.stack([jnp.sum(term) for term in terms])
 
 

@@ -1,8 +1,8 @@
 """Which array lies where: one mesh axis, "data", over all devices of all processes.
 
-Worlds are sharded over it (each device owns a contiguous block of them, in the order of devices), parameters and
-counters are replicated. A process that is one of several hands in the worlds of its own devices and gets a global
-array; with one process the functions are plain transfers.
+Worlds are sharded over it (each device owns a contiguous block of them, in the order of devices; `division.py` says
+which where they cannot be divided evenly), parameters and counters are replicated. A process that is one of several
+hands in the worlds of its own devices and gets a global array; with one process the functions are plain transfers.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax2d.scene import Array
+from kinetix_dist.learner.division import Division
 
 DATA_AXIS = "data"
 
@@ -51,6 +52,17 @@ def shard_worlds(tree: Any, mesh: Mesh, *, axis: int = 0) -> Any:
         return _place(x, sharded(mesh, axis=axis), (*shape[:axis], shape[axis] * num_processes, *shape[axis + 1 :]))
 
     return jax.tree.map(place, tree)
+
+
+def spread_worlds(tree: Any, mesh: Mesh, division: Division, *, axis: int = 0) -> Any:
+    """Puts worlds into the places of their parts. Every process hands in the worlds of all, each once."""
+    mine = [device.process_index == jax.process_index() for device in mesh.devices.flat]
+
+    def place(x: Array) -> Array:
+        rows = division.spread(np.shape(x)[axis]).reshape(mesh.devices.size, -1)[mine].reshape(-1)
+        return x if np.array_equal(rows, np.arange(np.shape(x)[axis])) else np.take(x, rows, axis=axis)
+
+    return shard_worlds(jax.tree.map(place, tree), mesh, axis=axis)
 
 
 def local_values(tree: Any) -> Any:

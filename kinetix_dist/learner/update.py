@@ -9,8 +9,9 @@
 
 One device or many make the same update, up to the order of floating-point sums: worlds form a fixed number of
 virtual shards, each shuffles its own samples with its own key, and minibatch k is the union of the k-th parts of all
-virtual shards, wherever these live. A gradient that is not finite after the sum is so on every device: all skip that
-step together and count it.
+virtual shards, wherever these live. Where their number is no multiple of that of the devices, some shards are there
+twice and are left out of every sum once (`division.py`). A gradient that is not finite after the sum is so on every
+device: all skip that step together and count it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces import ActionDistribution
 from kinetix_dist.env.observations import Observation
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import LOSS_METRICS, Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import DATA_AXIS
@@ -56,7 +58,7 @@ class PpoConfig:
     value_coefficient: float = 0.5
     entropy_coefficient: float = 0.01
     normalise_advantages: bool = True  # over each minibatch, all devices together
-    virtual_shards: int = 8  # of worlds, for shuffling; the number of devices must divide it
+    virtual_shards: int = 64  # of worlds, for shuffling; no more devices can learn
 
     def __post_init__(self) -> None:
         for name in ("epochs", "minibatches", "virtual_shards"):
@@ -69,14 +71,9 @@ class PpoConfig:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be from 0 to 1")
 
-    def check_batch(self, *, num_steps: int, num_worlds: int, num_devices: int) -> None:
+    def check_batch(self, *, num_steps: int, num_worlds: int) -> None:
         """Raises ValueError, with the numbers, if T steps of W worlds (all devices) cannot be divided as asked."""
         shards = self.virtual_shards
-        if shards % num_devices:
-            raise ValueError(
-                f"{num_devices} devices do not divide PpoConfig.virtual_shards = {shards}; "
-                f"use a multiple of {num_devices}"
-            )
         if num_worlds % shards:
             raise ValueError(
                 f"{num_worlds} worlds cannot be divided into {shards} virtual shards; "
@@ -101,21 +98,34 @@ class _Program:
     observation: Observation
     distribution: ActionDistribution
     config: PpoConfig
-    num_devices: int
+    division: Division  # of the virtual shards, or of blocks of them
+
+    @property
+    def shards_a_place(self) -> int:
+        return self.config.virtual_shards // self.division.num_parts
 
 
 def make_update(
-    policy: nn.Module, observation: Observation, distribution: ActionDistribution, config: PpoConfig, mesh: Mesh
+    policy: nn.Module,
+    observation: Observation,
+    distribution: ActionDistribution,
+    config: PpoConfig,
+    mesh: Mesh,
+    *,
+    division: Division | None = None,
 ) -> Update:
     """A compiled update(learner_state, static_obs, trajectory, last_value) -> (learner_state, metrics).
 
     observation, distribution: those of the environment; `policy` takes the one and gives the outputs of the other.
+    division: of blocks of virtual shards over the devices, by default of single ones; a divisor of their number.
     learner_state: replicated over `mesh`. static_obs [W, ...], trajectory [T, W, ...] and last_value [W]: sharded by
-    world (`sharding.shard_worlds`). metrics: METRICS, replicated float32 scalars, means over applied gradient steps
-    (NaN when all were skipped) except explained_variance (of the values in the trajectory) and skipped_steps.
+    world (`sharding.shard_worlds`), in all places of the division (`Division.spread`). metrics: METRICS, replicated
+    float32 scalars, means over applied gradient steps (NaN when all were skipped) except explained_variance (of the
+    values in the trajectory) and skipped_steps.
     """
 
-    program = _Program(policy, observation, distribution, config, mesh.devices.size)
+    division = division or Division(config.virtual_shards, mesh.devices.size)
+    program = _Program(policy, observation, distribution, config, division)
 
     def local_update(
         state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
@@ -134,8 +144,8 @@ def make_update(
     def update(
         state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
     ) -> tuple[LearnerState, dict[str, Array]]:
-        num_steps, num_worlds = trajectory.rewards.shape
-        config.check_batch(num_steps=num_steps, num_worlds=num_worlds, num_devices=mesh.devices.size)
+        num_steps, num_rows = trajectory.rewards.shape
+        config.check_batch(num_steps=num_steps, num_worlds=_num_worlds(division, num_rows))
         return on_devices(state, static_obs, trajectory, last_value)
 
     return jax.jit(update)
@@ -151,19 +161,21 @@ def _update(
     program: _Program, state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
 ) -> tuple[LearnerState, dict[str, Array]]:
     """The update as one device sees it; arrays hold its own worlds."""
-    config, num_devices = program.config, program.num_devices
+    config, division = program.config, program.division
     num_steps, num_worlds = trajectory.rewards.shape
+    num_samples = num_steps * _num_worlds(division, num_worlds * division.num_devices)  # of all devices
     advantages = advantages_of(trajectory, last_value, config)
     targets = advantages + trajectory.values
     # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
     flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))
-    minibatch_size = num_steps * num_worlds * num_devices // config.minibatches  # of all devices
+    minibatch_size = num_samples // config.minibatches  # of all devices
+    is_counted = _counted(program, num_samples_here=num_steps * num_worlds // config.minibatches)
     flat_params, unravel = ravel_pytree(state.params)
     key = jax.random.fold_in(jax.random.wrap_key_data(state.key), state.num_updates)
 
     def epoch(carry: tuple[Array, Any], number: Array) -> tuple[tuple[Array, Any], Array]:
-        index = _shuffled(jax.random.fold_in(key, number), num_steps, num_worlds, num_devices, config)
-        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], minibatch_size, config)
+        index = _shuffled(jax.random.fold_in(key, number), num_steps, num_worlds, program)
+        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], is_counted, minibatch_size, config)
         return jax.lax.scan(minibatch, carry, (index, offset, scale))
 
     def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
@@ -176,6 +188,7 @@ def _update(
             old_values=steps.values,
             advantages=(minibatch_advantages - offset) * scale,
             targets=minibatch_targets,
+            is_counted=is_counted,
         )
         obs = program.observation.join(jax.tree.map(lambda x: x[index % num_worlds], static_obs), steps.dynamic_obs)
         grads, terms = _gradient(program, unravel(flat_params), obs, samples, minibatch_size)
@@ -188,42 +201,70 @@ def _update(
         epoch, (flat_params, state.opt_state), jnp.arange(config.epochs, dtype=jnp.uint32)
     )
     metrics, num_applied = _summarise(rows.reshape(-1, rows.shape[-1]))
-    metrics["explained_variance"] = _explained_variance(targets, advantages, num_devices)
+    metrics["explained_variance"] = _explained_variance(
+        targets, advantages, _counted(program, num_samples_here=num_worlds), num_samples
+    )
     state = LearnerState(
         params=unravel(flat_params),
         opt_state=opt_state,
         key=state.key,
         num_updates=state.num_updates + 1,
         num_gradient_steps=state.num_gradient_steps + num_applied,
-        env_steps=add_env_steps(state.env_steps, num_steps * num_worlds * num_devices),
+        env_steps=add_env_steps(state.env_steps, num_samples),
     )
     return state, metrics
 
 
-def _shuffled(key: Array, num_steps: int, num_worlds: int, num_devices: int, config: PpoConfig) -> Array:
-    """Sample numbers of this device's part of each minibatch of an epoch: [minibatches, samples] int32."""
-    num_shards = config.virtual_shards // num_devices  # on this device
-    worlds_a_shard = num_worlds // num_shards
-    first_shard = jax.lax.axis_index(DATA_AXIS) * num_shards
+def _num_worlds(division: Division, num_rows: int) -> int:
+    """Worlds of all devices, each once, of those that lie in all places."""
+    return num_rows // (division.num_devices * division.places) * division.num_parts
 
-    def shard_samples(shard: Array) -> Array:
-        bits = jax.random.bits(jax.random.fold_in(key, first_shard + shard), (num_steps * worlds_a_shard,))
+
+def _counted(program: _Program, *, num_samples_here: int) -> Array | None:
+    """[samples] bool, the same number for each place of this device: false where a part is there once more.
+
+    None where all count.
+    """
+    division = program.division
+    if division.is_even:
+        return None
+    places = jnp.asarray(division.is_counted)[jax.lax.axis_index(DATA_AXIS)]
+    return jnp.repeat(places, num_samples_here // division.places)
+
+
+def _sum(x: Array, is_counted: Array | None, axis: int | None = None) -> Array:
+    """Over all devices, of what counts."""
+    return jax.lax.psum(jnp.sum(x if is_counted is None else jnp.where(is_counted, x, 0.0), axis=axis), DATA_AXIS)
+
+
+def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) -> Array:
+    """Sample numbers of this device's part of each minibatch of an epoch: [minibatches, samples] int32."""
+    config, block = program.config, program.shards_a_place
+    blocks = jnp.asarray(program.division.parts)[jax.lax.axis_index(DATA_AXIS)]
+    numbers = (blocks[:, None] * block + jnp.arange(block)).reshape(-1)  # of the shards on this device
+    num_shards = numbers.size
+    worlds_a_shard = num_worlds // num_shards
+
+    def shard_samples(shard: Array, number: Array) -> Array:
+        bits = jax.random.bits(jax.random.fold_in(key, number), (num_steps * worlds_a_shard,))
         sample = jnp.argsort(bits)  # equal bits keep their order: still the same on every device
         step, world = sample // worlds_a_shard, sample % worlds_a_shard
         return (step * num_worlds + shard * worlds_a_shard + world).astype(jnp.int32)
 
-    samples = jax.vmap(shard_samples)(jnp.arange(num_shards))
+    samples = jax.vmap(shard_samples)(jnp.arange(num_shards), numbers)
     parts = samples.reshape(num_shards, config.minibatches, -1)
     return jnp.moveaxis(parts, 1, 0).reshape(config.minibatches, -1)
 
 
-def _advantage_statistics(advantages: Array, minibatch_size: int, config: PpoConfig) -> tuple[Array, Array]:
+def _advantage_statistics(
+    advantages: Array, is_counted: Array | None, minibatch_size: int, config: PpoConfig
+) -> tuple[Array, Array]:
     """What to subtract from and multiply with the advantages of each minibatch, over all devices: two [minibatches]."""
     if not config.normalise_advantages:
         return jnp.zeros(config.minibatches), jnp.ones(config.minibatches)
-    mean = jax.lax.psum(jnp.sum(advantages, axis=1), DATA_AXIS) / minibatch_size
-    squares = jnp.sum(jnp.square(advantages - mean[:, None]), axis=1)
-    std = jnp.sqrt(jax.lax.psum(squares, DATA_AXIS) / minibatch_size)
+    mean = _sum(advantages, is_counted, axis=1) / minibatch_size
+    squares = jnp.square(advantages - mean[:, None])
+    std = jnp.sqrt(_sum(squares, is_counted, axis=1) / minibatch_size)
     return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
 
 
@@ -270,11 +311,11 @@ def _summarise(rows: Array) -> tuple[dict[str, Array], Array]:
     return metrics, num_applied.astype(jnp.int32)
 
 
-def _explained_variance(targets: Array, advantages: Array, num_devices: int) -> Array:
+def _explained_variance(targets: Array, advantages: Array, is_counted: Array | None, num_samples: int) -> Array:
     """1 - variance of what the value missed / variance of its target, over all devices."""
 
     def variance(x: Array) -> Array:
-        mean = jax.lax.psum(jnp.sum(x), DATA_AXIS) / (x.size * num_devices)
-        return jax.lax.psum(jnp.sum(jnp.square(x - mean)), DATA_AXIS) / (x.size * num_devices)
+        mean = _sum(x, is_counted) / num_samples
+        return _sum(jnp.square(x - mean), is_counted) / num_samples
 
     return 1.0 - variance(advantages) / jnp.maximum(variance(targets), 1e-8)

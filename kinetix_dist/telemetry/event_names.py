@@ -12,9 +12,13 @@ EVENTS: dict[str, str] = {
     "process_started": "a process began: who, where, with how much memory",
     "process_lost": "a process died, fell silent or exceeded a time limit: which, and in which section of the run",
     "recovered": "the first new result after a loss: from and to which update, seconds since the loss",
+    "resized": "nodes were lost or came: from and to how many workers or rollout actors, and at which update",
     "token_secured": "Ray's token file could be read by others, and cannot any more",
     "stopped": "SIGTERM or Ctrl-C ended the run: after which update, and whether that is saved",
     "run_failed": "the run ended by an error: which",
+    # Evaluation
+    "evaluated": "an evaluation beside training is there: of which update, its solve rates, and the seconds it took",
+    "evaluation_left_out": "an evaluation or a recording was due while four waited for the evaluator",
     # Curriculum
     "buffer_adopted": "a refresh of the curriculum is used from an update on",
     "buffer_late": "the curator was lost or silent when a refresh was due: the old buffer stays in use until it comes",

@@ -23,7 +23,7 @@ class Metric:
     meaning: str
 
 
-ROLES = ("worker", "learner", "rollout", "curator")  # of processes
+ROLES = ("worker", "learner", "rollout", "curator", "evaluator")  # of processes
 
 PER_MILLION = "per million physics steps"
 
@@ -126,6 +126,9 @@ _ALL = (
         "rows of metrics that metrics.jsonl or TensorBoard did not take, since the start of this session",
     ),
     # Evaluation
+    Metric(
+        "evaluation/update", "updates", "done by the policy that was evaluated; a row can hold that of an earlier one"
+    ),
     Metric("evaluation/<set>/solve_rate", "share", "first episodes solved on a level set"),
     Metric("evaluation/<set>/low", "share", "lower end of its 95 % Wilson interval"),
     Metric("evaluation/<set>/high", "share", "upper end of its 95 % Wilson interval"),

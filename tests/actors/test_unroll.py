@@ -29,7 +29,7 @@ class Problem:
     policy: object
     params: object
     levels: object
-    play: object  # (levels, key, first_world) -> what unroll returns
+    play: object  # (levels, key, first world) -> what unroll returns
 
     @property
     def num_worlds(self) -> int:
@@ -48,7 +48,8 @@ def problem():
     @jax.jit
     def play(levels, key, first_world):
         prepared = env.prepare(levels)
-        return unroll(policy, params, env, Worlds(prepared, *env.reset(prepared)), key, STEPS, first_world=first_world)
+        numbers = first_world + jnp.arange(levels.position.shape[0])
+        return unroll(policy, params, env, Worlds(prepared, *env.reset(prepared)), key, STEPS, numbers=numbers)
 
     return Problem(env, policy, params, levels, play)
 
@@ -107,9 +108,10 @@ def test_a_part_of_the_worlds_acts_as_it_does_in_the_whole(problem):
 def test_inside_shard_map_the_trajectory_is_the_same(problem):
     def local(levels, key):
         prepared = problem.env.prepare(levels)
-        first = jax.lax.axis_index(DATA_AXIS) * levels.position.shape[0]
+        size = levels.position.shape[0]
+        numbers = jax.lax.axis_index(DATA_AXIS) * size + jnp.arange(size)
         start = Worlds(prepared, *problem.env.reset(prepared))
-        return unroll(problem.policy, problem.params, problem.env, start, key, STEPS, first_world=first).trajectory
+        return unroll(problem.policy, problem.params, problem.env, start, key, STEPS, numbers=numbers).trajectory
 
     on_mesh = jax.shard_map(
         local,

@@ -12,11 +12,12 @@ from jax.flatten_util import ravel_pytree
 
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS
 from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.learner.state import add_env_steps
-from kinetix_dist.learner.update import METRICS, PpoConfig, _shuffled
+from kinetix_dist.learner.update import METRICS, PpoConfig, _Program, _shuffled
 from kinetix_dist.models.policy import make_policy
 from tests.learner.update_program import POLICY, PPO, STEPS, WORLDS, make_problem, place, poisoned
 
@@ -119,7 +120,8 @@ def test_an_epoch_visits_every_sample_once():
     mesh = data_mesh(jax.devices()[:1])
 
     def shuffled(key):
-        return _shuffled(key, STEPS, WORLDS, 1, PPO)
+        program = _Program(None, None, None, PPO, Division(PPO.virtual_shards, 1))
+        return _shuffled(key, STEPS, WORLDS, program)
 
     on_device = jax.shard_map(shuffled, mesh=mesh, in_specs=jax.P(), out_specs=jax.P(), check_vma=False)
     index = np.asarray(jax.jit(on_device)(jax.random.key(0)))
@@ -131,9 +133,8 @@ def test_an_epoch_visits_every_sample_once():
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [
-        ({"num_steps": 6, "num_worlds": 8, "num_devices": 3}, "3 devices do not divide .* = 4"),
-        ({"num_steps": 6, "num_worlds": 6, "num_devices": 2}, "6 worlds cannot be divided into 4"),
-        ({"num_steps": 4, "num_worlds": 8, "num_devices": 2}, "8 samples to each of 4 .* 3 minibatches"),
+        ({"num_steps": 6, "num_worlds": 12}, "12 worlds cannot be divided into 8"),
+        ({"num_steps": 4, "num_worlds": 8}, "4 samples to each of 8 .* 3 minibatches"),
     ],
 )
 def test_batches_that_cannot_be_divided_are_refused(numbers, message):

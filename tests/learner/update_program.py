@@ -16,7 +16,8 @@ from jax.flatten_util import ravel_pytree
 from jax2d.scene import Capacity
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
 from kinetix_dist.env.observations import OBSERVATIONS
-from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, shard_worlds
+from kinetix_dist.learner.division import Division
+from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, spread_worlds
 from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import PpoConfig, Update, make_update
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
@@ -24,7 +25,7 @@ from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 CAPACITY = Capacity(polygons=2, circles=1, joints=1, thrusters=1)
 STEPS, WORLDS = 6, 8
 POLICY = PolicyConfig(encoder_size=8, attention_features=4, num_heads=4, num_layers=1, hidden_size=8, hidden_layers=1)
-PPO = PpoConfig(epochs=2, minibatches=3, virtual_shards=4, learning_rate=1e-2, clip=0.2)
+PPO = PpoConfig(epochs=2, minibatches=3, virtual_shards=8, learning_rate=1e-2, clip=0.2)
 
 
 def make_problem(mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple[Update, LearnerState, tuple]:
@@ -41,14 +42,13 @@ def make_problem(mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple[Upda
 
 
 def place(arguments: tuple, mesh: jax.sharding.Mesh) -> tuple:
-    """Each process hands in the worlds of its own devices: the block with its number."""
+    """Each process hands in the worlds of all."""
     static, trajectory, last_value = arguments
-    per_process = WORLDS // jax.process_count()
-    mine = slice(jax.process_index() * per_process, (jax.process_index() + 1) * per_process)
+    division = Division(PPO.virtual_shards, mesh.devices.size)
     return (
-        shard_worlds(jax.tree.map(lambda x: x[mine], static), mesh),
-        shard_worlds(jax.tree.map(lambda x: x[:, mine], trajectory), mesh, axis=1),
-        shard_worlds(last_value[mine], mesh),
+        spread_worlds(static, mesh, division),
+        spread_worlds(trajectory, mesh, division, axis=1),
+        spread_worlds(last_value, mesh, division),
     )
 
 

@@ -30,9 +30,7 @@ def backend():
 
 def _plan_of_slots():
     """Three workers and a curator; their memory is not shared out, since there is no GPU to ask."""
-    config = recipe("sfl_s")
-    config = dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, num_envs=96, num_groups=3))
-    placement = plan(config, num_gpus=3)
+    placement = plan(recipe("sfl_s"), num_gpus=3)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
 
@@ -57,8 +55,14 @@ def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_res
 
 def test_gpus_that_another_run_holds_are_refused_in_words(backend, monkeypatch):
     monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 1.0)
-    with pytest.raises(PlacementError, match="needs 3 of the cluster's 3 GPUs, and they were not free"):
+    backend.release()
+    taken = ray.util.placement_group([{"GPU": 1}])
+    assert taken.wait(10)
+    with pytest.raises(
+        PlacementError, match=r"needs 3 of the cluster's 3 GPUs, .* not free within 1 s: .*3 GPUs\); wait"
+    ):
         backend.reserve(_plan_of_slots())
+    ray.util.remove_placement_group(taken)
 
 
 def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(backend, monkeypatch):
@@ -67,7 +71,7 @@ def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(backend, mon
     def workers(number):
         return Placement(processes=tuple(ProcessPlan(role="worker", index=index) for index in range(number)))
 
-    with pytest.raises(PlacementError, match="this run has 17 processes, and the cluster 16 CPU slots; start Ray with"):
+    with pytest.raises(PlacementError, match=r"has 17 processes, and the cluster 16 CPU slots: .*3 GPUs\); start Ray"):
         backend.reserve(workers(17))
     taken = ray.util.placement_group([{"CPU": 10}])
     assert taken.wait(10)

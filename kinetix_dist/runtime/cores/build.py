@@ -4,6 +4,7 @@ build_worker    worlds and a learner shard      colocated placement, and all of 
 build_learner   the learner alone               split placement
 build_rollout   a part of the worlds            split placement
 build_curator   scoring of levels               both
+build_evaluator evaluations and recordings      both, where they are asked for during training
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
+from kinetix_dist.runtime.cores.evaluator_core import EvaluatorCore
 from kinetix_dist.runtime.cores.rollout_worker import RolloutWorker
 from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
 
@@ -39,6 +41,12 @@ def build_curator(index: int, num_processes: int, config: TrainConfig) -> Curato
     del index, num_processes
     _prepare_process(config)
     return CuratorCore(config)
+
+
+def build_evaluator(index: int, num_processes: int, config: TrainConfig) -> EvaluatorCore:
+    del index, num_processes
+    _prepare_process(config)
+    return EvaluatorCore(config)
 
 
 def _prepare_process(config: TrainConfig) -> None:

@@ -16,6 +16,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.noop import noop_solved
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values, replicate, replicated
 from kinetix_dist.learner.update import advantages_of
 from kinetix_dist.level.level import Level
@@ -51,7 +52,7 @@ class CurriculumState:
     def __init__(self, curriculum: Curriculum, mesh: Mesh) -> None:
         self._curriculum = curriculum
         self._mesh = mesh
-        self._observe = jax.jit(self._observe_replicated, out_shardings=replicated(mesh))
+        self._observe = jax.jit(self._observe_replicated, static_argnums=3, out_shardings=replicated(mesh))
         self.placed: Any = None  # on the devices
         self._values: Any = None  # the same as numpy
 
@@ -72,9 +73,9 @@ class CurriculumState:
     def adopt(self, refreshed: Any) -> None:
         self._place(jax.device_get(self._curriculum.adopt(self.values, refreshed)))
 
-    def observe(self, proposal: Proposal, outcome: LevelOutcome) -> None:
-        """proposal, outcome: of all worlds, sharded over the mesh or as numpy."""
-        self.placed, self._values = self._observe(self.placed, proposal, outcome), None
+    def observe(self, proposal: Proposal, outcome: LevelOutcome, *, division: Division | None = None) -> None:
+        """proposal, outcome: of all worlds, each once as numpy, or sharded over the mesh in places of `division`."""
+        self.placed, self._values = self._observe(self.placed, proposal, outcome, division), None
 
     @property
     def values(self) -> Any:
@@ -90,9 +91,13 @@ class CurriculumState:
     def _place(self, values: Any) -> None:
         self._values, self.placed = values, replicate(values, self._mesh)
 
-    def _observe_replicated(self, state: Any, proposal: Proposal, outcome: LevelOutcome) -> Any:
+    def _observe_replicated(
+        self, state: Any, proposal: Proposal, outcome: LevelOutcome, division: Division | None
+    ) -> Any:
         # Every device sees all worlds and works out the same: no result depends on how many devices there are.
         seen = jax.lax.with_sharding_constraint((proposal, outcome), replicated(self._mesh))
+        if division is not None and not division.is_even:
+            seen = jax.tree.map(lambda x: x[division.gathered(x.shape[0])], seen)
         after = self._curriculum.observe(state, *seen)
         if _layout(after) != _layout(state):
             raise ValueError(

@@ -14,6 +14,7 @@ from jax2d.scene import Array
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values, replicate
 from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import make_update
@@ -26,12 +27,13 @@ class LearnerCore:
     """Parameters and optimiser, replicated over a mesh, and the update of them."""
 
     def __init__(self, config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> None:
-        config.ppo.check_batch(
-            num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs, num_devices=mesh.devices.size
-        )
+        config.ppo.check_batch(num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs)
         self._config = config
         self._mesh = mesh
-        self._update = make_update(policy, env.observation, env.action_distribution, config.ppo, mesh)
+        self.division = Division(config.num_blocks, mesh.devices.size)
+        self._update = make_update(
+            policy, env.observation, env.action_distribution, config.ppo, mesh, division=self.division
+        )
         self._init = jax.jit(lambda: _initial_state(config, env, policy))
         self.state: LearnerState | None = None
 
@@ -49,6 +51,7 @@ class LearnerCore:
         return self.state.params
 
     def learn(self, static_obs: Any, trajectory: Any, last_value: Array) -> dict[str, Array]:
+        """From worlds in all places of the division."""
         self.state, metrics = self._update(self.state, static_obs, trajectory, last_value)
         return metrics
 

@@ -14,6 +14,7 @@ from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import DATA_AXIS
 from kinetix_dist.messages import LevelOutcome
 from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, stream
@@ -22,7 +23,10 @@ Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
 
 
 class Batch(NamedTuple):
-    """What the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded."""
+    """What the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded.
+
+    Worlds lie in all places of a division, see `Division.spread`.
+    """
 
     static_obs: Any
     trajectory: Any
@@ -30,7 +34,10 @@ class Batch(NamedTuple):
 
 
 class RolloutCore:
-    """Plays the worlds of `groups` of every update."""
+    """Plays the worlds of `groups` of every update.
+
+    division: of blocks of these groups over the devices of the mesh, by default of single ones.
+    """
 
     def __init__(
         self,
@@ -41,19 +48,15 @@ class RolloutCore:
         mesh: Mesh,
         *,
         groups: range,
+        division: Division | None = None,
     ) -> None:
-        num_groups = len(groups)
-        num_devices = mesh.devices.size
-        if num_groups % num_devices:
-            raise ValueError(
-                f"{num_groups} world groups cannot be divided over {num_devices} devices; change rollout.num_groups"
-            )
+        self.division = division or Division(len(groups), mesh.devices.size)
         self._config = config
         self._env = env
         self._policy = policy
         self._curriculum = curriculum
         self._first_group = groups.start
-        self._groups_per_device = num_groups // num_devices
+        self._groups_per_part = len(groups) // self.division.num_parts
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._play = jax.jit(
             jax.shard_map(
@@ -68,7 +71,7 @@ class RolloutCore:
     def play(self, params: Any, state: Any, num_updates: int) -> tuple[Batch, Seen | None, dict[str, Any]]:
         """(what is learned from, what the curriculum sees if it observes, sums over all worlds) of one update.
 
-        state: of the curriculum.
+        state: of the curriculum. The first two lie in all places of the division; what is there once more is in no sum.
         """
         return self._play(params, state, jnp.uint32(num_updates))
 
@@ -76,16 +79,18 @@ class RolloutCore:
         config, env = self._config, self._env
         worlds_per_group = config.rollout.worlds_per_group
         device = jax.lax.axis_index(DATA_AXIS)
-        groups = self._first_group + device * self._groups_per_device + jnp.arange(self._groups_per_device)
+        parts = jnp.asarray(self.division.parts)[device]
+        groups = self._first_group + by_part(parts, self._groups_per_part)
+        num_groups = groups.size
         level_key = jax.random.fold_in(stream(config.run.seed, LEVELS), num_updates)
         play_key = jax.random.fold_in(stream(config.run.seed, PLAY), num_updates)
 
         group_keys = jax.vmap(lambda group: jax.random.fold_in(level_key, group))(groups)
         proposal = self._curriculum.propose(state, group_keys, groups)
-        expected, found = self._groups_per_device * worlds_per_group, proposal.levels.position.shape[0]
+        expected, found = num_groups * worlds_per_group, proposal.levels.position.shape[0]
         if found != expected:
             raise ValueError(
-                f"curriculum {config.curriculum.name!r} proposed {found} levels for {self._groups_per_device} groups "
+                f"curriculum {config.curriculum.name!r} proposed {found} levels for {num_groups} groups "
                 f"of {worlds_per_group} worlds; propose must return {expected}"
             )
         prepared = env.prepare(proposal.levels)
@@ -96,16 +101,22 @@ class RolloutCore:
             Worlds(prepared, *env.reset(prepared)),
             play_key,
             config.rollout.num_steps,
-            first_world=groups[0] * worlds_per_group,
+            numbers=by_part(groups, worlds_per_group),
         )
         seen = (proposal, self._summarised(played)) if self._curriculum.observes else None
         batch = Batch(prepared.static_obs, played.trajectory, played.last_value)
-        batch = worlds_trained(batch, self._groups_per_device, config.num_trained_envs // config.rollout.num_groups)
-        return batch, seen, _sums(played.outcome, played.trajectory.rewards)
+        batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
+        is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.places)
+        return batch, seen, _sums(played.outcome, played.trajectory.rewards, is_counted)
 
     def _summarised(self, played: Played) -> LevelOutcome:
         summary = self._curriculum.summarise(played.trajectory, played.last_value)
         return dataclasses.replace(played.outcome, summary=summary)
+
+
+def by_part(parts: Array, size: int) -> Array:
+    """Numbers of what parts of `size` consist of, in order: [len(parts) * size]."""
+    return (parts[:, None] * size + jnp.arange(size)).reshape(-1)
 
 
 def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
@@ -121,15 +132,16 @@ def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
     )
 
 
-def _sums(outcome: LevelOutcome, rewards: Array) -> dict[str, Any]:
-    """What the metrics need, over the worlds of all devices."""
+def _sums(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
+    """What the metrics need, over the worlds of all devices, each once."""
+    outcome, rewards = jax.tree.map(lambda x: jnp.where(is_counted, x, 0), (outcome, rewards))
     local = {
         "finished": outcome.num_finished.sum(),
         "solved": outcome.num_solved.sum(),
         "failed": outcome.num_failed.sum(),
         "return": outcome.return_sum.sum(),
         "reward": rewards.sum(),
-        "steps": jnp.int32(rewards.size),
+        "steps": rewards.shape[0] * is_counted.sum(dtype=jnp.int32),
         "physics": jax.tree.map(lambda count: count.sum(dtype=jnp.float32), outcome.physics),  # beyond an int32
     }
     return jax.lax.psum(local, DATA_AXIS)

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 import jax
+import numpy as np
 from jax.sharding import Mesh
 
 from kinetix_dist.config import TrainConfig
@@ -13,7 +14,7 @@ from kinetix_dist.learner.sharding import replicate
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.rollout_core import Batch, RolloutCore
 
 
 class RolloutWorker:
@@ -21,19 +22,18 @@ class RolloutWorker:
 
     def __init__(self, config: TrainConfig, mesh: Mesh, *, index: int, num_parts: int) -> None:
         self._mesh = mesh
-        self._num_env_steps = config.rollout.steps_per_update // num_parts
         env = make_environment(config)
         policy = make_policy(config.policy, env.action_distribution.head_sizes)
         curriculum = make_curriculum(config, env, policy)
-        num_groups = config.rollout.num_groups // num_parts
-        groups = range(index * num_groups, (index + 1) * num_groups)
+        groups = config.groups_of_part(index, num_parts)
+        self._num_env_steps = len(groups) * config.rollout.steps_per_group
         self._rollout = RolloutCore(config, env, policy, curriculum, mesh, groups=groups)
 
     def play(self, update: int, policy_version: int, params: Any, state: Any) -> tuple[dict[str, Any], tuple[Any, ...]]:
         """(stamp, what `RolloutCore.play` gives as numpy) of this part of batch `update`. state: of the curriculum."""
         began = time.monotonic()
         params, state = replicate(params, self._mesh), replicate(state, self._mesh)
-        played = jax.device_get(self._rollout.play(params, state, update))
+        played = self._each_world_once(*jax.device_get(self._rollout.play(params, state, update)))
         stamp = {
             "update": update,
             "policy_version": policy_version,
@@ -41,3 +41,14 @@ class RolloutWorker:
             "seconds": time.monotonic() - began,
         }
         return stamp, played
+
+    def _each_world_once(self, batch: Batch, seen: Any, sums: Any) -> tuple[Any, ...]:
+        if self._rollout.division.is_even:
+            return batch, seen, sums
+
+        def once(x: Any, axis: int = 0) -> Any:
+            return np.take(x, self._rollout.division.gathered(x.shape[axis]), axis=axis)
+
+        static_obs, seen = jax.tree.map(once, (batch.static_obs, seen))
+        trajectory = jax.tree.map(lambda x: once(x, axis=1), batch.trajectory)
+        return Batch(static_obs, trajectory, once(batch.last_value)), seen, sums

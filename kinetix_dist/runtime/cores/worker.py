@@ -12,7 +12,7 @@ from jax.sharding import Mesh
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.learner.sharding import local_values, shard_worlds
+from kinetix_dist.learner.sharding import local_values, spread_worlds
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.compile_cache import compile_seconds
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState, make_curriculum
@@ -62,10 +62,11 @@ class LearnerWorker:
         began = time.monotonic()
         batches, seen, sums = zip(*parts, strict=True)
         static_obs, trajectory, last_value = zip(*batches, strict=True)
+        place, where = spread_worlds, (self._mesh, self._learner.division)
         metrics = self._learner.learn(
-            shard_worlds(jax.tree.map(lambda *xs: np.concatenate(xs), *static_obs), self._mesh),
-            shard_worlds(jax.tree.map(lambda *xs: np.concatenate(xs, axis=1), *trajectory), self._mesh, axis=1),
-            shard_worlds(np.concatenate(last_value), self._mesh),
+            place(jax.tree.map(lambda *xs: np.concatenate(xs), *static_obs), *where),
+            place(jax.tree.map(lambda *xs: np.concatenate(xs, axis=1), *trajectory), *where, axis=1),
+            place(np.concatenate(last_value), *where),
         )
         if self._curriculum.observes:
             self._state.observe(*jax.tree.map(lambda *xs: np.concatenate(xs), *seen))
@@ -100,8 +101,10 @@ class Worker(LearnerWorker):
 
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
         super().__init__(config, mesh)
-        groups = range(config.rollout.num_groups)
-        self._rollout = RolloutCore(config, self._env, self._policy, self._curriculum, mesh, groups=groups)
+        groups, division = range(config.rollout.num_groups), self._learner.division
+        self._rollout = RolloutCore(
+            config, self._env, self._policy, self._curriculum, mesh, groups=groups, division=division
+        )
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         """(metrics, seconds of "rollout" and "learn")."""
@@ -111,7 +114,7 @@ class Worker(LearnerWorker):
         played = time.monotonic()
         learner_metrics = local_values(self._learner.learn(*batch))
         if seen is not None:
-            self._state.observe(*seen)
+            self._state.observe(*seen, division=self._rollout.division)
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)
         return metrics, {"rollout": played - began, "learn": learned - played}

@@ -6,6 +6,8 @@ import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 
+from kinetix_dist.config import RunConfig
+
 ROLES = ("rollout", "learn", "curate", "evaluate", "record", "checkpoint")
 
 
@@ -59,3 +61,14 @@ class RoleClock:
         for name, value in self._lap.items():
             self.totals[name] += value
         self._lap = dict.fromkeys(ROLES, 0.0)
+
+
+def seconds_left(run: RunConfig, *, env_steps: int, training_seconds: float) -> float:
+    """Until the end of training, at the speed so far. env_steps, training_seconds: since the start of the run."""
+    ends = []
+    if run.max_seconds:
+        ends.append(run.max_seconds - training_seconds)
+    if run.total_env_steps:
+        steps_per_second = env_steps / max(training_seconds, 1e-9)
+        ends.append((run.total_env_steps - env_steps) / max(steps_per_second, 1e-9))
+    return max(min(ends), 0.0)

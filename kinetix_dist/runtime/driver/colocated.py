@@ -14,7 +14,7 @@ import numpy as np
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_worker
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
 
 def learning_devices(facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -42,6 +42,9 @@ class ColocatedTrainer:
         self._handles = self.backend.spawn(self._plans, build_worker, self._config)
         stored = None if arrays is None else self.backend.put(dict(arrays))
         self._all("start", stored)
+
+    def place(self, placement: Placement) -> None:
+        self._plans = placement.of("worker")
 
     def weights(self) -> Ticket:
         return self._handles[0].call("weights")

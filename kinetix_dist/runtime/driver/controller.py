@@ -29,11 +29,12 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
-from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.clock import RoleClock, seconds_left
+from kinetix_dist.runtime.driver.evaluations import Evaluations, EvaluationsHere
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
 from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.refreshes import Refreshes
@@ -45,6 +46,9 @@ from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Loss, Losses
+
+if TYPE_CHECKING:
+    from kinetix_dist.runtime.driver.resizing import Resizing
 
 T = TypeVar("T")
 
@@ -62,7 +66,10 @@ class Controller:
         *,
         on_rollouts: Callable[[list[Any]], None] = lambda rollouts: None,
         stop: StopSignals | None = None,
+        evaluations: Evaluations | None = None,
+        resizing: Resizing | None = None,
     ) -> None:
+        """evaluations: those during training, beside it; None: the trainer makes them."""
         self.config = config
         self.run = run
         self.trainer = trainer
@@ -81,6 +88,8 @@ class Controller:
         self.backend.losses = self._losses
         self._section = self.backend.sections.section
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)
+        self._evaluations = evaluations or EvaluationsHere(config, self._evaluate, self._record)
+        self._resizing = resizing
         self._loss: Loss | None = None  # the first one since the last new result
         self._update_seconds = 0.0  # of the last update
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
@@ -157,6 +166,8 @@ class Controller:
             self._recover(error)
         except StopRequested:
             pass  # while waiting for the curator, with the last update complete
+        else:
+            self._grow()
         if self.stop.requested is not None:
             self._stop()
         if self._skipped.must_go_back(self.num_updates):
@@ -205,23 +216,12 @@ class Controller:
         if self.stop.requested is not None:
             self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
             return
-        if _is_due(self.config.evaluation.every, self.num_updates):
-            metrics |= self._evaluate_metrics()
-        if _is_due(self.config.recording.every, self.num_updates):
-            self._record(self.config.recording.num_rollouts)
+        metrics |= self._evaluations.after_update(self.num_updates, self.clock, is_last=self._is_over())
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
         # What the updates that are skipped began from is what to go back to.
         is_well = self._skipped.in_a_row == 0
         if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._save()
-
-    def _evaluate_metrics(self) -> dict[str, float]:
-        rates = self._evaluate(use_policy=True)
-        return {
-            f"evaluation/{name}/{metric}": rate[field]
-            for name, rate in rates.items()
-            for metric, field in (("solve_rate", "rate"), ("low", "low"), ("high", "high"))
-        }
 
     def _report(self, metrics: dict[str, float]) -> None:
         self._saver.collect()
@@ -240,7 +240,8 @@ class Controller:
         }
         if self._saver.seconds is not None:
             metrics["runtime/save_seconds"] = self._saver.seconds
-        self.reporter.metrics(self.num_updates, metrics, self._seconds_left())
+        left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
+        self.reporter.metrics(self.num_updates, metrics, left)
         physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):
             self.run.event("physics_warning", counter=kind, count=count, update=self.num_updates)
@@ -271,28 +272,19 @@ class Controller:
             return True
         return bool(run.max_seconds) and self.training_seconds >= run.max_seconds
 
-    def _seconds_left(self) -> float:
-        run = self.config.run
-        ends = []
-        if run.max_seconds:
-            ends.append(run.max_seconds - self.training_seconds)
-        if run.total_env_steps:
-            steps_per_second = self.env_steps / max(self.training_seconds, 1e-9)
-            ends.append((run.total_env_steps - self.env_steps) / max(steps_per_second, 1e-9))
-        return max(min(ends), 0.0)
-
     # Checkpoints and recovery
 
     def _save(self) -> None:
         """Begins a save of this update. A failed one is an event: the older checkpoints are still there."""
         with self._section("save"), self.clock.role("checkpoint"):
-            arrays = self.trainer.snapshot() | self._refreshes.in_flight()
+            arrays = self.trainer.snapshot() | self._refreshes.in_flight() | self._evaluations.in_flight()
             description = {
                 "config": to_dict(self.config),
                 "config_hash": self.config.hash,
                 "env_steps": self.env_steps,
                 "training_seconds": self.training_seconds,
                 **self._refreshes.description(),
+                **self._evaluations.description(),
                 "versions": versions(),
                 "topology": self._topology,
             }
@@ -342,6 +334,7 @@ class Controller:
             self.trainer.start(0, None)
             self._topology = self.trainer.topology()
             self._refreshes.start({}, {})
+            self._evaluations.start({}, {})
             return
         description = checkpoint.description
         self.num_updates = self._saver.saved_at = description["num_updates"]
@@ -352,6 +345,7 @@ class Controller:
         if differs:
             self.reporter.note(f"resumed with {', '.join(differs)}: works, but is not bit for bit the unbroken run")
         self._refreshes.start(description, checkpoint.arrays)
+        self._evaluations.start(description, checkpoint.arrays)
 
     def _recover(self, error: WorkerLostError) -> None:
         """Goes back to the newest good checkpoint; a loss on the way is one more. Raises TooManyLossesError."""
@@ -362,11 +356,28 @@ class Controller:
             loss = self._losses.lost(error)
             self._loss = self._loss or loss
             try:
+                if self._resizing is not None:
+                    self._resizing.fit(self.num_updates, self.stop)
                 with self._section("recover"):
                     self._restart()
                 return
             except WorkerLostError as again:
                 error = again
+
+    def _grow(self) -> None:
+        """Where nodes have come back and this update is saved: nothing has to be done again."""
+        is_saved = _is_due(self.config.run.checkpoint_every, self.num_updates)
+        if self._resizing is None or not is_saved or not self._resizing.has_room_to_grow():
+            return
+        self._saver.wait()
+        if self._saver.saved_at != self.num_updates:
+            return
+        try:
+            self._resizing.place(self.num_updates, self.stop)
+            with self._section("recover"):
+                self._restart()
+        except WorkerLostError as error:
+            self._recover(error)
 
     def _note_recovery(self) -> None:
         if self._loss is not None:

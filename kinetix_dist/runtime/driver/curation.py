@@ -72,6 +72,9 @@ class CuratorClient:
     def cancel(self) -> None:
         self._asked, self._is_wanted = None, False
 
+    def place(self, plan: ProcessPlan) -> None:
+        self._plan = plan
+
     def facts(self) -> list[dict[str, Any]]:
         """Of its process; that it was lost is a fact too, since training does not depend on it."""
         if self._handle is None or isinstance(self._backend, LocalBackend):
@@ -133,6 +136,9 @@ class CuratorClient:
     def _replace(self, error: WorkerLostError) -> None:
         """Starts another process and asks again, without waiting for either."""
         error.process, error.section = self._plan.name, "curate"
+        if self._backend.has_lost_room:  # it went with its node: the whole run is placed anew
+            self.stop()
+            raise error
         loss = self._backend.losses.lost(error)
         self._loss = self._loss or loss
         self._is_late = True

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from kinetix_dist.runtime.processes.backend import Backend
+from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
 
 class Trainer(Protocol):
@@ -20,6 +21,9 @@ class Trainer(Protocol):
 
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         """Builds everything at an update boundary: from a checkpoint's arrays, or afresh. Also after a loss."""
+
+    def place(self, placement: Placement) -> None:
+        """Other processes from the next start on."""
 
     def weights(self) -> Any:
         """The parameters now, or a reference to them: what a curator is given."""
@@ -70,6 +74,9 @@ class Curator(Protocol):
         whoever asks again later does not wait. patience_s None: waits as long as it takes, over losses too."""
 
     def cancel(self) -> None: ...
+
+    def place(self, plan: ProcessPlan) -> None:
+        """Another process from the next request on; the one there is has been stopped."""
 
     def facts(self) -> list[dict[str, Any]]:
         """For the report, of its process; nothing where it shares that of the trainer."""

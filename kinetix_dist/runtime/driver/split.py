@@ -14,6 +14,7 @@ again by a new actor with the same weights and comes out the same.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -42,8 +43,7 @@ class SplitTrainer:
     def __init__(self, config: TrainConfig, backend: Backend, placement: Placement) -> None:
         self._config = config
         self.backend = backend
-        self._learner_plan = placement.of("learner")
-        self._rollout_plans = placement.of("rollout")
+        self.place(placement)
         self._observes = config.curriculum_class.observes
         self._learner: Handle | None = None
         self._actors: list[Handle] = []
@@ -71,6 +71,12 @@ class SplitTrainer:
             if self._observes:
                 state = self._learner.call("state_from", self.backend.put(select_arrays(arrays, PROPOSING)))
             self._issue(num_updates, num_updates - 1, state)
+
+    def place(self, placement: Placement) -> None:
+        self._learner_plan = placement.of("learner")
+        self._rollout_plans = placement.of("rollout")
+        run = dataclasses.replace(self._config.run, num_rollout_actors=len(self._rollout_plans))
+        self._config = dataclasses.replace(self._config, run=run)
 
     def weights(self) -> Ticket:
         assert self._learner is not None
@@ -184,6 +190,8 @@ class SplitTrainer:
             except InputLostError:  # the learner's: the actor is well
                 raise
             except WorkerLostError as error:
+                if self.backend.has_lost_room:  # it went with its node: the whole run is placed anew
+                    raise
                 error.section = self.backend.sections.name
                 loss = self.backend.losses.lost(error)
                 first = first or loss
@@ -196,8 +204,8 @@ class SplitTrainer:
 
     def _replace(self, update: int, part: int) -> None:
         lost = [update, *(issued for issued, of_part in self._in_flight if of_part == part)]
-        steps_per_part = self._config.rollout.steps_per_update // len(self._rollout_plans)
-        self._work.drop(steps_per_part * len(lost))
+        num_groups = len(self._config.groups_of_part(part, len(self._rollout_plans)))
+        self._work.drop(num_groups * self._config.rollout.steps_per_group * len(lost))
         self.backend.kill([self._actors[part]])
         self._actors[part] = self.backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
         self.backend.sections.begin_again()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.env.physics import describe
@@ -16,6 +16,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.evaluations import Evaluations
 from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
@@ -27,6 +28,9 @@ from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, TooManyLossesError
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
+
+if TYPE_CHECKING:
+    from kinetix_dist.runtime.driver.resizing import Resizing
 
 
 class RunFailedError(RuntimeError):
@@ -52,10 +56,13 @@ def train(
     recorder = Recorder(run)
     started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
-        backend, trainer, curator = _start_roles(config, run)
+        backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder)
         stop.install()
-        started = [role.stop for role in (curator, trainer, backend) if role is not None]
-        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=recorder, stop=stop)
+        started = [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
+        told = {"on_rollouts": recorder, "stop": stop}
+        controller = Controller(
+            config, run, trainer, curator, reporter, **told, evaluations=evaluations, resizing=resizing
+        )
         started.insert(0, controller.close)
         controller.restore(resume=resume)
         _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
@@ -160,7 +167,9 @@ def _failed_run(run: RunDirectory, error: ProcessFailedError | TooManyLossesErro
     return RunFailedError(f"{error}{where}; checkpoints are kept, go on with --run {run.path} --resume")
 
 
-def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Trainer, CuratorClient | None]:
+def _start_roles(
+    config: TrainConfig, run: RunDirectory, reporter: RunReporter, recorder: Recorder
+) -> tuple[Backend, Trainer, CuratorClient | None, Evaluations | None, Resizing | None]:
     hold_to_cpu(config)
     if config.run.placement == "local":
         from kinetix_dist.runtime.processes.local import LocalBackend
@@ -169,7 +178,9 @@ def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Train
         local = LocalBackend()
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
         curator_plan = ProcessPlan(role="curator", index=0)
-        return local, trainer, CuratorClient(config, local, curator_plan) if config.has_curator else None
+        curator = CuratorClient(config, local, curator_plan) if config.has_curator else None
+        return local, trainer, curator, None, None
+    from kinetix_dist.runtime.driver.resizing import Resizing
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
     backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)
@@ -186,7 +197,14 @@ def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Train
     else:
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
     curators = placement.of("curator")
-    return backend, trainer, CuratorClient(config, backend, curators[0]) if curators else None
+    curator = CuratorClient(config, backend, curators[0]) if curators else None
+    evaluators = placement.of("evaluator")
+    told = {"on_event": run.event, "on_rollouts": recorder}
+    evaluations = Evaluations(config, trainer, evaluators[0], **told) if evaluators else None
+    beside = {"curator": curator, "evaluator": evaluations}
+    beside = {role: part for role, part in beside.items() if part is not None}
+    resizing = Resizing(config, backend, placement, trainer, beside, on_event=run.event, on_note=reporter.note)
+    return backend, trainer, curator, evaluations, resizing
 
 
 def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:

@@ -53,6 +53,11 @@ class Backend(Protocol):
         Raises as `gather` does where the answer is a loss or a failure. Does not wait.
         """
 
+    @property
+    def has_lost_room(self) -> bool:
+        """Whether nodes were lost without which the processes of the run have no room; it comes back with them."""
+        ...
+
     def put(self, value: Any) -> Ticket:
         """A value that many calls are given, stored once."""
 

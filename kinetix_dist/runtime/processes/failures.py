@@ -35,6 +35,7 @@ ADVICE = {
     "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib",
     "learner": "lower rollout.num_envs or raise ppo.minibatches",
     "rollout": "lower rollout.num_envs or raise run.num_rollout_actors",
+    "evaluator": "lower evaluation.attempts, or set evaluation.every and recording.every to 0",
     "curator": "raise run.curator_memory_gib or lower curriculum.scoring_batch",
 }
 

@@ -116,6 +116,8 @@ def share_of_gpu(config: TrainConfig, processes: Sequence[tuple[str, int]], *, n
                     budget_bytes=round(by_hand * GIB) if by_hand else None,
                 )
             )
+        elif role == "evaluator":  # it plays no more worlds at once than a curator
+            needs.append(MemoryNeeds(process=process, thread_bytes=thread, pool_bytes=curator_pool_bytes(config)))
         else:
             needs.append(MemoryNeeds(process=process, thread_bytes=thread, num_in_group=num_in_group))
     limit = config.run.gpu_memory_gib

@@ -44,6 +44,8 @@ class LocalHandle:
 class LocalBackend:
     """Cores share this process and its devices."""
 
+    has_lost_room = False
+
     def __init__(self) -> None:
         self.sections = Sections()
         self.losses = Losses()

@@ -2,7 +2,8 @@
 
 colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
 split       one learner process, and rollout actors on devices of their own; lag 1
-both        one curator, on the GPU of the first worker (or rollout actor), whose memory the two share
+both        one curator, and an evaluator where evaluations or recordings are asked for during training, on the GPU of
+            the first worker (or rollout actor), whose memory they share
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class PlacementError(ValueError):
 class ProcessPlan:
     """One Ray actor."""
 
-    role: str  # "worker", "learner", "rollout" or "curator"
+    role: str  # "worker", "learner", "rollout", "curator" or "evaluator"
     index: int  # among those of its role
     gpu: int | None = None  # which of the run's GPUs, counted from 0; None: it computes on the CPU
     gpu_share: float = 0.0  # of that GPU, as Ray counts
@@ -53,10 +54,11 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
         num_workers = config.run.num_workers or (num_gpus if on_gpus else 1)
         if on_gpus and num_workers > num_gpus:
             raise PlacementError(f"run.num_workers {num_workers} needs as many GPUs; there are {num_gpus}")
-        if config.rollout.num_groups % num_workers:
+        if num_workers > config.num_blocks:
             raise PlacementError(
-                f"{num_workers} workers cannot share {config.rollout.num_groups} world groups evenly; "
-                "change run.num_workers or rollout.num_groups"
+                f"{num_workers} workers cannot share {config.num_blocks} blocks of worlds: some would have none; lower "
+                f"run.num_workers, or raise rollout.num_groups {config.rollout.num_groups} and ppo.virtual_shards "
+                f"{config.ppo.virtual_shards}"
             )
         gpus = [[("worker", index)] for index in range(num_workers)]
         beside_curator, num_in_group = 0, num_workers
@@ -71,6 +73,8 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
         beside_curator, num_in_group = 1, 1
     if config.has_curator:
         gpus[beside_curator].append(("curator", 0))
+    if config.evaluates_beside:
+        gpus[beside_curator].append(("evaluator", 0))
     if not on_gpus:
         return Placement(processes=_in_order(_on_cpu(role, index) for gpu in gpus for role, index in gpu))
     return Placement(
@@ -120,5 +124,5 @@ def _on_gpu(config: TrainConfig, gpu: int, roles: Sequence[tuple[str, int]], num
 
 
 def _in_order(processes: Iterable[ProcessPlan]) -> tuple[ProcessPlan, ...]:
-    """The curator last: it is started when it is first needed."""
-    return tuple(sorted(processes, key=lambda process: process.role == "curator"))
+    """Curator and evaluator last: they are started when they are first needed."""
+    return tuple(sorted(processes, key=lambda process: process.role in ("curator", "evaluator")))

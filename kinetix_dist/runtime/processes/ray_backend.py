@@ -20,6 +20,7 @@ from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
+from kinetix_dist.runtime.processes.room import Room, free_room, needed_by, nodes_in_words, total_room
 from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.runtime.processes.supervise import Supervisor, wait_until_gone
 from kinetix_dist.runtime.processes.watchdog import Watchdog
@@ -80,6 +81,7 @@ class RayBackend:
         self._watchdog: Watchdog | None = None
         self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
+        self._needed = Room(0, 0)  # for all processes of the run
         if ray.is_initialized():
             self._owns_ray = False
             return
@@ -112,14 +114,16 @@ class RayBackend:
     @property
     def num_gpus(self) -> int:
         """Of the whole cluster."""
-        return int(ray.cluster_resources().get("GPU", 0))
+        return total_room().gpus
 
     def reserve(self, placement: Placement) -> None:
         """Takes the GPUs of a run, so that who shares one with whom is the same after every restart.
 
         Raises PlacementError where others hold them, or where the cluster has too few CPU slots: one a process.
         """
-        self._check_cpus(len(placement.processes))
+        self.release()
+        self._needed = needed_by(placement)
+        self._check_cpus(self._needed.cpus)
         shared: dict[int, int] = {}
         for plan in placement.processes:
             if plan.gpu is not None:
@@ -132,21 +136,40 @@ class RayBackend:
             ray.util.remove_placement_group(group)
             raise PlacementError(
                 f"this run needs {len(bundles)} of the cluster's {self.num_gpus} GPUs, and they were not free within "
-                f"{FREE_TIMEOUT_S:g} s; wait for the run that holds them, or lower run.num_workers"
+                f"{FREE_TIMEOUT_S:g} s: {nodes_in_words()}; wait for the run that holds them, or lower run.num_workers"
             )
         self._group = group
 
+    def release(self) -> None:
+        """Gives the GPUs back. Ray ends the processes on them."""
+        if self._group is not None:
+            ray.util.remove_placement_group(self._group)
+            self._group = None
+
+    @property
+    def has_lost_room(self) -> bool:
+        if self._group is not None:
+            return ray.util.placement_group_table(self._group)["state"] != "CREATED"
+        return not total_room().holds(self._needed)
+
+    def room(self) -> Room:
+        """What nobody holds, and what the processes of the run do."""
+        held = self._needed if self._group is not None else Room(self._supervisor.num_watched, 0)
+        return (free_room() + held).at_most(total_room())  # Ray counts what was just taken as free for a moment
+
     def _check_cpus(self, needed: int) -> None:
         """Ray itself would wait for ever, without a word."""
-        total, deadline = int(ray.cluster_resources().get("CPU", 0)), time.monotonic() + FREE_TIMEOUT_S
+        total, deadline = total_room().cpus, time.monotonic() + FREE_TIMEOUT_S
         advice = "start Ray with more by --num-cpus (they are bookkeeping only), or start fewer processes"
         if total < needed:
-            raise PlacementError(f"this run has {needed} processes, and the cluster {total} CPU slots; {advice}")
-        while (free := int(ray.available_resources().get("CPU", 0))) < needed:
+            raise PlacementError(
+                f"this run has {needed} processes, and the cluster {total} CPU slots: {nodes_in_words()}; {advice}"
+            )
+        while (free := free_room().cpus) < needed:
             if time.monotonic() > deadline:
                 raise PlacementError(
                     f"this run needs {needed} of the cluster's {total} CPU slots, and {free} were free within "
-                    f"{FREE_TIMEOUT_S:g} s; wait for the run that holds them, or {advice}"
+                    f"{FREE_TIMEOUT_S:g} s: {nodes_in_words()}; wait for the run that holds them, or {advice}"
                 )
             time.sleep(CPUS_POLL_S)
 
@@ -242,8 +265,8 @@ class RayBackend:
     def stop(self) -> None:
         if self._owns_ray:
             ray.shutdown()
-        elif self._group is not None:
-            ray.util.remove_placement_group(self._group)
+        else:
+            self.release()
         if self._watchdog is not None:
             self._watchdog.stop()
 

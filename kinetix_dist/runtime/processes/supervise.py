@@ -39,6 +39,11 @@ class Supervisor:
     def add(self, actor: Any, name: str) -> None:
         self._names[actor] = name
 
+    @property
+    def num_watched(self) -> int:
+        """Processes that were started and not forgotten."""
+        return len(self._names)
+
     def forget(self, actors: Sequence[Any]) -> None:
         for actor in actors:
             self._pings.pop(actor, None)

@@ -1,0 +1,216 @@
+"""Evaluations and recordings during training, by a process of their own: training waits for none of them.
+
+consumes      weights of the updates at which one is due
+produces      solve rates, stamped with the update whose weights they are of, in the metrics of a later one; rollouts
+waits for     nothing; after the last update, for what is asked for
+bound         MAX_WAITING of them, since each keeps weights: what is due beyond that is left out, with an event
+
+What is asked for is part of a checkpoint, so that a resumed run asks for it again. A lost evaluator is replaced, and
+does again what it was at.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.checkpoint import flatten_arrays, select_arrays
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.cores.build import build_evaluator
+from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.roles import Trainer
+from kinetix_dist.runtime.driver.weight_sync import nested, resolve
+from kinetix_dist.runtime.processes.backend import Handle, Ticket
+from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.losses import Loss
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+MAX_WAITING = 4
+POLL_S = 0.02
+EVALUATING = "evaluating"  # arrays of a checkpoint: weights of what was asked for
+EVALUATE, RECORD = "evaluate", "record"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Job:
+    kind: str
+    update: int  # whose weights
+    weights: Any
+
+
+class Evaluations:
+    """Of one run. Its process starts with the first request."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        trainer: Trainer,
+        plan: ProcessPlan,
+        *,
+        on_event: Callable[..., None],
+        on_rollouts: Callable[[list[Any]], None],
+    ) -> None:
+        self._config = config
+        self._trainer = trainer
+        self._backend = trainer.backend
+        self._plan = plan
+        self._on_event = on_event
+        self._on_rollouts = on_rollouts
+        self._handle: Handle | None = None
+        self._jobs: list[_Job] = []  # the first one is what the process is at
+        self._call: tuple[Ticket, Ticket] | None = None  # its seconds, what it gives
+        self._loss: Loss | None = None  # the first one since something was taken
+
+    def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        """As a checkpoint has it; afresh where both are empty."""
+        self._call = None  # what the process is at is not waited for any more
+        asked = description.get("evaluations_in_flight", [])
+        weights = [nested(select_arrays(arrays, f"{EVALUATING}/{index}")) for index in range(len(asked))]
+        put = self._backend.put
+        self._jobs = [_Job(kind, update, put(tree)) for (kind, update), tree in zip(asked, weights, strict=True)]
+
+    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> dict[str, float]:
+        """Asks for what is due. Metrics of one evaluation that has come since; after the last update waits for all."""
+        with self._backend.sections.section("evaluate"), clock.role("evaluate"):
+            self._ask_for_due(num_updates)
+            return self._collected(must_wait=is_last)
+
+    def _ask_for_due(self, num_updates: int) -> None:
+        due = due_after(self._config, num_updates)
+        if not due:
+            return
+        weights = self._backend.put(resolve(self._trainer.weights()))  # a copy of its own: the trainer may be lost
+        for kind in due:
+            if len(self._jobs) < MAX_WAITING:
+                self._jobs.append(_Job(kind, num_updates, weights))
+            else:
+                self._on_event("evaluation_left_out", what=kind, update=num_updates)
+
+    def _collected(self, *, must_wait: bool) -> dict[str, float]:
+        metrics: dict[str, float] = {}
+        while self._jobs and (must_wait or not metrics):
+            if self._call is None:
+                self._ask()
+            if self._is_answered(must_wait=must_wait):
+                metrics |= self._taken()
+            elif must_wait:
+                time.sleep(POLL_S)
+            else:
+                break
+        return metrics
+
+    def description(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {"evaluations_in_flight": [[job.kind, job.update] for job in self._jobs]}
+
+    def in_flight(self) -> dict[str, np.ndarray]:
+        """Arrays of a checkpoint."""
+        return flatten_arrays({EVALUATING: {str(i): resolve(job.weights) for i, job in enumerate(self._jobs)}})
+
+    def place(self, plan: ProcessPlan) -> None:
+        """Another process from the next request on; the one there is has been stopped."""
+        self._plan = plan
+
+    def stop(self) -> None:
+        if self._handle is not None:
+            self._backend.kill([self._handle])
+        self._handle = self._call = None
+
+    def _ask(self) -> None:
+        if self._handle is None:
+            self._handle = self._backend.spawn_beside(self._plan, build_evaluator, self._config)
+        job = self._jobs[0]
+        self._call = self._handle.call_stamped(job.kind, job.weights, job.update)
+
+    def _is_answered(self, *, must_wait: bool) -> bool:
+        assert self._handle is not None and self._call is not None
+        try:
+            silence = self._backend.watch(self._handle, self._call[0])
+            if silence > self._config.run.heartbeat_seconds:
+                raise WorkerLostError(
+                    f"{self._plan.name} has not answered for {silence:.0f} s", since=time.monotonic() - silence
+                )
+            if must_wait and self._backend.sections.is_overdue:
+                limit_s = self._backend.sections.limit_s
+                raise WorkerLostError(f"{self._plan.name} is not done within the {limit_s:g} s of run.limits.evaluate")
+            return self._call[0].is_ready()
+        except WorkerLostError as error:
+            self._replace(error)
+            return False
+
+    def _taken(self) -> dict[str, float]:
+        assert self._call is not None
+        job = self._jobs[0]
+        stamp, content = self._backend.gather(self._call)
+        self._jobs.pop(0)
+        self._call = None
+        if self._loss is not None:
+            self._backend.losses.recovered(self._loss, update=self._backend.losses.update)
+            self._loss = None
+        if job.kind == RECORD:
+            self._on_rollouts(content)
+            return {}
+        self._on_event("evaluated", update=job.update, seconds=round(stamp["seconds"], 3), solve_rate=content)
+        return evaluation_metrics(content, job.update)
+
+    def _replace(self, error: WorkerLostError) -> None:
+        """The next look starts another process, which does again what this one was at."""
+        error.process, error.section = self._plan.name, "evaluate"
+        self.stop()
+        if self._backend.has_lost_room:  # it went with its node: the whole run is placed anew
+            raise error
+        loss = self._backend.losses.lost(error)
+        self._loss = self._loss or loss
+        self._backend.sections.begin_again()
+
+
+class EvaluationsHere:
+    """The same by the trainer while training waits: local mode has no other process."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        evaluate: Callable[..., Mapping[str, Mapping[str, float]]],
+        record: Callable[[int], None],
+    ) -> None:
+        self._config = config
+        self._evaluate = evaluate
+        self._record = record
+
+    def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+        """Nothing is ever in flight."""
+
+    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> dict[str, float]:
+        del clock, is_last
+        due, metrics = due_after(self._config, num_updates), {}
+        if EVALUATE in due:
+            metrics = evaluation_metrics(self._evaluate(use_policy=True), num_updates)
+        if RECORD in due:
+            self._record(self._config.recording.num_rollouts)
+        return metrics
+
+    def description(self) -> dict[str, Any]:
+        return {}
+
+    def in_flight(self) -> dict[str, np.ndarray]:
+        return {}
+
+
+def due_after(config: TrainConfig, num_updates: int) -> list[str]:
+    """What of EVALUATE and RECORD is due after so many updates."""
+    every = {EVALUATE: config.evaluation.every, RECORD: config.recording.every}
+    return [kind for kind in every if every[kind] and num_updates % every[kind] == 0]
+
+
+def evaluation_metrics(rates: Mapping[str, Mapping[str, float]], num_updates: int) -> dict[str, float]:
+    """By the names of `telemetry.names`. rates: by level set, of the weights after so many updates."""
+    metrics = {
+        f"evaluation/{name}/{metric}": rate[field]
+        for name, rate in rates.items()
+        for metric, field in (("solve_rate", "rate"), ("low", "low"), ("high", "high"))
+    }
+    return metrics | {"evaluation/update": float(num_updates)}

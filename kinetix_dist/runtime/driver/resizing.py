@@ -1,0 +1,148 @@
+"""How many workers (or rollout actors) a run has: as many as asked for, and fewer while nodes are lost.
+
+consumes      nodes of the cluster
+produces      a placement that they have room for
+waits for     a lost node, `run.node_wait_seconds`; then, where fewer than `run.min_workers` have room, for any
+unblocked by  a node that comes, or a stop
+
+A run of another size goes on from a checkpoint, and is not bit for bit the unbroken one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.driver.evaluations import Evaluations
+from kinetix_dist.runtime.driver.roles import Curator, Trainer
+from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, plan
+from kinetix_dist.runtime.processes.ray_backend import RayBackend
+from kinetix_dist.runtime.processes.room import needed_by, nodes_in_words
+
+POLL_S = 0.2
+NOTE_AFTER_S = 3.0  # what ended processes held is free a little after their end
+
+
+class Resizing:
+    """Of a run on Ray. Where processes are lost and their nodes are not, it does nothing."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        backend: RayBackend,
+        placement: Placement,
+        trainer: Trainer,
+        beside: Mapping[str, Curator | Evaluations],
+        *,
+        on_event: Callable[..., None],
+        on_note: Callable[[str], None],
+    ) -> None:
+        """placement: that of the run as it was asked for. beside: what works beside the trainer, by role."""
+        self._backend = backend
+        self._trainer = trainer
+        self._beside = beside
+        self._on_event = on_event
+        self._on_note = on_note
+        self._role = "rollout" if config.run.placement == "split" else "worker"
+        # What is asked for is fixed now: a cluster that has lost its GPUs is no reason to go on without them.
+        device = "cpu" if placement.processes[0].gpu is None else "gpu"
+        self._config = dataclasses.replace(config, run=dataclasses.replace(config.run, device=device))
+        self._asked = self._placed = placement
+
+    @property
+    def size(self) -> int:
+        """Workers or rollout actors now."""
+        return len(self._placed.of(self._role))
+
+    def fit(self, update: int, stop: StopSignals) -> None:
+        """Before lost processes are started again: where a node was lost with them, waits for it or goes on smaller.
+
+        Raises StopRequested where that comes while it waits.
+        """
+        if not self._backend.has_lost_room:
+            return
+        wait_s = self._config.run.node_wait_seconds
+        self._on_note(
+            f"nodes were lost, and {self._in_words(self.size)} have no room: {nodes_in_words()}; waits {wait_s:g} s "
+            "(run.node_wait_seconds)"
+        )
+        if self._came_back(wait_s, stop):
+            return
+        self.place(update, stop)
+
+    def has_room_to_grow(self) -> bool:
+        """Whether a run that was made smaller can have more processes again."""
+        if self.size == len(self._asked.of(self._role)):
+            return False
+        return self._largest(least=self.size + 1) is not None
+
+    def place(self, update: int, stop: StopSignals) -> None:
+        """Ends all processes and gives the run as many places as there is room for; waits where that is too few."""
+        self._trainer.stop()
+        for part in self._beside.values():
+            part.stop()
+        self._backend.release()
+        before, began, is_told = self.size, time.monotonic(), False
+        while True:
+            placement = self._largest(least=self._least)
+            if placement is not None and self._is_reserved(placement):
+                break
+            if not is_told and time.monotonic() > began + NOTE_AFTER_S:
+                is_told = True
+                least = self._in_words(self._least)
+                self._on_note(f"{least} (run.min_workers) have no room: {nodes_in_words()}; waits for a node")
+            _pause(stop)
+        self._placed = placement
+        self._trainer.place(placement)
+        for role, part in self._beside.items():
+            part.place(placement.of(role)[0])
+        self._on_event("resized", role=self._role, before=before, now=self.size, update=update)
+        self._on_note(f"goes on with {self._in_words(self.size)} instead of {before}: {nodes_in_words()}")
+
+    def _came_back(self, wait_s: float, stop: StopSignals) -> bool:
+        deadline = time.monotonic() + wait_s
+        while self._backend.has_lost_room:
+            if time.monotonic() > deadline:
+                return False
+            _pause(stop)
+        return True
+
+    def _is_reserved(self, placement: Placement) -> bool:
+        try:
+            self._backend.reserve(placement)
+        except PlacementError:  # free in all, not on nodes where a bundle fits, or taken in between
+            return False
+        return True
+
+    def _largest(self, *, least: int) -> Placement | None:
+        room = self._backend.room()
+        for number in range(len(self._asked.of(self._role)), least - 1, -1):
+            try:
+                placement = plan(self._of_size(number), num_gpus=room.gpus)
+            except PlacementError:
+                continue
+            if room.holds(needed_by(placement)):
+                return placement
+        return None
+
+    @property
+    def _least(self) -> int:
+        return min(self._config.run.min_workers, len(self._asked.of(self._role)))
+
+    def _of_size(self, number: int) -> TrainConfig:
+        field: dict[str, Any] = {"num_workers" if self._role == "worker" else "num_rollout_actors": number}
+        return dataclasses.replace(self._config, run=dataclasses.replace(self._config.run, **field))
+
+    def _in_words(self, number: int) -> str:
+        name = "worker" if self._role == "worker" else "rollout actor"
+        return f"{number} {name}{'' if number == 1 else 's'}"
+
+
+def _pause(stop: StopSignals) -> None:
+    if stop.requested is not None:
+        raise StopRequested
+    time.sleep(POLL_S)

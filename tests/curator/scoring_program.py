@@ -1,0 +1,48 @@
+"""Scores candidates on one, two and three CPU devices and saves the buffers.
+
+XLA_FLAGS=--xla_force_host_platform_device_count=3 python tests/curator/scoring_program.py OUT.npz
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+
+import jax
+import numpy as np
+
+from kinetix_dist.checkpoint import flatten_arrays
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.models.policy import make_policy
+from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
+from kinetix_dist.runtime.cores.learner_core import _initial_state
+from kinetix_dist.runtime.cores.levels import make_environment
+from tests.runtime.runs import tiny_config
+
+NUM_CANDIDATES, KEPT, BATCH = 32, 12, 8
+
+
+def main() -> None:
+    out, *counts = sys.argv[1:]
+    tiny = tiny_config(num_updates=1)
+    config = dataclasses.replace(
+        tiny,
+        env=dataclasses.replace(tiny.env, max_steps=64),
+        curriculum=CurriculumConfig(
+            num_candidates=NUM_CANDIDATES, scoring_batch=BATCH, scoring_steps=192, buffer_size=KEPT
+        ),
+    )
+    env = make_environment(config)
+    policy = make_policy(config.policy, env.action_distribution.head_sizes)
+    params = jax.device_get(jax.jit(lambda: _initial_state(config, env, policy))().params)
+    curriculum, buffers = make_curriculum(config, env, policy), {}
+    for count in counts:
+        curriculum.tools = dataclasses.replace(curriculum.tools, devices=jax.devices()[: int(count)])
+        buffer = curriculum.refresh(params, 5, jax.random.key(3))
+        assert buffer.score.devices() == {jax.devices()[0]}
+        buffers[count] = jax.device_get(buffer)
+    np.savez(out, **flatten_arrays(buffers))
+
+
+if __name__ == "__main__":
+    main()

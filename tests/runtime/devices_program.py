@@ -1,0 +1,63 @@
+"""Plays and learns two updates on several numbers of CPU devices and saves what comes out.
+
+    XLA_FLAGS=--xla_force_host_platform_device_count=7 python tests/runtime/devices_program.py OUT.npz 1 7
+
+The curriculum is one of a user that sees all worlds of an update. Saved for each number of devices: levels
+and actions of the first update, its sums, and a checkpoint and the metrics after the second.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+
+import jax
+import numpy as np
+
+from kinetix_dist.checkpoint import flatten_arrays
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.registry import import_plugins
+from kinetix_dist.runtime.cores.worker import Worker
+from tests.runtime.runs import tiny_config
+
+NUM_UPDATES = 2
+PLUGINS = ("tests.runtime.fake_curriculum",)
+
+
+def config() -> TrainConfig:
+    """Eight groups of two worlds."""
+    import_plugins(PLUGINS)
+    tiny = tiny_config(num_updates=NUM_UPDATES, plugins=PLUGINS)
+    return dataclasses.replace(
+        tiny,
+        env=dataclasses.replace(tiny.env, max_steps=5),
+        curriculum=CurriculumConfig(name="most_failed", levels="designed_s"),
+        rollout=dataclasses.replace(tiny.rollout, num_groups=8),
+        ppo=dataclasses.replace(tiny.ppo, virtual_shards=8),
+    )
+
+
+def play_and_learn(num_devices: int) -> dict[str, np.ndarray]:
+    worker = Worker(config(), data_mesh(jax.devices()[:num_devices]))
+    worker.start(None)
+    rollout = worker._rollout
+    batch, (proposal, _), sums = rollout.play(worker._learner.params, worker._state.placed, 0)
+
+    def once(x: jax.Array, axis: int = 0) -> np.ndarray:
+        return np.take(np.asarray(x), rollout.division.gathered(x.shape[axis]), axis=axis)
+
+    found = {"levels": jax.tree.map(once, proposal.levels), "actions": once(batch.trajectory.actions, axis=1)}
+    rows = [worker.run_update(number)[0] for number in range(NUM_UPDATES)]
+    return flatten_arrays({**found, "sums": jax.device_get(sums), "metrics": rows[-1]}) | worker.snapshot()
+
+
+def main() -> None:
+    out, *counts = sys.argv[1:]
+    found = {f"{count}:{name}": x for count in counts for name, x in play_and_learn(int(count)).items()}
+    np.savez(out, **found)
+
+
+if __name__ == "__main__":
+    main()
