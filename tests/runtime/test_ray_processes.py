@@ -4,6 +4,7 @@ import dataclasses
 import os
 import re
 import signal
+import socket
 import time
 
 import pytest
@@ -104,6 +105,25 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
 
 
 # A group of two
+
+
+def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(backend, monkeypatch):
+    """Another program takes it between the two: the group is lost, and started again with another port."""
+    plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
+    ask, taken = backend._all, []
+
+    def ask_and_take(actors, references):
+        answers = ask(actors, references)
+        if isinstance(answers[0], str) and answers[0].count(":") == 1:
+            host, _, port = answers[0].partition(":")
+            taken.append(socket.create_server((host, int(port))))
+        return answers
+
+    monkeypatch.setattr(backend, "_all", ask_and_take)
+    with pytest.raises(WorkerLostError, match=r"worker 0 (found the port of its group taken|died)"):
+        backend.spawn(plans, build_told)
+    assert len(taken) == 1
+    taken[0].close()
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ config -> placement -> backend (this process or Ray) -> trainer, curator -> cont
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.nodes import check_nodes
 from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
@@ -26,6 +28,7 @@ from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, 
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, TooManyLossesError
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
+from kinetix_dist.runtime.processes.ray_access import use_token
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
 
@@ -170,10 +173,14 @@ def _start_roles(config: TrainConfig, run: RunDirectory) -> tuple[Backend, Train
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
         curator_plan = ProcessPlan(role="curator", index=0)
         return local, trainer, CuratorClient(config, local, curator_plan) if config.has_curator else None
+    if "RAY_ADDRESS" in os.environ:
+        use_token()
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
     backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)
     try:
+        if backend.has_joined_a_cluster:
+            check_nodes(run.path)
         placement = plan(config, num_gpus=backend.num_gpus)
         backend.reserve(placement)
     except ValueError:

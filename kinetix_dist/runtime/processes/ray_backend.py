@@ -80,6 +80,7 @@ class RayBackend:
         self._watchdog: Watchdog | None = None
         self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
+        self.has_joined_a_cluster = False  # that others started, whose nodes may differ from this one
         if ray.is_initialized():
             self._owns_ray = False
             return
@@ -91,6 +92,7 @@ class RayBackend:
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
         if address:
             self._loopback = "0"
+            self.has_joined_a_cluster = True
             options |= {"address": address}
         else:
             if (path := secure_token()) is not None:
