@@ -65,7 +65,7 @@ class Compiler:
         program().block_until_ready()
         return self._num_hits
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds: float, *beside: object) -> None:
         time.sleep(seconds)
 
     def _count(self, event: str, **details: object) -> None:

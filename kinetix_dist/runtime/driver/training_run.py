@@ -46,12 +46,13 @@ def train(
 ) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
 
-    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed,
+    Raises PlacementError, PortTakenError, CheckpointError, ValueError for what cannot run, before anything is computed,
     RunFailedError where a process failed, and StoppedError where `stop` was asked for.
     """
     began = time.monotonic()
     stop = stop or StopSignals()
-    reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
+    console = console or ConsoleSink(total_env_steps=config.run.total_env_steps or None)
+    reporter = RunReporter(run, console, metrics_port=config.run.metrics_port)
     recorder = Recorder(run)
     started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
