@@ -10,6 +10,9 @@ from typing import Any
 class Told:
     """Says what its process was told."""
 
+    def environment(self, name: str) -> str | None:
+        return os.environ.get(name)
+
     def devices(self) -> str | None:
         return os.environ.get("CUDA_VISIBLE_DEVICES")
 

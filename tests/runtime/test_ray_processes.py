@@ -189,6 +189,15 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
     assert ("memory/gpu_share" in found) == (count_gpus() > 0 and "cpu" not in ON_CPU.values())
 
 
+def test_settings_of_the_network_reach_processes_and_others_do_not(backend, monkeypatch):
+    monkeypatch.setenv("NCCL_SOCKET_IFNAME", "eth7")
+    monkeypatch.setenv("SOMETHING_ELSE", "here")
+    handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_told)[0]
+    calls = [handle.call("environment", name) for name in ("NCCL_SOCKET_IFNAME", "SOMETHING_ELSE")]
+    assert backend.gather(calls) == ["eth7", None]
+    backend.kill([handle])
+
+
 def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backend, restarted):
     (well, lost), _ = restarted
     lost.call("sleep", 1000.0)

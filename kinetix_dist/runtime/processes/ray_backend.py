@@ -27,6 +27,8 @@ from kinetix_dist.runtime.processes.watchdog import Watchdog
 
 FREE_TIMEOUT_S = 10.0  # for GPUs and CPU slots of a cluster that others still hold
 CPUS_POLL_S = 0.2
+# Settings of the driver's shell that its processes get on every node: how collectives find and use the network.
+PASSED_ON = ("NCCL_", "GLOO_")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -219,6 +221,7 @@ class RayBackend:
 
     def _options(self, plan: ProcessPlan) -> dict[str, Any]:
         environment = {
+            **{name: value for name, value in os.environ.items() if name.startswith(PASSED_ON)},
             "KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", self._loopback),
             **plan.env_vars,
         }
