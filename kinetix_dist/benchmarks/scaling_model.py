@@ -53,7 +53,7 @@ COSTS = Costs(
     gradient_bytes=786_417 * 4.0,
     link_in_host=202e9,
     link_between_hosts=40e9,
-    message=0.75e-3,
+    message=1.3e-3,
 )
 
 
