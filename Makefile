@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-slow test-gpu drills check format lock bench-engine bench-engine-peers clean
+.PHONY: help install train test test-slow test-gpu drills check format lock bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.11, 3.12, 3.13, python3 found.
@@ -25,6 +25,7 @@ help:
 	@echo "make check         install, then ruff and the type checker only"
 	@echo "make install       .venv with the pinned packages and this one (editable)"
 	@echo "make bench-engine  physics steps per second on this machine   (bench-engine-peers: next to the published engine)"
+	@echo "make bundle        everything an installation needs, in dist/bundle, for machines without a network (EXTRA=cuda13)"
 	@echo "make lock          renew requirements.lock from pyproject.toml"
 
 install: $(STAMP)
@@ -69,6 +70,12 @@ bench-engine-peers: $(STAMP)
 lock: $(STAMP)
 	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
 		--no-header --no-annotate --upgrade --output-file requirements.lock
+
+# For machines of the same Python, system and processor that have no network: bash dist/bundle/install.sh VENV
+BUNDLE ?= dist/bundle
+EXTRA ?=
+bundle: $(STAMP)
+	PYTHON=$(BIN)/python bash cluster/bundle.sh "$(BUNDLE)" $(EXTRA)
 
 clean:
 	rm -rf $(VENV) .cache .pytest_cache .ruff_cache

@@ -29,6 +29,7 @@ from kinetix_dist.registry import import_plugins
 
 PLACEMENTS = ("local", "colocated", "split")
 DEVICES = ("auto", "cpu", "gpu")
+LAST_PORT = 65535
 
 
 class ConfigError(ValueError):
@@ -139,6 +140,7 @@ class RunConfig:
     max_skipped_updates: int = 5  # in a row, for gradients that are not finite, before going back to a checkpoint
     heartbeat_seconds: float = 60.0  # a process that was silent for so long, outside of compilation, is taken for hung
     limits: LimitsConfig = dataclasses.field(default_factory=LimitsConfig)
+    metrics_port: int = 0  # on loopback, where Prometheus finds the metrics; 0: none
     stop_seconds: float = 25.0  # after SIGTERM or Ctrl-C, for the update in progress, its checkpoint and the end of Ray
     plugins: tuple[str, ...] = ()  # modules that register parts of your own; every process of the run imports them
     compile_cache: str = ""  # directory of compiled programs; "": the user's cache directory; "off": none
@@ -161,9 +163,12 @@ class RunConfig:
             ("max_restarts", 0),
             ("max_skipped_updates", 1),
             ("stop_seconds", 0),
+            ("metrics_port", 0),
         ):
             if getattr(self, name) < least:
                 raise ConfigError(f"RunConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+        if self.metrics_port > LAST_PORT:
+            raise ConfigError(f"RunConfig.metrics_port is {self.metrics_port}; it must be {LAST_PORT} or less")
         if not self.total_env_steps and not self.max_seconds:
             raise ConfigError("RunConfig has neither total_env_steps nor max_seconds; give one, or the run never ends")
 

@@ -24,6 +24,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)
     "train": ("kinetix_dist.benchmarks.training_speed", "environment steps a second of a recipe, time by role"),
     "learner": ("kinetix_dist.benchmarks.learner_step", "milliseconds of a gradient step"),
     "scaling": ("kinetix_dist.benchmarks.scaling", "training over numbers of devices and placements"),
+    "model": ("kinetix_dist.benchmarks.scaling_model", "seconds of an update on many GPUs, predicted; runs nothing"),
     "curator": ("kinetix_dist.benchmarks.curator_refresh", "seconds of a refresh of the level buffer"),
 }
 DEFAULT_OF_ENGINE = "engine speed"

@@ -112,6 +112,7 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
     from kinetix_dist.runtime.driver.training_run import hold_to_cpu, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
+    from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
 
     config = args.config
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
@@ -132,7 +133,7 @@ def _run(args: Args, stop: StopSignals) -> None:
             f"  physics {describe(config.env.physics)}",
             flush=True,
         )
-        with user_errors(CheckpointError, PlacementError, FileNotFoundError):
+        with user_errors(CheckpointError, PlacementError, PortTakenError, FileNotFoundError):
             report = train(config, directory, resume=args.resume, stop=stop)
         _print_report(report, directory.path)
     finally:

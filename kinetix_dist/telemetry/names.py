@@ -117,8 +117,25 @@ _ALL = (
             Metric(f"runtime/recovery_seconds_{role}", "s", f"the same of role {role}, of its last loss"),
         )
     ),
+    *(
+        metric
+        for role in ROLES
+        for metric in (
+            Metric(f"runtime/idle_{role}", "share", f"of its time a process of role {role} was in no call, mean"),
+            Metric(f"runtime/moved_mib_{role}", "MiB", f"that processes of role {role} got and gave since their start"),
+        )
+    ),
+    Metric("runtime/compile_seconds", "s", "the process that compiled longest has compiled since its start"),
     Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, beside training"),
     Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
+    # Memory
+    *(
+        Metric(f"memory/resident_gib_{role}", "GiB", f"of host memory that the largest process of role {role} holds")
+        for role in (*ROLES, "driver")
+    ),
+    Metric("memory/host_share", "share", "of the memory of the fullest host, in use by all programs"),
+    Metric("memory/gpu_share", "share", "of the memory of the fullest GPU, in use by all programs"),
+    Metric("memory/pool_share", "share", "of XLA's pool, the most that a process has had in use"),
     # Telemetry
     Metric(
         "telemetry/dropped_rows",
@@ -133,6 +150,44 @@ _ALL = (
     Metric("evaluation/<set>/low", "share", "lower end of its 95 % Wilson interval"),
     Metric("evaluation/<set>/high", "share", "upper end of its 95 % Wilson interval"),
 )
+
+# What a healthy run does not show: (when a metric is red, what to do then). Of roles, that of any.
+RED: dict[str, tuple[str, str]] = {
+    "time/idle": ("above 0.2", "updates are too short for their dispatch: raise rollout.num_envs or num_steps"),
+    "time/curate": (
+        "above 0.1",
+        "the curator is slower than training: raise curriculum.adopt_after or refresh_every, or lower num_candidates",
+    ),
+    "time/checkpoint": ("above 0.05", "saves are slower than they come: raise run.checkpoint_every, or a faster disk"),
+    "progress/env_steps_per_second": (
+        "half of what it was",
+        "look at time/* for the role that grew, at runtime/restarts, and at what else runs on the machine",
+    ),
+    "physics/unstable": ("above 0", "levels or physics that blow up: see the note on the console"),
+    "train/episodes": ("0 for long", "rollout.num_steps is far below the length of an episode"),
+    "curriculum/learnability": ("near 0", "levels are solved always or never: widen curriculum.generator"),
+    "curriculum/buffer_is_stale": ("1 for long", "the curator is lost or hangs: see process_lost in events.jsonl"),
+    "curriculum/buffer_age": (
+        "above refresh_every + adopt_after",
+        "refreshes do not come: see curriculum/buffer_is_stale and curriculum/scoring_seconds",
+    ),
+    "learner/skipped_steps": ("above 0", "gradients are not finite: lower ppo.learning_rate; see rolled_back"),
+    "learner/approx_kl": ("above 0.1", "updates are too large: lower ppo.learning_rate or ppo.epochs"),
+    "runtime/policy_lag_max": ("above 0, split 1", "a defect: please report it with events.jsonl"),
+    "runtime/dropped_steps": ("growing", "rollout actors are lost again and again: see process_lost in events.jsonl"),
+    "runtime/restarts": ("growing", "processes are lost: process_lost in events.jsonl says which and where"),
+    "runtime/recovery_seconds": ("above 60", "programs are compiled again: is run.compile_cache on a disk that stays?"),
+    "runtime/compile_seconds": ("growing after the first updates", "shapes change: report it; see run.compile_cache"),
+    "runtime/idle_<role>": (
+        "above 0.5 for worker, learner or rollout",
+        "they wait for others: in split, give the slower side more devices; else see time/*",
+    ),
+    "runtime/save_seconds": ("above the time of checkpoint_every updates", "a faster disk, or raise checkpoint_every"),
+    "memory/host_share": ("above 0.9", "the kernel may soon kill a process: fewer processes, or what else runs there?"),
+    "memory/gpu_share": ("above 0.98", "another program is on the GPU: run.gpu_memory_gib leaves it room"),
+    "memory/pool_share": ("above 0.95", "lower rollout.num_envs, or raise ppo.minibatches, before it runs out"),
+    "telemetry/dropped_rows": ("above 0", "the disk of the run directory is full or hangs: see sink_failing"),
+}
 
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 

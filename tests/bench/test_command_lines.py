@@ -14,6 +14,7 @@ import pytest
 from bench import (
     compare_revisions,
     compile_time,
+    control_plane,
     export_policy,
     gpu_session,
     kernel_profile,
@@ -28,6 +29,7 @@ from tests.helpers import REPOSITORY
 PROGRAMS = [
     compare_revisions.main,
     compile_time.main,
+    control_plane.main,
     export_policy.main,
     gpu_session.main,
     hard_table.main,
@@ -78,6 +80,7 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (compare_revisions.main, ["export", "nosuch", "--folder", "revisions"], "nosuch"),
         (compile_time.main, ["--sizes", "xl"], "--sizes has 'xl'"),
         (compile_time.main, ["--sizes", "3"], "a world of 3 shapes"),
+        (control_plane.main, ["--processes", "4", "0"], "--processes has 0"),
         (export_policy.main, ["nosuch", "to"], "there is no checkpoint nosuch"),
         (gpu_session.main, [], "give --part 1, 2 or 3"),
         (gpu_session.main, ["--part", "1", "--only", "nosuch"], "--only has 'nosuch'; part 1 has "),

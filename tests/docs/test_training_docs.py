@@ -9,7 +9,7 @@ import pytest
 from kinetix_dist.config import RunConfig, TrainConfig
 from kinetix_dist.recipes import RECIPES
 from kinetix_dist.telemetry.event_names import EVENTS
-from kinetix_dist.telemetry.names import METRICS
+from kinetix_dist.telemetry.names import METRICS, RED
 from tests.helpers import REPOSITORY
 
 TRAINING = (REPOSITORY / "docs" / "training.md").read_text()
@@ -51,6 +51,12 @@ def test_every_recipe_is_documented():
 @pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS)
 def test_every_metric_is_documented(metric):
     assert f"| `{metric.name}` | {metric.unit} | {metric.meaning} |" in OPERATING
+
+
+@pytest.mark.parametrize("name", RED)
+def test_every_metric_that_can_be_red_is_documented_with_what_to_do(name):
+    assert "| `{}` | {} | {} |".format(name, *RED[name]) in OPERATING
+    assert name.replace("<role>", "worker") in METRICS
 
 
 @pytest.mark.parametrize("event", EVENTS)

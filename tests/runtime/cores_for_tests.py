@@ -10,6 +10,9 @@ from typing import Any
 class Told:
     """Says what its process was told."""
 
+    def environment(self, name: str) -> str | None:
+        return os.environ.get(name)
+
     def devices(self) -> str | None:
         return os.environ.get("CUDA_VISIBLE_DEVICES")
 
@@ -65,7 +68,7 @@ class Compiler:
         program().block_until_ready()
         return self._num_hits
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds: float, *beside: object) -> None:
         time.sleep(seconds)
 
     def _count(self, event: str, **details: object) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.processes.placement import PlacementError
-from kinetix_dist.runtime.processes.ray_access import secure_token
+from kinetix_dist.runtime.processes.ray_access import secure_token, use_token
 from tests.helpers import REPOSITORY, python_path
 
 TINY_ON_RAY = ["train", "--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.placement", "colocated"]
@@ -44,6 +44,19 @@ def test_a_token_that_others_could_read_is_closed_and_kept(home, monkeypatch):
 def test_a_token_of_the_environment_needs_no_file(home, monkeypatch):
     monkeypatch.setenv("RAY_AUTH_TOKEN", "b" * 64)
     assert secure_token() is None and not (home / ".ray").exists()
+
+
+def test_a_cluster_is_given_the_token_where_there_is_one(home, monkeypatch):
+    monkeypatch.setenv("RAY_AUTH_MODE", "")
+    monkeypatch.delenv("RAY_AUTH_MODE")
+    use_token()
+    assert "RAY_AUTH_MODE" not in os.environ
+    secure_token()
+    use_token()
+    assert os.environ["RAY_AUTH_MODE"] == "token"
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    use_token()
+    assert os.environ["RAY_AUTH_MODE"] == "disabled"
 
 
 def test_a_token_file_that_cannot_be_made_is_refused(home):

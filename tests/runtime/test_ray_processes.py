@@ -4,8 +4,10 @@ import dataclasses
 import os
 import re
 import signal
+import socket
 import time
 
+import numpy as np
 import pytest
 import ray
 
@@ -14,6 +16,7 @@ from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFaile
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from kinetix_dist.runtime.processes.sections import Sections
+from kinetix_dist.telemetry.names import check_metrics
 from tests.runtime.cores_for_tests import build_compiler, build_from_missing_levels, build_greedy, build_told
 
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
@@ -110,6 +113,25 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
 # A group of two
 
 
+def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(backend, monkeypatch):
+    """Another program takes it between the two: the group is lost, and started again with another port."""
+    plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
+    ask, taken = backend._all, []
+
+    def ask_and_take(actors, references):
+        answers = ask(actors, references)
+        if isinstance(answers[0], str) and answers[0].count(":") == 1:
+            host, _, port = answers[0].partition(":")
+            taken.append(socket.create_server((host, int(port))))
+        return answers
+
+    monkeypatch.setattr(backend, "_all", ask_and_take)
+    with pytest.raises(WorkerLostError, match=r"worker 0 (found the port of its group taken|died)"):
+        backend.spawn(plans, build_told)
+    assert len(taken) == 1
+    taken[0].close()
+
+
 @pytest.fixture(scope="module")
 def restarted(backend, tmp_path_factory):
     """(two workers of one JAX world, started for the second time; programs that they found compiled, both times)."""
@@ -147,6 +169,37 @@ def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_li
     assert text == "not done within the 2 s of run.limits.save: worker 0 does not answer"
     os.kill(stopped.pid, signal.SIGCONT)
     backend.sections.limits = {}
+
+
+def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, restarted):
+    busy, idle = restarted[0]
+    backend.gather([busy.call("sleep", 0.0), idle.call("sleep", 0.0)])
+    call, found = busy.call("sleep", 3.0, np.zeros(1 << 20, np.uint8)), {}
+    deadline = time.monotonic() + 30
+    before = found
+    while not ("runtime/idle_worker" in found and before.get("runtime/idle_worker") != found["runtime/idle_worker"]):
+        assert time.monotonic() < deadline, found
+        time.sleep(0.5)
+        before, found = found, backend.measures()  # does not wait for the call that runs
+    check_metrics(found)
+    assert 0.0 <= found["runtime/idle_worker"] <= 1.0
+    assert 0.05 < found["memory/resident_gib_worker"] < 8 and found["memory/resident_gib_driver"] > 0.05
+    assert 0.0 < found["memory/host_share"] <= 1.0 and found["runtime/compile_seconds"] > 0
+    backend.gather([call])
+    while found["runtime/moved_mib_worker"] < 1.0:  # counted when the call has answered
+        assert time.monotonic() < deadline, found
+        time.sleep(0.1)
+        found = backend.measures()
+    assert ("memory/gpu_share" in found) == (count_gpus() > 0 and "cpu" not in ON_CPU.values())
+
+
+def test_settings_of_the_network_reach_processes_and_others_do_not(backend, monkeypatch):
+    monkeypatch.setenv("NCCL_SOCKET_IFNAME", "eth7")
+    monkeypatch.setenv("SOMETHING_ELSE", "here")
+    handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_told)[0]
+    calls = [handle.call("environment", name) for name in ("NCCL_SOCKET_IFNAME", "SOMETHING_ELSE")]
+    assert backend.gather(calls) == ["eth7", None]
+    backend.kill([handle])
 
 
 def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backend, restarted):

@@ -195,7 +195,7 @@ time.sleep(60)
 """
 
 
-def _script(path, text):
+def write_script(path, text):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text)
     path.chmod(0o755)
@@ -203,9 +203,10 @@ def _script(path, text):
 
 def test_the_slurm_script_waits_for_the_run_and_ends_with_its_status(tmp_path):
     for name, body in STUBS.items():
-        _script(tmp_path / "stubs" / name, f"#!/bin/sh\n{body}\n")
-    _script(tmp_path / ".venv" / "bin" / "ray", "#!/bin/sh\nexec tail -f /dev/null\n")
-    _script(tmp_path / ".venv" / "bin" / "kinetix-dist", DRIVER.format(python=sys.executable))
+        write_script(tmp_path / "stubs" / name, f"#!/bin/sh\n{body}\n")
+    write_script(tmp_path / ".venv" / "bin" / "ray", "#!/bin/sh\nexec tail -f /dev/null\n")
+    write_script(tmp_path / ".venv" / "bin" / "kinetix-dist", DRIVER.format(python=sys.executable))
+    write_script(tmp_path / ".venv" / "bin" / "python", "#!/bin/sh\nexit 0\n")  # all nodes are there
     shutil.copy(REPOSITORY / "cluster" / "slurm.sbatch", tmp_path)
     environment = {**os.environ, "PATH": f"{tmp_path / 'stubs'}:{os.environ['PATH']}"}
     environment |= {"SLURM_SUBMIT_DIR": str(tmp_path), "SLURM_JOB_ID": "7", "SLURM_JOB_NODELIST": "node1"}

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import socket
 import subprocess
 import sys
 
@@ -99,6 +100,16 @@ def test_a_directory_that_holds_a_run_already(capsys, tmp_path):
 def test_resuming_what_is_not_there(capsys, tmp_path):
     assert "holds no run" in _refusal(capsys, "--resume", "--run", tmp_path / "nothing")
     assert "there is no run runs/quickstart to resume" in _refusal(capsys, "--resume")
+
+
+def test_a_port_for_metrics_that_is_taken_or_is_none(capsys, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        line = _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / "run", "--run.metrics_port", port)
+    assert f"run.metrics_port {port} cannot be listened on (Address already in use); choose another" in line
+    assert not (tmp_path / "run" / "config.json").exists()
+    line = _refusal(capsys, "--recipe", "tiny", "--run.metrics_port", "70000")
+    assert "metrics_port is 70000; it must be 65535 or less" in line
 
 
 def test_an_unknown_level_set(capsys, tmp_path):

@@ -6,12 +6,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.telemetry.compile_time import count_compile_seconds
+
 OFF = "off"
 MIN_COMPILE_SECONDS = 0.3  # programs that compile faster are not worth a file
-
-# Of jax.monitoring. Tracing is left out: its events nest, so that their sum would count it several times.
-_COMPILE_EVENTS = ("to_mlir_module_duration", "backend_compile_duration")
-_seconds: list[float] = []
 
 
 def enable_compile_cache(setting: str) -> Path | None:
@@ -21,9 +19,7 @@ def enable_compile_cache(setting: str) -> Path | None:
     """
     import jax
 
-    if not _seconds:
-        _seconds.append(0.0)
-        jax.monitoring.register_event_duration_secs_listener(_add_event)
+    count_compile_seconds()
     if setting == OFF:
         jax.config.update("jax_enable_compilation_cache", False)
         return None
@@ -58,17 +54,6 @@ def _let_every_rank_write() -> None:
             distributed.global_state.process_id = rank
 
     compiler._cache_write = write_as_process_0
-
-
-def compile_seconds() -> float:
-    """Time this process spent lowering and compiling since the cache was enabled; a hit takes little."""
-    return _seconds[0] if _seconds else 0.0
-
-
-def _add_event(event: str, duration: float, **details: object) -> None:
-    del details
-    if event.startswith("/jax/core/compile/") and event.endswith(_COMPILE_EVENTS):
-        _seconds[0] += duration
 
 
 def default_directory() -> Path:

@@ -14,7 +14,6 @@ from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import local_values, spread_worlds
 from kinetix_dist.models.policy import make_policy
-from kinetix_dist.runtime.cores.compile_cache import compile_seconds
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState, make_curriculum
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
@@ -22,6 +21,7 @@ from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
+from kinetix_dist.telemetry.compile_time import compile_seconds
 
 
 class LearnerWorker:

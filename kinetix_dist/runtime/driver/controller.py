@@ -235,6 +235,7 @@ class Controller:
             "runtime/dropped_steps": self.trainer.dropped_steps,
             **self._losses.metrics(),
             **self._refreshes.metrics(),
+            **self.backend.measures(),
             "learner/skipped_updates": self._skipped.num_skipped,
             **{f"time/{role}": share for role, share in shares.items()},
         }

@@ -9,12 +9,11 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
+import importlib.util
 import platform
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-import jax2d
 
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
 _COMPUTE_NOTHING = ("orbax-checkpoint", "ray")
@@ -37,7 +36,20 @@ def versions() -> dict[str, str]:
 @functools.cache
 def engine_revision() -> str:
     """12 hexadecimal digits over the sources of the engine: the version of a checkout says little about its code."""
-    root = Path(jax2d.__file__).parent
+    return _revision("jax2d")
+
+
+@functools.cache
+def versions_and_code() -> dict[str, str]:
+    """`versions`, and the same digits for the rest of the code: what all nodes of a run have to agree on."""
+    return {**versions(), "code": _revision("kinetix_dist")}
+
+
+def _revision(package: str) -> str:
+    """Over the sources of a package, which is found without importing it."""
+    found = importlib.util.find_spec(package)
+    assert found is not None and found.origin is not None
+    root = Path(found.origin).parent
     digest = hashlib.sha256()
     for path in sorted((*root.rglob("*.py"), *root.rglob("*.h"))):
         digest.update(f"{path.relative_to(root)}\n".encode() + path.read_bytes())

@@ -1,4 +1,4 @@
-"""Where the progress of a run goes: the console, metrics.jsonl and TensorBoard events.
+"""Where the progress of a run goes: the console, metrics.jsonl, TensorBoard events, Prometheus where a port is given.
 
 Files are written by threads of their own (`telemetry/sinks/background.py`): a full disk costs rows, which are counted
 in `telemetry/dropped_rows`, and never time or the run.
@@ -17,13 +17,16 @@ from kinetix_dist.telemetry.names import check_metrics
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, RowSink
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
+from kinetix_dist.telemetry.sinks.prometheus import PrometheusSink
 from kinetix_dist.telemetry.sinks.tensorboard import TensorboardSink, new_event_file
 
 
 class RunReporter:
     """A `roles.Reporter`. Files are opened with the first metrics, when it is known where the run goes on."""
 
-    def __init__(self, run: RunDirectory, console: ConsoleSink) -> None:
+    def __init__(self, run: RunDirectory, console: ConsoleSink, *, metrics_port: int = 0) -> None:
+        """metrics_port: where Prometheus finds the last row, on loopback; 0: nowhere. Raises PortTakenError."""
+        self._served = PrometheusSink(metrics_port, run=run.path.name) if metrics_port else None
         self._run = run
         self._console = console
         self._is_console_failing = False
@@ -47,6 +50,8 @@ class RunReporter:
         row = check_metrics({**metrics, "telemetry/dropped_rows": self._num_dropped()})
         for sink in self._files:
             sink.write(num_updates, row)
+        if self._served is not None:
+            self._served.write(num_updates, row)
         self._show(self._console.set_seconds_left, seconds_left)
         self._show(self._console.write, num_updates, row)
         self._tell()
@@ -54,6 +59,8 @@ class RunReporter:
     def close(self) -> None:
         self._close_files()
         self._tell()
+        if self._served is not None:
+            self._served.close()
         self._show(self._console.close)
 
     def _open_files(self, num_updates: int, *, env_steps: int) -> list[BackgroundSink]:

@@ -5,6 +5,7 @@ config -> placement -> backend (this process or Ray) -> trainer, curator -> cont
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.evaluations import Evaluations
+from kinetix_dist.runtime.driver.nodes import check_nodes
 from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
@@ -27,6 +29,7 @@ from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, 
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, TooManyLossesError
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
+from kinetix_dist.runtime.processes.ray_access import use_token
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
 if TYPE_CHECKING:
@@ -47,12 +50,13 @@ def train(
 ) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
 
-    Raises PlacementError, CheckpointError, ValueError for what cannot run, before anything is computed,
+    Raises PlacementError, PortTakenError, CheckpointError, ValueError for what cannot run, before anything is computed,
     RunFailedError where a process failed, and StoppedError where `stop` was asked for.
     """
     began = time.monotonic()
     stop = stop or StopSignals()
-    reporter = RunReporter(run, console or ConsoleSink(total_env_steps=config.run.total_env_steps or None))
+    console = console or ConsoleSink(total_env_steps=config.run.total_env_steps or None)
+    reporter = RunReporter(run, console, metrics_port=config.run.metrics_port)
     recorder = Recorder(run)
     started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
@@ -180,11 +184,15 @@ def _start_roles(
         curator_plan = ProcessPlan(role="curator", index=0)
         curator = CuratorClient(config, local, curator_plan) if config.has_curator else None
         return local, trainer, curator, None, None
+    if "RAY_ADDRESS" in os.environ:
+        use_token()
     from kinetix_dist.runtime.driver.resizing import Resizing
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
     backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)
     try:
+        if backend.has_joined_a_cluster:
+            check_nodes(run.path)
         placement = plan(config, num_gpus=backend.num_gpus)
         backend.reserve(placement)
     except ValueError:

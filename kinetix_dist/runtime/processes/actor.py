@@ -22,6 +22,7 @@ import ray
 from kinetix_dist.runtime.processes.facts import facts_of, whereabouts
 from kinetix_dist.runtime.processes.failures import failure_of
 from kinetix_dist.runtime.processes.gpu_memory import Budget, budget_of, this_gpu
+from kinetix_dist.runtime.processes.measures import Meter, Reading
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
@@ -37,7 +38,7 @@ class Doing:
 
 @ray.remote(concurrency_groups={"control": 1})
 class ProcessActor:
-    """Holds one core. Methods are called one at a time, except `ping` and `doing`, which have a thread of their own."""
+    """Holds one core. Methods are called one at a time, except `ping`, `doing` and `read`: these have a thread."""
 
     def __init__(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> None:
         """`build(*arguments)` makes the core, later: a group has to be joined before JAX computes anything."""
@@ -46,6 +47,7 @@ class ProcessActor:
         self._arguments = arguments
         self._budget: Budget | None = None
         self._core: Any = None
+        self._meter = Meter(plan.role)
         self._working: tuple[str, float, int] | None = None  # method, since, thread
 
     def __repr__(self) -> str:
@@ -69,6 +71,11 @@ class ProcessActor:
         # Python's innermost frame is JAX's where a device, or a collective with the other processes, is waited for.
         is_waiting = "jax" in Path(frame.f_code.co_filename).parts
         return Doing(what=f"in {method} for {time.monotonic() - since:.0f} s, at {place}", is_waiting=is_waiting)
+
+    @ray.method(concurrency_group="control")
+    def read(self) -> Reading:
+        """What this process measures of itself, while a call runs too."""
+        return self._meter.read(has_device=self._core is not None)
 
     def prepare(self) -> dict[str, Any]:
         """Before JAX starts: tells XLA how much of the GPU is its own. Returns where the process is and what it has."""
@@ -106,8 +113,10 @@ class ProcessActor:
 
     def call(self, method: str, *arguments: Any) -> Any:
         """`core.method(*arguments)`. What it returns is numpy or plain Python."""
-        with self._failures(method):
-            return getattr(self._core, method)(*arguments)
+        with self._failures(method), self._meter.calling():
+            answer = getattr(self._core, method)(*arguments)
+            self._meter.moved(arguments, answer)
+            return answer
 
     def facts(self) -> dict[str, Any]:
         with self._failures("facts"):

@@ -67,6 +67,9 @@ class Backend(Protocol):
     def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
         """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""
 
+    def measures(self) -> dict[str, float]:
+        """Metrics of all processes: idle shares, memory, what was compiled and moved. Does not wait."""
+
     def kill(self, handles: Sequence[Handle]) -> None:
         """Ends processes and returns when they are gone."""
 

@@ -30,6 +30,8 @@ GROUP_IS_BROKEN = (
     "Connection closed",
     "Socket closed",
 )
+# What rank 0 of a group hears where another program took the coordinator's port after it was found free.
+PORT_IS_TAKEN = ("Failed to start RPC server",)
 
 ADVICE = {
     "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib",
@@ -76,6 +78,11 @@ class ProcessFailedError(RuntimeError):
     def is_loss_of_group(self) -> bool:
         """Whether another process of its group is the cause: a collective broke."""
         return any(sign in self.reason for sign in GROUP_IS_BROKEN)
+
+    @property
+    def is_taken_port(self) -> bool:
+        """Whether the port of its group's coordinator was taken: with another one it may go well."""
+        return any(sign in self.reason for sign in PORT_IS_TAKEN)
 
 
 def failure_of(process: str, error: Exception, budget: Budget | None) -> ProcessFailedError:

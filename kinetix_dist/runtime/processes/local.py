@@ -8,6 +8,7 @@ from typing import Any
 
 from kinetix_dist.runtime.processes.facts import facts_of
 from kinetix_dist.runtime.processes.losses import Losses
+from kinetix_dist.runtime.processes.measures import Meter, summary
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.runtime.processes.sections import Sections
 
@@ -49,6 +50,7 @@ class LocalBackend:
     def __init__(self) -> None:
         self.sections = Sections()
         self.losses = Losses()
+        self._meter = Meter("driver")
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle]:
         return [LocalHandle(plan, build(plan.index, 1, *arguments)) for plan in plans]
@@ -69,6 +71,11 @@ class LocalBackend:
     def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:
         """Of this process, once: all of its cores share it."""
         return [facts_of("local", None)] if handles else []
+
+    def measures(self) -> dict[str, float]:
+        """Of this process. How busy it is says `time/idle`; nothing is moved between processes."""
+        found = summary([(None, self._meter.read(has_device=True))])
+        return {name: value for name, value in found.items() if not name.startswith("runtime/moved_mib")}
 
     def kill(self, handles: Sequence[LocalHandle]) -> None:
         del handles

@@ -30,6 +30,14 @@ def token_file() -> Path | None:
     return Path.home() / ".ray" / "auth_token"
 
 
+def use_token() -> None:
+    """Before Ray is imported to join a cluster: Ray takes a token along only where this is set, though `ray start
+    --head` asks for one wherever it finds one. A cluster that asks for none ignores it."""
+    path = token_file()
+    if os.environ.get("RAY_AUTH_TOKEN") or (path is not None and path.exists()):
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
+
+
 def secure_token() -> Path | None:
     """Before Ray is started here: makes the token file where there is none, for its user alone from the beginning.
 
@@ -74,6 +82,16 @@ def joining(address: str) -> Generator[None]:
         raise PlacementError(
             f"the Ray cluster at {address} refused this process: its token is missing or another; give it that of the "
             "cluster, by RAY_AUTH_TOKEN or by a file of mode 600 that RAY_AUTH_TOKEN_PATH names"
+        ) from error
+    except RuntimeError as error:
+        if "Version mismatch" not in str(error):
+            raise
+        held.clear()
+        # "The cluster was started with: Ray: A Python: B This process on C was started with: Ray: D Python: E"
+        said = " ".join(str(error).split()).removeprefix("Version mismatch: ")
+        raise PlacementError(
+            f"the Ray cluster at {address} is of other versions: {said}; give all nodes the same Python and "
+            "`make install` there (requirements.lock)"
         ) from error
     finally:
         os.write(2, held)

@@ -20,6 +20,7 @@ from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
+from kinetix_dist.runtime.processes.readings import Readings
 from kinetix_dist.runtime.processes.room import Room, free_room, needed_by, nodes_in_words, total_room
 from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.runtime.processes.supervise import Supervisor, wait_until_gone
@@ -27,6 +28,8 @@ from kinetix_dist.runtime.processes.watchdog import Watchdog
 
 FREE_TIMEOUT_S = 10.0  # for GPUs and CPU slots of a cluster that others still hold
 CPUS_POLL_S = 0.2
+# Settings of the driver's shell that its processes get on every node: how collectives find and use the network.
+PASSED_ON = ("NCCL_", "GLOO_")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +85,8 @@ class RayBackend:
         self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
         self._needed = Room(0, 0)  # for all processes of the run
+        self._readings = Readings()
+        self.has_joined_a_cluster = False  # that others started, whose nodes may differ from this one
         if ray.is_initialized():
             self._owns_ray = False
             return
@@ -93,6 +98,7 @@ class RayBackend:
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
         if address:
             self._loopback = "0"
+            self.has_joined_a_cluster = True
             options |= {"address": address}
         else:
             if (path := secure_token()) is not None:
@@ -185,6 +191,7 @@ class RayBackend:
     def _create(self, plan: ProcessPlan, build: Callable[..., Any], group: int, arguments: Sequence[Any]) -> RayHandle:
         actor = ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, group, *arguments)
         self._supervisor.add(actor, plan.name)
+        self._readings.add(actor)
         return RayHandle(plan, actor, None, self)
 
     def _start(self, handles: Sequence[RayHandle]) -> None:
@@ -232,8 +239,12 @@ class RayBackend:
         actors = [handle.actor for handle in handles]
         return self._all(actors, [actor.facts.remote() for actor in actors])
 
+    def measures(self) -> dict[str, float]:
+        return self._readings.metrics()
+
     def _options(self, plan: ProcessPlan) -> dict[str, Any]:
         environment = {
+            **{name: value for name, value in os.environ.items() if name.startswith(PASSED_ON)},
             "KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", self._loopback),
             **plan.env_vars,
         }
@@ -253,6 +264,7 @@ class RayBackend:
     def kill(self, handles: Sequence[RayHandle]) -> None:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
         self._supervisor.forget([handle.actor for handle in handles])
+        self._readings.forget([handle.actor for handle in handles])
         for handle in handles:
             ray.kill(handle.actor, no_restart=True)
         if self._owns_ray and not os.environ.get("RAY_ADDRESS"):

@@ -130,6 +130,9 @@ class Supervisor:
                 raise ProcessFailedError(name, f"failed: {type(failure).__name__}: {failure}", str(error)) from None
             if failure.is_loss_of_group:
                 raise _GroupLostError(f"{name} lost its group in a collective", process=name) from None
+            if failure.is_taken_port:
+                text = f"{name} found the port of its group taken by another program"
+                raise WorkerLostError(text, process=name) from None
             raise failure from None
 
     def _cause(self, error: WorkerLostError, others: dict[Any, Any]) -> Exception:
