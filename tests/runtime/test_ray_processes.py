@@ -149,28 +149,6 @@ def test_after_a_restart_no_rank_of_a_group_compiles_again(restarted):
     assert restarted[1] == [[0, 0], [1, 1]]
 
 
-def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):
-    (stopped, asleep), _ = restarted
-    backend.sections.limits = {"save": 2.0}
-
-    def lost(*tickets):
-        began = time.monotonic()
-        with pytest.raises(WorkerLostError) as caught, backend.sections.section("save"):
-            backend.gather(tickets)
-        assert 2.0 < time.monotonic() - began < 2.0 + 5.0
-        return caught.value.process, caught.value.section, str(caught.value)
-
-    name, section, text = lost(stopped.call("sleep", 0.0), asleep.call("sleep", 1000.0))
-    assert (name, section) == ("worker 1", "save")
-    assert re.search(r"not done within the 2 s of run.limits.save: worker 1 in sleep for 2 s, at cores_for", text)
-    os.kill(stopped.pid, signal.SIGSTOP)
-    name, section, text = lost(stopped.call("sleep", 0.0))
-    assert (name, section) == ("worker 0", "save")
-    assert text == "not done within the 2 s of run.limits.save: worker 0 does not answer"
-    os.kill(stopped.pid, signal.SIGCONT)
-    backend.sections.limits = {}
-
-
 def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, restarted):
     busy, idle = restarted[0]
     backend.gather([busy.call("sleep", 0.0), idle.call("sleep", 0.0)])
@@ -191,6 +169,28 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
         time.sleep(0.1)
         found = backend.measures()
     assert ("memory/gpu_share" in found) == (count_gpus() > 0 and "cpu" not in ON_CPU.values())
+
+
+def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):
+    (stopped, asleep), _ = restarted
+    backend.sections.limits = {"save": 2.0}
+
+    def lost(*tickets):
+        began = time.monotonic()
+        with pytest.raises(WorkerLostError) as caught, backend.sections.section("save"):
+            backend.gather(tickets)
+        assert 2.0 < time.monotonic() - began < 2.0 + 5.0
+        return caught.value.process, caught.value.section, str(caught.value)
+
+    name, section, text = lost(stopped.call("sleep", 0.0), asleep.call("sleep", 1000.0))
+    assert (name, section) == ("worker 1", "save")
+    assert re.search(r"not done within the 2 s of run.limits.save: worker 1 in sleep for 2 s, at cores_for", text)
+    os.kill(stopped.pid, signal.SIGSTOP)
+    name, section, text = lost(stopped.call("sleep", 0.0))
+    assert (name, section) == ("worker 0", "save")
+    assert text == "not done within the 2 s of run.limits.save: worker 0 does not answer"
+    os.kill(stopped.pid, signal.SIGCONT)
+    backend.sections.limits = {}
 
 
 def test_settings_of_the_network_reach_processes_and_others_do_not(backend, monkeypatch):
