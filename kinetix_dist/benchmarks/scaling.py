@@ -119,7 +119,7 @@ def measure(options: Options, results: Results) -> None:
 
 
 def config_of(options: Options, placement: str, devices: int) -> TrainConfig:
-    """The configuration of one point; raises ValueError where it cannot be divided over the devices."""
+    """The configuration of one point; raises ValueError where there are too few devices or too many."""
     config = shortened(options.config(), options.updates)
     if options.mode == "weak":
         rollout = dataclasses.replace(config.rollout, num_envs=config.rollout.num_envs * devices)
@@ -128,8 +128,8 @@ def config_of(options: Options, placement: str, devices: int) -> TrainConfig:
         if devices < 2:
             raise ValueError("split needs 2 devices or more: one learns, the others play")
         return with_run(config, placement=placement, num_rollout_actors=devices - 1)
-    if config.rollout.num_groups % devices:
-        raise ValueError(f"{devices} devices cannot share {config.rollout.num_groups} world groups evenly")
+    if devices > config.num_blocks:
+        raise ValueError(f"{devices} devices cannot share {config.num_blocks} blocks of worlds: some would have none")
     return with_run(config, placement=placement, num_workers=devices if placement == "colocated" else 0)
 
 

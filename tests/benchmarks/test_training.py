@@ -127,11 +127,11 @@ def test_a_run_that_takes_too_long_is_ended() -> None:
         run_in_process(shortened(recipe("tiny"), 3), {}, timeout_seconds=0.1)
 
 
-def test_what_cannot_be_divided_is_left_out_of_scaling(tmp_path: Path) -> None:
-    first, second = bench(tmp_path / "scaling.json", "scaling", "--devices", "3", "--placements", "local", "colocated")
+def test_more_devices_than_blocks_of_worlds_are_left_out_of_scaling(tmp_path: Path) -> None:
+    first, second = bench(tmp_path / "scaling.json", "scaling", "--devices", "5", "--placements", "local", "colocated")
     assert set(first) == fields(scaling.ScalingRecord)
-    assert (first["placement"], first["devices"], first["env_steps_per_second"]) == ("local", 3, None)
-    assert "3 devices cannot share 4 world groups" in first["left_out"] and second["left_out"]
+    assert (first["placement"], first["devices"], first["env_steps_per_second"]) == ("local", 5, None)
+    assert "5 devices cannot share 4 blocks of worlds" in first["left_out"] and second["left_out"]
 
 
 @pytest.mark.slow
