@@ -5,6 +5,8 @@ import threading
 import time
 import urllib.error
 
+import psutil
+
 from kinetix_dist.cli.main import main
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 from tests.helpers import free_port
@@ -34,4 +36,6 @@ def test_a_run_is_scraped_while_it_goes_on(tmp_path):
     assert last["kinetix_progress_updates", ""] == row["progress/updates"] == NUM_UPDATES
     for name in ("time/idle", "runtime/compile_seconds", "memory/resident_gib_driver", "memory/host_share"):
         assert last["kinetix_" + name.replace("/", "_"), ""] == row[name] > 0
-    assert row["runtime/compile_seconds"] < 300 and row["memory/resident_gib_driver"] < 16
+    assert row["memory/resident_gib_driver"] < 16
+    # Since the process started, whatever ran in it before.
+    assert row["runtime/compile_seconds"] < time.time() - psutil.Process().create_time()
