@@ -16,29 +16,24 @@ from typing import Any
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_curator
+from kinetix_dist.runtime.driver.process_beside import ProcessBeside
 from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.driver.weight_sync import resolve
-from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.backend import Backend, Ticket
 from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 POLL_S = 0.02
 
 
-class CuratorClient:
-    """A `roles.Curator`. Its process starts with the first request."""
+class CuratorClient(ProcessBeside):
+    """A `roles.Curator`."""
 
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan) -> None:
-        self._config = config
-        self._backend = backend
-        self._plan = plan
-        self._handle: Handle | None = None
+        super().__init__(config, backend, plan)
         self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh that is wanted
-        self._call: tuple[Ticket, Ticket] | None = None  # what the process is at: its seconds, what it works out
-        self._is_wanted = False  # whether that is the refresh that is wanted
-        self._loss: Loss | None = None  # the first one since a buffer was taken
+        self._is_wanted = False  # whether what the process is at is the refresh that is wanted
         self._is_late = False  # it was lost or waited for in vain, and has not answered since
 
     def request(self, weights: Any, policy_version: int) -> None:
@@ -72,9 +67,6 @@ class CuratorClient:
     def cancel(self) -> None:
         self._asked, self._is_wanted = None, False
 
-    def place(self, plan: ProcessPlan) -> None:
-        self._plan = plan
-
     def facts(self) -> list[dict[str, Any]]:
         """Of its process; that it was lost is a fact too, since training does not depend on it."""
         if self._handle is None or isinstance(self._backend, LocalBackend):
@@ -84,23 +76,11 @@ class CuratorClient:
         except WorkerLostError as error:
             return [{"process": self._plan.name, "lost": str(error)}]
 
-    def stop(self) -> None:
-        if self._handle is not None:
-            self._backend.kill([self._handle])
-        self._handle = self._call = None
-
     def _look(self) -> float | None:
         """For how long (s) the curator has been silent; None where it is lost, and replaced by now."""
-        assert self._handle is not None and self._call is not None
+        assert self._call is not None
         try:
-            silence = self._backend.watch(self._handle, self._call[0])
-            if silence > self._config.run.heartbeat_seconds:
-                raise WorkerLostError(
-                    f"{self._plan.name} has not answered for {silence:.0f} s", since=time.monotonic() - silence
-                )
-            if self._backend.sections.is_overdue:
-                limit_s = self._backend.sections.limit_s
-                raise WorkerLostError(f"{self._plan.name} is not done within the {limit_s:g} s of run.limits.curate")
+            silence = self._silence("curate", is_waited_for=True)
             is_answered = self._call[0].is_ready()
         except InputLostError:
             if self._is_wanted:
@@ -120,17 +100,13 @@ class CuratorClient:
         seconds = self._backend.gather([stamp])[0]["seconds"]
         self._call = self._asked = None
         self._is_wanted = self._is_late = False
-        if self._loss is not None:
-            self._backend.losses.recovered(self._loss, update=self._backend.losses.update)
-            self._loss = None
+        self._note_recovery()
         return Refresh(refreshed=refreshed, seconds=seconds)
 
     def _ask(self) -> None:
         assert self._asked is not None
-        if self._handle is None:
-            self._handle = self._backend.spawn_beside(self._plan, build_curator, self._config)
         weights, policy_version = self._asked
-        self._call = self._handle.call_stamped("refresh", weights, policy_version)
+        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version)
         self._is_wanted = True
 
     def _replace(self, error: WorkerLostError) -> None:

@@ -22,11 +22,10 @@ from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_evaluator
 from kinetix_dist.runtime.driver.clock import RoleClock
+from kinetix_dist.runtime.driver.process_beside import ProcessBeside
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
-from kinetix_dist.runtime.processes.backend import Handle, Ticket
 from kinetix_dist.runtime.processes.failures import WorkerLostError
-from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 MAX_WAITING = 4
@@ -42,8 +41,8 @@ class _Job:
     weights: Any
 
 
-class Evaluations:
-    """Of one run. Its process starts with the first request."""
+class Evaluations(ProcessBeside):
+    """Of one run."""
 
     def __init__(
         self,
@@ -54,16 +53,11 @@ class Evaluations:
         on_event: Callable[..., None],
         on_rollouts: Callable[[list[Any]], None],
     ) -> None:
-        self._config = config
+        super().__init__(config, trainer.backend, plan)
         self._trainer = trainer
-        self._backend = trainer.backend
-        self._plan = plan
         self._on_event = on_event
         self._on_rollouts = on_rollouts
-        self._handle: Handle | None = None
         self._jobs: list[_Job] = []  # the first one is what the process is at
-        self._call: tuple[Ticket, Ticket] | None = None  # its seconds, what it gives
-        self._loss: Loss | None = None  # the first one since something was taken
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """As a checkpoint has it; afresh where both are empty."""
@@ -111,32 +105,14 @@ class Evaluations:
         """Arrays of a checkpoint."""
         return flatten_arrays({EVALUATING: {str(i): resolve(job.weights) for i, job in enumerate(self._jobs)}})
 
-    def place(self, plan: ProcessPlan) -> None:
-        """Another process from the next request on; the one there is has been stopped."""
-        self._plan = plan
-
-    def stop(self) -> None:
-        if self._handle is not None:
-            self._backend.kill([self._handle])
-        self._handle = self._call = None
-
     def _ask(self) -> None:
-        if self._handle is None:
-            self._handle = self._backend.spawn_beside(self._plan, build_evaluator, self._config)
         job = self._jobs[0]
-        self._call = self._handle.call_stamped(job.kind, job.weights, job.update)
+        self._call = self._started(build_evaluator).call_stamped(job.kind, job.weights, job.update)
 
     def _is_answered(self, *, must_wait: bool) -> bool:
-        assert self._handle is not None and self._call is not None
+        assert self._call is not None
         try:
-            silence = self._backend.watch(self._handle, self._call[0])
-            if silence > self._config.run.heartbeat_seconds:
-                raise WorkerLostError(
-                    f"{self._plan.name} has not answered for {silence:.0f} s", since=time.monotonic() - silence
-                )
-            if must_wait and self._backend.sections.is_overdue:
-                limit_s = self._backend.sections.limit_s
-                raise WorkerLostError(f"{self._plan.name} is not done within the {limit_s:g} s of run.limits.evaluate")
+            self._silence("evaluate", is_waited_for=must_wait)
             return self._call[0].is_ready()
         except WorkerLostError as error:
             self._replace(error)
@@ -148,9 +124,7 @@ class Evaluations:
         stamp, content = self._backend.gather(self._call)
         self._jobs.pop(0)
         self._call = None
-        if self._loss is not None:
-            self._backend.losses.recovered(self._loss, update=self._backend.losses.update)
-            self._loss = None
+        self._note_recovery()
         if job.kind == RECORD:
             self._on_rollouts(content)
             return {}

@@ -85,6 +85,7 @@ def _look(mark: str) -> dict[str, Any]:
     import time
 
     found: dict[str, Any] = {"host": socket.gethostname()}
+    directory = os.path.dirname(mark)
     try:
         from kinetix_dist.runtime.driver.provenance import versions_and_code
 
@@ -93,7 +94,8 @@ def _look(mark: str) -> dict[str, Any]:
         found["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     deadline = time.monotonic() + 5.0  # a network file system may show a new file a little later
     while not (seen := os.path.exists(mark)) and time.monotonic() < deadline:
-        os.scandir(os.path.dirname(mark)).close() if os.path.isdir(os.path.dirname(mark)) else None
+        if os.path.isdir(directory):
+            os.scandir(directory).close()  # which has it look again
         time.sleep(0.2)
     found["sees_mark"] = seen
     return found

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 import traceback
 
 from kinetix_dist.runtime.processes.gpu_memory import Budget, gib
@@ -55,6 +56,13 @@ class WorkerLostError(RuntimeError):
 
 class InputLostError(WorkerLostError):
     """A process that is well was to work with what a lost one did not come to make; `process` is the lost one."""
+
+
+def silent(process: str, seconds: float) -> WorkerLostError:
+    """Of a process that has not answered for so long."""
+    return WorkerLostError(
+        f"{process} has not answered for {seconds:.0f} s", process=process, since=time.monotonic() - seconds
+    )
 
 
 class TooManyLossesError(RuntimeError):

@@ -114,7 +114,7 @@ def _on_cpu(role: str, index: int) -> ProcessPlan:
 
 def _on_gpu(config: TrainConfig, gpu: int, roles: Sequence[tuple[str, int]], num_in_group: int) -> list[ProcessPlan]:
     """The processes of one GPU; each knows of the others, since all of them share its memory."""
-    passed_on = {name: value for name, value in os.environ.items() if name.startswith(("NCCL_", "XLA_FLAGS"))}
+    passed_on = {name: value for name, value in os.environ.items() if name.startswith("XLA_FLAGS")}
     memory = share_of_gpu(config, roles, num_in_group=num_in_group)
     share = 1.0 / len(roles)  # for Ray's books; how much memory each gets is gpu_memory's
     return [

@@ -16,7 +16,7 @@ from typing import Any
 
 import ray
 
-from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError, silent
 from kinetix_dist.runtime.processes.sections import Sections
 
 POLL_S = 1.0
@@ -87,11 +87,7 @@ class Supervisor:
         actors = [actor for actor in dict.fromkeys(actors) if actor is not None]
         for actor in actors:
             if (silence := self.silence(actor)) > self._limit_s:
-                raise WorkerLostError(
-                    f"{self._name(actor)} has not answered for {silence:.0f} s",
-                    process=self._name(actor),
-                    since=time.monotonic() - silence,
-                )
+                raise silent(self._name(actor), silence)
         if self._sections.is_overdue:
             self._raise_overdue(actors)
 
