@@ -239,7 +239,7 @@ struct Pair {
 
   // Velocity of b at the end of its arm, seen from a at the end of its own.
   KFN Vec2 relative(Vec2 arm_a, Vec2 arm_b) const {
-    return (velocity_b + arm_b.left() * omega_b) - (velocity_a + arm_a.left() * omega_a);
+    return velocity_b.plus(arm_b.left(), omega_b) - velocity_a.plus(arm_a.left(), omega_a);
   }
 
   // kg, that an impulse along a direction moves.
@@ -251,22 +251,22 @@ struct Pair {
 
   KFN void apply_impulse(Vec2 arm_a, Vec2 arm_b, Vec2 impulse_on_b) {
     Vec2 impulse_on_a = -impulse_on_b;
-    velocity_a = velocity_a + impulse_on_a * inverse_mass_a;
-    omega_a += inverse_inertia_a * arm_a.cross(impulse_on_a);
-    velocity_b = velocity_b + impulse_on_b * inverse_mass_b;
-    omega_b += inverse_inertia_b * arm_b.cross(impulse_on_b);
+    velocity_a = velocity_a.plus(impulse_on_a, inverse_mass_a);
+    omega_a = Fused::of(inverse_inertia_a, arm_a.cross(impulse_on_a), omega_a);
+    velocity_b = velocity_b.plus(impulse_on_b, inverse_mass_b);
+    omega_b = Fused::of(inverse_inertia_b, arm_b.cross(impulse_on_b), omega_b);
   }
 
   // The same by lever arms times impulses, N m s.
   KFN void apply_levers(Vec2 impulse_on_b, real angular_on_a, real angular_on_b) {
-    velocity_a = velocity_a - impulse_on_b * inverse_mass_a;
-    omega_a -= inverse_inertia_a * angular_on_a;
-    velocity_b = velocity_b + impulse_on_b * inverse_mass_b;
-    omega_b += inverse_inertia_b * angular_on_b;
+    velocity_a = velocity_a.plus(impulse_on_b, -inverse_mass_a);
+    omega_a = Fused::of(-inverse_inertia_a, angular_on_a, omega_a);
+    velocity_b = velocity_b.plus(impulse_on_b, inverse_mass_b);
+    omega_b = Fused::of(inverse_inertia_b, angular_on_b, omega_b);
   }
 
   KFN void apply_angular_impulse(real impulse_on_b) {
-    omega_a -= inverse_inertia_a * impulse_on_b;
-    omega_b += inverse_inertia_b * impulse_on_b;
+    omega_a = Fused::of(-inverse_inertia_a, impulse_on_b, omega_a);
+    omega_b = Fused::of(inverse_inertia_b, impulse_on_b, omega_b);
   }
 };
