@@ -132,7 +132,7 @@ struct Bodies {
     if (!HAS_GRAVITY || (gravity.x == real(0) && gravity.y == real(0))) return;
     for (Each each = Each::of(moving); each.next();) {
       int i = each.shape;
-      if (inverse_mass(i) > real(0)) set_velocity(i, velocity(i) + gravity * dt);
+      if (inverse_mass(i) > real(0)) set_velocity(i, velocity(i).plus(gravity, dt));
     }
   }
 
@@ -178,7 +178,7 @@ struct Bodies {
     for (Each each = Each::of(moving); each.next();) {
       int i = each.shape;
       limit_speed(i, max_speed, max_omega);
-      set_delta(i, delta(i) + velocity(i) * dt);
+      set_delta(i, delta(i).plus(velocity(i), dt));
       real angle_step = omega(i) * dt;
       at(i, TURN) += angle_step;
       rotation[i] = rotation[i].turned(angle_step);
@@ -186,8 +186,8 @@ struct Bodies {
   }
 
   KFN void apply_impulse(int i, Vec2 arm, Vec2 impulse) {
-    set_velocity(i, velocity(i) + impulse * inverse_mass(i));
-    at(i, OMEGA) += inverse_inertia(i) * arm.cross(impulse);
+    set_velocity(i, velocity(i).plus(impulse, inverse_mass(i)));
+    set_omega(i, Fused::of(inverse_inertia(i), arm.cross(impulse), omega(i)));
   }
 };
 
@@ -245,8 +245,8 @@ struct Pair {
   // kg, that an impulse along a direction moves.
   KFN real mass(Vec2 arm_a, Vec2 arm_b, Vec2 direction) const {
     real ra = arm_a.cross(direction), rb = arm_b.cross(direction);
-    return Math::inverse_or_zero(inverse_mass_a + inverse_mass_b + inverse_inertia_a * ra * ra +
-                                 inverse_inertia_b * rb * rb);
+    real moved = Fused::of(inverse_inertia_a * ra, ra, inverse_mass_a + inverse_mass_b);
+    return Math::inverse_or_zero(Fused::of(inverse_inertia_b * rb, rb, moved));
   }
 
   KFN void apply_impulse(Vec2 arm_a, Vec2 arm_b, Vec2 impulse_on_b) {
@@ -259,7 +259,7 @@ struct Pair {
 
   // The same by lever arms times impulses, N m s.
   KFN void apply_levers(Vec2 impulse_on_b, real angular_on_a, real angular_on_b) {
-    velocity_a = velocity_a.plus(impulse_on_b, -inverse_mass_a);
+    velocity_a = velocity_a.minus(impulse_on_b, inverse_mass_a);
     omega_a = Fused::of(-inverse_inertia_a, angular_on_a, omega_a);
     velocity_b = velocity_b.plus(impulse_on_b, inverse_mass_b);
     omega_b = Fused::of(inverse_inertia_b, angular_on_b, omega_b);

@@ -203,10 +203,10 @@ struct Contacts {
 
   // From a's surface to b's where they meet.
   KFN static Vec2 apart(const Bodies& bodies, const Contact& c, Vec2 moved) {
-    Vec2 gap = c.normal * Math::max(c.separation, real(0)) + moved;
+    Vec2 gap = moved.plus(c.normal, Math::max(c.separation, real(0)));
     if (!are_discs(c.a)) return gap;
     Vec2 d = bodies.position[c.b] - bodies.position[c.a];
-    return gap + d - c.normal * c.normal.dot(d);
+    return (gap + d).minus(c.normal, c.normal.dot(d));
   }
 
   // Where both bodies can move, arms lead to one point, wherever they have gone since: an impulse at two points would
@@ -214,7 +214,7 @@ struct Contacts {
   KFN static Arms arms_now(const Bodies& bodies, const Contact& c, Vec2 moved) {
     if (c.against_fixed) return {c.arm_a, c.arm_b};
     Vec2 gap = apart(bodies, c, moved);
-    return {c.arm_a + gap * c.follows_b, c.arm_b - gap * (real(1) - c.follows_b)};
+    return {c.arm_a.plus(gap, c.follows_b), c.arm_b.minus(gap, real(1) - c.follows_b)};
   }
 
   KFN void forget(int k) {
@@ -231,7 +231,7 @@ struct Contacts {
     Vec2 gap = apart(bodies, c, moved);
     bool is_a = bodies.is_kinematic(c.a);
     Vec2 arm = is_a ? c.arm_a + gap : c.arm_b - gap;
-    arm = arm + arm.left() * (bodies.omega(is_a ? c.a : c.b) * ahead);
+    arm = arm.plus(arm.left(), bodies.omega(is_a ? c.a : c.b) * ahead);
     return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
   }
 
@@ -258,7 +258,7 @@ struct Contacts {
       if (!lasts(c)) forget(i);
       Pair pair = Pair::of(bodies, c.a, c.b);
       Arms arms = arms_now(bodies, c, moved(bodies, c));
-      pair.apply_impulse(arms.a, arms.b, c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent);
+      pair.apply_impulse(arms.a, arms.b, (c.normal * c.impulse_normal).plus(c.normal.right(), c.impulse_tangent));
       surfaces.warm_start(pair, i);
       pair.write_back(bodies);
     }
@@ -274,8 +274,8 @@ struct Contacts {
     if (c.disc_on_face)
       from_face = from_face - arms.b;
     else
-      velocity = velocity + (is_a ? arms.b.left() * pair.omega_b : arms.a.left() * -pair.omega_a);
-    real rate = real(2) * spin * c.normal.left().dot(velocity) - spin * spin * c.normal.dot(from_face);
+      velocity = is_a ? velocity.plus(arms.b.left(), pair.omega_b) : velocity.minus(arms.a.left(), pair.omega_a);
+    real rate = Fused::of(real(2) * spin, c.normal.left().dot(velocity), -(spin * spin * c.normal.dot(from_face)));
     real speed = real(0.5) * soft.h * rate;
     return speed < -RESTING_SPEED ? speed : real(0);
   }
@@ -283,8 +283,8 @@ struct Contacts {
   KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
     // Surfaces move and turn with their bodies; the normal stays as it was at the start of the step.
     real ta = turn_of_a(bodies, c), tb = turn_of_b(bodies, c);
-    Vec2 arm_a = c.arm_a.left() * sinf_small(ta) - c.arm_a * one_minus_cos_small(ta);
-    Vec2 arm_b = c.arm_b.left() * sinf_small(tb) - c.arm_b * one_minus_cos_small(tb);
+    Vec2 arm_a = (c.arm_a.left() * sinf_small(ta)).minus(c.arm_a, one_minus_cos_small(ta));
+    Vec2 arm_b = (c.arm_b.left() * sinf_small(tb)).minus(c.arm_b, one_minus_cos_small(tb));
     return c.separation + (moved + arm_b - arm_a).dot(c.normal);
   }
   // On a face the point of a disc stays below its centre, and those of two discs between their centres: turned with one
@@ -296,11 +296,12 @@ struct Contacts {
   // Within a step bodies turn by less than a radian: series with errors below 3e-6 (sine) and 3e-5 (cosine).
   KFN static real sinf_small(real t) {
     real t2 = t * t;
-    return t * (real(1) - t2 * (real(0.16666667) - t2 * (real(0.0083333333) - t2 * real(0.00019841270))));
+    real series = Fused::of(-t2, Fused::of(-t2, real(0.00019841270), real(0.0083333333)), real(0.16666667));
+    return t * Fused::of(-t2, series, real(1));
   }
   KFN static real one_minus_cos_small(real t) {
     real t2 = t * t;
-    return t2 * (real(0.5) - t2 * (real(0.041666667) - t2 * real(0.0013888889)));
+    return t2 * Fused::of(-t2, Fused::of(-t2, real(0.0013888889), real(0.041666667)), real(0.5));
   }
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
@@ -334,7 +335,7 @@ struct Contacts {
         bias = Math::max(mass_scale * of.bias_rate * separation, -soft.push_out_speed);
       }
       if (use_bias && (c.b < NUM_POLYGONS || c.disc_on_face))
-        bias += mass_scale * closes_by(pair, c, arms, soft);
+        bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
       real mass = c.mass_normal, mass_tangent = c.mass_tangent;
@@ -364,7 +365,7 @@ struct Contacts {
         first_change = change;
         continue;
       }
-      real impulse = -mass * (mass_scale * vn + bias) - impulse_scale * c.impulse_normal;
+      real impulse = Fused::of(-mass, Fused::of(mass_scale, vn, bias), -(impulse_scale * c.impulse_normal));
       real total = Math::max(c.impulse_normal + impulse, real(0));
       impulse = total - c.impulse_normal;
       c.impulse_normal = total;
@@ -386,9 +387,10 @@ struct Contacts {
     real vn = c.normal.dot(v) + bias, vt = tangent.dot(v) - wanted;
     real na = arms.a.cross(c.normal), nb = arms.b.cross(c.normal), ta = arms.a.cross(tangent), tb = arms.b.cross(tangent);
     real mass = pair.inverse_mass_a + pair.inverse_mass_b;
-    real knn = mass + pair.inverse_inertia_a * na * na + pair.inverse_inertia_b * nb * nb;
-    real ktt = mass + pair.inverse_inertia_a * ta * ta + pair.inverse_inertia_b * tb * tb;
-    real knt = pair.inverse_inertia_a * na * ta + pair.inverse_inertia_b * nb * tb;
+    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
+    real knn = Fused::of(ib * nb, nb, Fused::of(ia * na, na, mass));
+    real ktt = Fused::of(ib * tb, tb, Fused::of(ia * ta, ta, mass));
+    real knt = Fused::of(ib * nb, tb, ia * na * ta);
     Vec2 stick = Symmetric::solve(knn, knt, ktt, {vn, vt});
     real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
     if (n < real(0) || Math::abs(t) > c.friction * n) {
@@ -411,7 +413,7 @@ struct Contacts {
     Vec2 tangent = c.normal.right();
     real vt = tangent.dot(pair.relative(arms.a, arms.b)) - wanted;
     real max_friction = c.friction * c.impulse_normal;
-    real total = Math::clamp(c.impulse_tangent - mass_tangent * vt, -max_friction, max_friction);
+    real total = Math::clamp(Fused::of(-mass_tangent, vt, c.impulse_tangent), -max_friction, max_friction);
     real impulse = total - c.impulse_tangent;
     c.impulse_tangent = total;
     pair.apply_impulse(arms.a, arms.b, tangent * impulse);

@@ -61,7 +61,7 @@ struct Joint {
   KFN Arms common_arms(const Pair& pair, Vec2 gap) const {
     bool is_fixed_a = pair.inverse_mass_a == real(0), is_fixed_b = pair.inverse_mass_b == real(0);
     if (is_fixed_a || is_fixed_b) return {arm_a, arm_b};
-    return {arm_a + gap * real(0.5), arm_b - gap * real(0.5)};
+    return {arm_a.plus(gap, real(0.5)), arm_b.minus(gap, real(0.5))};
   }
 
   KFN real current_angle(const Bodies& bodies) const { return start_angle + bodies.turn(b) - bodies.turn(a); }
@@ -72,7 +72,8 @@ struct Joint {
   // Of a motor that shall bring `mass` from `speed` to its target: what it adds to its bounded impulse. dt changes neither
   // its target nor its strength.
   KFN real motor_impulse(real speed, real mass) {
-    real total = Math::clamp(angular_impulse - mass * (speed - motor_target), -max_motor_impulse, max_motor_impulse);
+    real wanted = Fused::of(-mass, speed - motor_target, angular_impulse);
+    real total = Math::clamp(wanted, -max_motor_impulse, max_motor_impulse);
     real added = total - angular_impulse;
     angular_impulse = total;
     return added;

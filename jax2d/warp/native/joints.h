@@ -130,7 +130,7 @@ struct Joints {
 
   // Speed of b's point from a's that a unit of angular impulse makes.
   KFN static Vec2 wrong_of_turn(const Pair& pair, Arms arms) {
-    return arms.a.left() * pair.inverse_inertia_a + arms.b.left() * pair.inverse_inertia_b;
+    return (arms.a.left() * pair.inverse_inertia_a).plus(arms.b.left(), pair.inverse_inertia_b);
   }
 
   // Where a servo aims for the next sub-step, by how far it has come: rad or m.
@@ -249,9 +249,10 @@ struct Joints {
     Arms arms;
     Vec2 wrong = wrong_of_point(bodies, pair, joint, soft, own.bias_rate, use_bias, arms);
     Vec2 lever = wrong_of_turn(pair, arms);
-    Vec2 point = point_mass_times(pair, arms, wrong - lever * turn, joint.axial_mass);
-    real angular = -mass_scale * (turn - lever.dot(point) * joint.axial_mass) - impulse_scale * joint.angular_impulse;
-    Vec2 impulse = -(point * mass_scale) - joint.impulse * impulse_scale;
+    Vec2 point = point_mass_times(pair, arms, wrong.minus(lever, turn), joint.axial_mass);
+    real left = Fused::of(-lever.dot(point), joint.axial_mass, turn);
+    real angular = Fused::of(-mass_scale, left, -(impulse_scale * joint.angular_impulse));
+    Vec2 impulse = (-(point * mass_scale)).minus(joint.impulse, impulse_scale);
     joint.angular_impulse += angular;
     joint.impulse = joint.impulse + impulse;
     pair.apply_angular_impulse(angular);
@@ -273,7 +274,7 @@ struct Joints {
     Vec2 wrong = wrong_of_point(bodies, pair, joint, soft, own.bias_rate, use_bias, arms);
     real mass_scale = use_bias ? own.mass_scale : real(1);
     real impulse_scale = use_bias ? own.impulse_scale : real(0);
-    Vec2 impulse = -(point_mass_times(pair, arms, wrong) * mass_scale) - joint.impulse * impulse_scale;
+    Vec2 impulse = (-(point_mass_times(pair, arms, wrong) * mass_scale)).minus(joint.impulse, impulse_scale);
     joint.impulse = joint.impulse + impulse;
     pair.apply_impulse(arms.a, arms.b, impulse);
   }
@@ -288,8 +289,8 @@ struct Joints {
     if (!use_bias) return wrong;
     // Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
     real spin_a = Math::min(Math::abs(pair.omega_a), soft.max_spin), spin_b = Math::min(Math::abs(pair.omega_b), soft.max_spin);
-    Vec2 bend = joint.arm_a * (spin_a * spin_a) - joint.arm_b * (spin_b * spin_b);
-    return wrong + clamp_length(gap * rate, soft.pull_speed) + bend * soft.bend_time;
+    Vec2 bend = (joint.arm_a * (spin_a * spin_a)).minus(joint.arm_b, spin_b * spin_b);
+    return (wrong + clamp_length(gap * rate, soft.pull_speed)).plus(bend, soft.bend_time);
   }
 
   KFN static Vec2 clamp_length(Vec2 v, real max_length) {
@@ -307,11 +308,11 @@ struct Joints {
     if (axial_mass != real(0)) {
       Vec2 d = ra - rb;
       real i = ia * ib * axial_mass;
-      return Symmetric::solve(mass + i * d.y * d.y, -i * d.x * d.y, mass + i * d.x * d.x, v);
+      return Symmetric::solve(Fused::of(i * d.y, d.y, mass), -i * d.x * d.y, Fused::of(i * d.x, d.x, mass), v);
     }
-    real k11 = mass + ia * ra.y * ra.y + ib * rb.y * rb.y;
-    real k12 = -ia * ra.x * ra.y - ib * rb.x * rb.y;
-    real k22 = mass + ia * ra.x * ra.x + ib * rb.x * rb.x;
+    real k11 = Fused::of(ib * rb.y, rb.y, Fused::of(ia * ra.y, ra.y, mass));
+    real k12 = Fused::of(-ib * rb.x, rb.y, -ia * ra.x * ra.y);
+    real k22 = Fused::of(ib * rb.x, rb.x, Fused::of(ia * ra.x, ra.x, mass));
     return Symmetric::solve(k11, k12, k22, v);
   }
 };

@@ -221,7 +221,7 @@ struct Geometry {
     gap = Math::max(gap, real(0));
     m.normal = n;
     m.count = 1;
-    m.points[0] = {end - n * (real(0.5) * gap), gap, at_start ? 0 : 1};
+    m.points[0] = {end.minus(n, real(0.5) * gap), gap, at_start ? 0 : 1};
     return true;
   }
 
@@ -433,15 +433,15 @@ struct Geometry {
     real span = u_upper - u_lower;
     Vec2 lower_point = lower_end, upper_point = upper_end;
     if (u_lower < real(0) && span > MIN_SPAN)
-      lower_point = lower_end + (upper_end - lower_end) * (-u_lower / span);
+      lower_point = lower_end.plus(upper_end - lower_end, -u_lower / span);
     if (u_upper > length && span > MIN_SPAN)
-      upper_point = lower_end + (upper_end - lower_end) * ((length - u_lower) / span);
+      upper_point = lower_end.plus(upper_end - lower_end, (length - u_lower) / span);
     lower_point = lower_point - onward;
     upper_point = upper_point - onward;
     real s_lower = n.dot(lower_point - r1), s_upper = n.dot(upper_point - r1);
     int feature = base + incident * FEATURE_INCIDENT;
-    if (s_lower <= margin) m.points[m.count++] = {lower_point - n * (HALFWAY * s_lower), s_lower, feature};
-    if (s_upper <= margin) m.points[m.count++] = {upper_point - n * (HALFWAY * s_upper), s_upper, feature + 1};
+    if (s_lower <= margin) m.points[m.count++] = {lower_point.minus(n, HALFWAY * s_lower), s_lower, feature};
+    if (s_upper <= margin) m.points[m.count++] = {upper_point.minus(n, HALFWAY * s_upper), s_upper, feature + 1};
     return m;
   }
 };

@@ -35,6 +35,7 @@ struct Vec2 {
   KFN real dot(Vec2 o) const { return Fused::of(x, o.x, y * o.y); }
   KFN real cross(Vec2 o) const { return Fused::of(x, o.y, -(y * o.x)); }
   KFN Vec2 plus(Vec2 o, real s) const { return {Fused::of(o.x, s, x), Fused::of(o.y, s, y)}; }  // this + o * s
+  KFN Vec2 minus(Vec2 o, real s) const { return plus(o, -s); }
   KFN Vec2 left() const { return {-y, x}; }   // rotated by +90 degrees: omega x r = r.left() * omega
   KFN Vec2 right() const { return {y, -x}; }  // rotated by -90 degrees
   KFN real length() const { return sqrtf(dot(*this)); }
@@ -47,8 +48,8 @@ struct Rotation {
   KFN Rotation turned(real angle) const {
     real half = real(0.5) * angle * angle;
     real dc = real(1) - half, ds = angle * (real(1) - half * real(0.33333334));
-    real nc = c * dc - s * ds, ns = s * dc + c * ds;
-    real inverse_length = real(1) / sqrtf(nc * nc + ns * ns);
+    real nc = Fused::of(c, dc, -(s * ds)), ns = Fused::of(s, dc, c * ds);
+    real inverse_length = real(1) / sqrtf(Fused::of(nc, nc, ns * ns));
     return {nc * inverse_length, ns * inverse_length};
   }
 };
@@ -93,9 +94,9 @@ struct Angle {
 // Solves K x = v with K a symmetric 2 x 2 matrix; zero where it is singular.
 struct Symmetric {
   static KFN Vec2 solve(real k11, real k12, real k22, Vec2 v) {
-    real determinant = k11 * k22 - k12 * k12;
+    real determinant = Fused::of(k11, k22, -(k12 * k12));
     real inverse = determinant != real(0) ? real(1) / determinant : real(0);
-    return {inverse * (k22 * v.x - k12 * v.y), inverse * (k11 * v.y - k12 * v.x)};
+    return {inverse * Fused::of(k22, v.x, -(k12 * v.y)), inverse * Fused::of(k11, v.y, -(k12 * v.x))};
   }
 };
 
