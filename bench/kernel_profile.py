@@ -1,4 +1,4 @@
-"""What the step kernel asks of a GPU, from its machine code, and what a GPU makes of it.
+"""What the step kernel of levels asks of a GPU, from its machine code, and what a GPU makes of it.
 
     python bench/kernel_profile.py                      # no GPU needed: compiles for sm_90 and reads the machine code
     python bench/kernel_profile.py --worlds 131072      # on a GPU also: speed by block size, bytes of tables a second
@@ -46,6 +46,7 @@ from jax2d.warp.kernel import make_kernel
 from jax2d.warp.variant import CompileOptions, KernelVariant
 from kinetix_dist.benchmarks.random_play import FRAME_SKIP, Play, random_play
 from kinetix_dist.errors import UserError
+from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import load_kinetix
@@ -291,7 +292,8 @@ def run(args: argparse.Namespace) -> int:
     chosen = args.parts or (PARTS if jax.default_backend() == "gpu" else PARTS[:2])
     results: dict[str, list[Record]] = {"code": [], "phases": [], "divergence": [], "speed": []}
     for size in args.sizes:
-        engine = Engine(SIZES[size], settings=preset(args.preset))
+        settings = preset(args.preset)
+        engine = Engine(SIZES[size], settings=settings, effects=level_effects(SIZES[size], settings))
         if "code" in chosen:
             with tempfile.TemporaryDirectory() as folder:
                 source, cubin, ptx = compile_kernel(engine, args.worlds, Path(folder))

@@ -157,7 +157,7 @@ struct Bodies {
   KFN void limit_speed(int i, real max_speed, real max_omega) {
     real speed_squared = velocity(i).dot(velocity(i));
     if (speed_squared > max_speed * max_speed) {
-      set_velocity(i, velocity(i) * (max_speed / sqrtf(speed_squared)));
+      set_velocity(i, velocity(i) * Fast::divide(max_speed, Fast::root(speed_squared)));
       count_limit(i);
     }
     if (omega(i) > max_omega || omega(i) < -max_omega) {

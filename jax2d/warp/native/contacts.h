@@ -187,7 +187,7 @@ struct Contacts {
 
   KFN static real mix_friction(real a, real b, const Column& params) {
     real base = params.get(PARAM_BASE_FRICTION);
-    return base * (FRICTION_ROOT_SUM_SQUARE ? sqrtf(a * a + b * b) : sqrtf(a * b));
+    return base * (FRICTION_ROOT_SUM_SQUARE ? Fast::root(a * a + b * b) : Fast::root(a * b));
   }
 
   KFN static real pair_mass(const Bodies& bodies, const Contact& c, Vec2 direction) {
@@ -397,7 +397,7 @@ struct Contacts {
       // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
       real closing = knn * c.impulse_normal + knt * c.impulse_tangent - vn;  // without its impulses
       real side = t > real(0) ? c.friction : -c.friction, k = knn + side * knt;
-      n = closing > real(0) && k > real(0) ? closing / k : real(0);
+      n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
       t = side * n;
     }
     pair.apply_impulse(arms.a, arms.b, c.normal * (n - c.impulse_normal) + tangent * (t - c.impulse_tangent));
@@ -423,12 +423,12 @@ struct Contacts {
   // contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone.
   // True if it has its speed, or no push can give it any more.
   KFN static bool update_secant_mass(Contact& c, real mass_of_pair, real vn, int round) {
-    real kept = (vn - c.approach) / (c.bounce - c.approach);
+    real kept = Fast::divide(vn - c.approach, c.bounce - c.approach);
     c.approach = vn;
     if (round == 1) return false;
     if (Math::abs(vn - c.bounce) <= BOUNCE_TOLERANCE * c.bounce || Math::abs(kept) < MIN_KEPT_SHARE) return true;
     bool is_seen = kept > real(0) && kept < MAX_SECANT_SHARE;
-    c.mass_normal = is_seen ? c.mass_normal / Math::max(kept, MIN_SECANT_SHARE) : mass_of_pair;
+    c.mass_normal = is_seen ? Fast::divide(c.mass_normal, Math::max(kept, MIN_SECANT_SHARE)) : mass_of_pair;
     return false;
   }
 
@@ -488,7 +488,7 @@ struct Contacts {
       }
       if (next < 0) break;
       const Contact& c = list[next];
-      if (impact == 0 && c.bounce > real(0)) factor = c.bounce / (c.restitution * speed);
+      if (impact == 0 && c.bounce > real(0)) factor = Fast::divide(c.bounce, c.restitution * speed);
       Pair pair = Pair::of(bodies, c.a, c.b);
       real impulse = (real(1) + c.restitution) * speed * pair.mass(c.arm_a, c.arm_b, c.normal);
       pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
@@ -527,7 +527,7 @@ struct Contacts {
     real half = real(0.5) * a * h;
     real fallen = c.separation - current_separation(bodies, c, moved(bodies, c));
     real twice_energy = u * u + real(2) * half * u + real(2) * a * fallen;
-    return sqrtf(Math::max(half * half + twice_energy, real(0))) + half;
+    return Fast::root(Math::max(half * half + twice_energy, real(0))) + half;
   }
 
   // One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and

@@ -17,15 +17,16 @@ struct ImpactPlane {
     real squared = motion.dot(motion), beside = away.cross(motion), along = away.dot(motion);
     if (along >= real(0)) return false;  // it leaves
     if (beside * beside >= (r - graze) * (r - graze) * squared) {
-      real speed = sqrtf(squared);
-      out.normal = motion.left() * ((beside < real(0) ? real(1) : real(-1)) / speed);
-      out.separation = Math::max(Math::abs(beside) / speed - r, real(0));
+      real speed = Fast::root(squared);
+      out.normal = motion.left() * Fast::divide(beside < real(0) ? real(1) : real(-1), speed);
+      out.separation = Math::max(Fast::divide(Math::abs(beside), speed) - r, real(0));
       return true;
     }
     real room = away.dot(away) - r * r;
     if (room <= real(0)) return false;  // it overlaps
-    real seconds = (-along - sqrtf(Math::max(along * along - squared * room, real(0)))) / squared;
-    out.normal = (away + motion * seconds) * (real(1) / r);
+    real root = Fast::root(Math::max(along * along - squared * room, real(0)));
+    real seconds = Fast::divide(-along - root, squared);
+    out.normal = (away + motion * seconds) * Fast::reciprocal(r);
     out.separation = out.normal.dot(away) - r;
     return true;
   }
@@ -61,7 +62,7 @@ struct ImpactPlane {
         best = separation;
         best_face = k;
       }
-      real crossed = rate < real(0) ? Math::max(separation, real(0)) / -rate : FAR_DISTANCE;
+      real crossed = rate < real(0) ? Fast::divide(Math::max(separation, real(0)), -rate) : FAR_DISTANCE;
       if (crossed > last) {
         last = crossed;
         last_face = k;

@@ -295,7 +295,7 @@ struct Joints {
 
   KFN static Vec2 clamp_length(Vec2 v, real max_length) {
     real squared = v.dot(v);
-    return squared > max_length * max_length ? v * (max_length / sqrtf(squared)) : v;
+    return squared > max_length * max_length ? v * Fast::divide(max_length, Fast::root(squared)) : v;
   }
 
   // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.

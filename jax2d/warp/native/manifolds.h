@@ -62,7 +62,7 @@ struct Geometry {
       lower[p] = lo;
       upper[p] = hi;
       core[p] = nearest;
-      extent[p] = sqrtf(far_squared);
+      extent[p] = Fast::root(far_squared);
       predicted_travel[p] = real(0);
     }
     for (int c = 0; c < NUM_CIRCLES; ++c) {
@@ -128,7 +128,7 @@ struct Geometry {
     real separation = distance - radius[a] - radius[b];
     if (separation > margin) return m;
     // Coincident centres have no direction of their own: any fixed one separates them.
-    m.normal = distance > COINCIDENT_DISTANCE ? d * (real(1) / distance) : Vec2{real(0), real(1)};
+    m.normal = distance > COINCIDENT_DISTANCE ? d * Fast::reciprocal(distance) : Vec2{real(0), real(1)};
     ImpactPlane plane;
     if (SOFT_STEP && separation > real(0) && moves(motion) &&
         ImpactPlane::corner(d, motion, radius[a] + radius[b], real(0), plane)) {
@@ -137,7 +137,7 @@ struct Geometry {
     }
     m.count = 1;
     m.on_face = false;
-    m.follows_b = radius[a] / (radius[a] + radius[b]);
+    m.follows_b = Fast::divide(radius[a], radius[a] + radius[b]);
     m.points[0] = {m.normal * (radius[a] + HALFWAY * separation), separation, 0};
     return m;
   }
@@ -178,7 +178,7 @@ struct Geometry {
       Vec2 away = centre - closest;
       distance = away.length();
       if (distance - r > margin) return m;
-      m.normal = away * (real(1) / distance);  // distance >= face_distance > 0
+      m.normal = away * Fast::reciprocal(distance);  // distance >= face_distance > 0
     }
     real separation = distance - r;
     m.on_face = !at_corner;
@@ -286,7 +286,7 @@ struct Geometry {
         best = separation;
         inert = {true, flipped, k, real(0)};
       }
-      real crossed = rate < real(0) ? Math::max(separation, real(0)) / -rate : FAR_DISTANCE;
+      real crossed = rate < real(0) ? Fast::divide(Math::max(separation, real(0)), -rate) : FAR_DISTANCE;
       if (crossed > last) {
         last = crossed;
         met = {true, flipped, k, crossed};
@@ -307,7 +307,7 @@ struct Geometry {
 
   // Two polygons that pass each other: the plane along their motion between them. At most one point.
   KFN bool pass_each_other(int a, int b, Vec2 d, Vec2 motion, real margin, Manifold& m) const {
-    Vec2 n = motion.left() * (real(1) / motion.length());
+    Vec2 n = motion.left() * Fast::reciprocal(motion.length());
     Span of_a = span(a, n), of_b = span(b, n);
     real offset = n.dot(d), above = offset + of_b.lower - of_a.upper, below = of_a.lower - of_b.upper - offset;
     real gap = Math::max(above, below);
@@ -417,7 +417,7 @@ struct Geometry {
       }
       if (face_separation > real(0)) {
         if (distance > margin) return m;
-        n = gap * (real(1) / distance);
+        n = gap * Fast::reciprocal(distance);
         m.normal = flipped ? -n : n;
         m.count = 1;
         m.points[0] = {(ref_corner + inc_corner) * real(0.5), distance, FEATURE_CORNER_OUTSIDE + base + (u_upper < real(0) ? 0 : 1)};
@@ -433,9 +433,9 @@ struct Geometry {
     real span = u_upper - u_lower;
     Vec2 lower_point = lower_end, upper_point = upper_end;
     if (u_lower < real(0) && span > MIN_SPAN)
-      lower_point = lower_end.plus(upper_end - lower_end, -u_lower / span);
+      lower_point = lower_end.plus(upper_end - lower_end, Fast::divide(-u_lower, span));
     if (u_upper > length && span > MIN_SPAN)
-      upper_point = lower_end.plus(upper_end - lower_end, (length - u_lower) / span);
+      upper_point = lower_end.plus(upper_end - lower_end, Fast::divide(length - u_lower, span));
     lower_point = lower_point - onward;
     upper_point = upper_point - onward;
     real s_lower = n.dot(lower_point - r1), s_upper = n.dot(upper_point - r1);
