@@ -15,6 +15,7 @@ from jax2d.scene import JointDrive, JointKind
 from jax2d.settings import Settings
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.layout import Layout, word_constants
+from jax2d.warp.native_arrays import storage_of
 from jax2d.warp.variant import KernelVariant
 
 PARAMETERS = tuple(flat(solver_numbers(Settings())))  # run-time numbers, in the order of the kernel's table
@@ -111,8 +112,9 @@ state.take(state_before.data + world, STATE_ROWS);
 impulses.take(impulses_before.data + world, IMPULSE_ROWS);
 keys.take(keys_before.data + world, CAPACITY_CONTACTS);
 World one = {scene, ints, controls, params, state, impulses, keys};
-one.run(num_steps, out);
 """
     has_springs = constants(variant)["NUM_SPRINGS"] > 0
     files = [name if name != "springs.h" or has_springs else "no_springs.h" for name in NATIVE_FILES]
-    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n" + "\n".join(map(_read, files)) + call
+    structs = "\n".join(map(_read, files))
+    arrays = storage_of(structs, "World", "one")
+    return f"enum {{\n  {enum}\n}};\n{cpp_macros()}\n{structs}{call}{arrays}\none.run(num_steps, out);\n"

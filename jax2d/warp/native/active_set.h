@@ -2,7 +2,8 @@
 // these changes any more: a blow is shared out by all that it reaches, and costs nothing elsewhere.
 
 struct ActiveSet {
-  unsigned int now[SHAPE_WORDS], next[SHAPE_WORDS];
+  ARRAY(unsigned int, now, SHAPE_WORDS);
+  ARRAY(unsigned int, next, SHAPE_WORDS);
   bool again;  // in a repeated pass
 
   KFN void begin() {

@@ -2,14 +2,14 @@
 // the step, so that nothing is lost far from the origin.
 
 struct Bodies {
-  Vec2 position[NUM_SHAPES];  // at the start of the step
-  real angle[NUM_SHAPES];
-  Rotation rotation[NUM_SHAPES];
-  unsigned int present[SHAPE_WORDS];  // a bit a shape that is active
-  unsigned int moving[SHAPE_WORDS];   // a bit a shape that moves; most work is for these alone
-  unsigned int counts_turns[SHAPE_WORDS];  // a bit a shape whose angle is not wrapped
+  ARRAY(Vec2, position, NUM_SHAPES);  // at the start of the step
+  ARRAY(real, angle, NUM_SHAPES);
+  ARRAY(Rotation, rotation, NUM_SHAPES);
+  ARRAY(unsigned int, present, SHAPE_WORDS);  // a bit a shape that is active
+  ARRAY(unsigned int, moving, SHAPE_WORDS);  // a bit a shape that moves; most work is for these alone
+  ARRAY(unsigned int, counts_turns, SHAPE_WORDS);  // a bit a shape whose angle is not wrapped
   int limited;                        // times a speed limit acted
-  unsigned int slowed[SHAPE_WORDS];   // a bit a shape on which one has acted in this step
+  ARRAY(unsigned int, slowed, SHAPE_WORDS);  // a bit a shape on which one has acted in this step
 
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
   // a time, and in local memory that would be a transaction for each world and a wait for the slowest.
@@ -19,7 +19,7 @@ struct Bodies {
 #else
   enum { LOCAL_RECORD = RECORD };
 #endif
-  real record[NUM_SHAPES * LOCAL_RECORD + 1];
+  ARRAY(real, record, NUM_SHAPES * Bodies::LOCAL_RECORD + 1);
 
   KFN real& at(int i, int word) {
 #if defined(__CUDA_ARCH__)

@@ -6,8 +6,8 @@
 // Energy is that of semi-implicit Euler, which keeps m |v + g h / 2|^2 / 2 - m g.x in free flight to the last digit.
 
 struct Bounces {
-  Vec2 velocity[BOUNCE_SHAPES];  // when contacts were found; later before anything bounced
-  real omega[BOUNCE_SHAPES];
+  ARRAY(Vec2, velocity, BOUNCE_SHAPES);  // when contacts were found; later before anything bounced
+  ARRAY(real, omega, BOUNCE_SHAPES);
   real max_energy;               // J, energy allowed; zero of height is where each body was when contacts were found
 
   KFN void begin(const Bodies& bodies, Vec2 gravity, real h) {

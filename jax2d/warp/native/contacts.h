@@ -23,7 +23,7 @@ struct Contact {
 };
 
 struct Contacts {
-  Contact list[NUM_CONTACTS + 1];
+  ARRAY(Contact, list, NUM_CONTACTS + 1);
   Surfaces surfaces;
   int count, overflow;
   Pairs pairs;
@@ -329,7 +329,7 @@ struct Contacts {
       } else if (separation > real(0)) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more
       } else if (use_bias) {
-        const Softness& of = c.against_fixed ? soft.fixed : soft.contact;
+        Softness of = Softness::either(c.against_fixed, soft.fixed, soft.contact);
         mass_scale = of.mass_scale;
         impulse_scale = of.impulse_scale;
         bias = Math::max(mass_scale * of.bias_rate * separation, -soft.push_out_speed);

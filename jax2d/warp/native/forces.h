@@ -1,8 +1,9 @@
 // Forces on bodies from outside: of thrusters, and what callers compute themselves.
 
 struct Thrusters {
-  Vec2 local_position[NUM_THRUSTERS + 1], local_force[NUM_THRUSTERS + 1];
-  int body[NUM_THRUSTERS + 1];
+  ARRAY(Vec2, local_position, NUM_THRUSTERS + 1);
+  ARRAY(Vec2, local_force, NUM_THRUSTERS + 1);
+  ARRAY(int, body, NUM_THRUSTERS + 1);
   int count;
 
   KFN void load(const Column& scene, const IntColumn& ints, const Column& controls, const Column& params) {

@@ -5,9 +5,9 @@
 // solver, hard joints the appendix of the Kinetix paper; see docs/engine.md.
 
 struct Joints {
-  Joint list[NUM_JOINTS + 1];
-  Vec2 local_axis[HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1];  // frame of a, of sliders
-  Drive drives[HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1];
+  ARRAY(Joint, list, NUM_JOINTS + 1);
+  ARRAY(Vec2, local_axis, HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1);  // frame of a, of sliders
+  ARRAY(Drive, drives, HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1);
   Springs springs;
   int count;
 
@@ -174,7 +174,7 @@ struct Joints {
       if (active.leaves_out(joint.a, joint.b)) continue;
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       Vec2 before = pair.velocity_b - pair.velocity_a;
-      const Softness& own = joint.yields() ? soft.yielding : soft.joint;
+      Softness own = Softness::either(joint.yields(), soft.yielding, soft.joint);
       if (joint.is_prismatic()) {
         joint.turn_arms(bodies);
         Slider slider = Slider::of(bodies, joint, local_axis[k]);

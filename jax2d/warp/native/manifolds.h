@@ -23,14 +23,15 @@ struct Manifold {
 
 // World-oriented corners and outward edge normals of all polygons, with bounds, for one step.
 struct Geometry {
-  Vec2 corner[NUM_CORNERS];  // relative to the centre of mass
-  Vec2 normal[NUM_CORNERS];  // of the edge from corner k to its successor
-  int corners[NUM_POLYGONS + 1];
-  real radius[NUM_CIRCLES + 1];
-  Vec2 lower[NUM_SHAPES], upper[NUM_SHAPES];  // axis-aligned bounds relative to the centre of mass
-  real core[NUM_SHAPES];    // least distance from centre to surface: what a fast body may not step over
-  real extent[NUM_SHAPES];  // largest distance from centre to surface
-  real predicted_travel[NUM_SHAPES];  // how far the surface goes in `ahead` seconds at the speed that it has, at most
+  ARRAY(Vec2, corner, NUM_CORNERS);  // relative to the centre of mass
+  ARRAY(Vec2, normal, NUM_CORNERS);  // of the edge from corner k to its successor
+  ARRAY(int, corners, NUM_POLYGONS + 1);
+  ARRAY(real, radius, NUM_CIRCLES + 1);
+  ARRAY(Vec2, lower, NUM_SHAPES);  // axis-aligned bounds relative to the centre of mass
+  ARRAY(Vec2, upper, NUM_SHAPES);
+  ARRAY(real, core, NUM_SHAPES);  // least distance from centre to surface: what a fast body may not step over
+  ARRAY(real, extent, NUM_SHAPES);  // largest distance from centre to surface
+  ARRAY(real, predicted_travel, NUM_SHAPES);  // how far the surface goes in `ahead` seconds at its speed, at most
   real ahead;
   real substep;
 

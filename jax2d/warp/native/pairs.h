@@ -5,7 +5,7 @@
 
 struct Pairs {
   Sweep sweep;                                                  // in kernels of many shapes, else:
-  unsigned int rows[SWEEP ? 1 : NUM_SHAPES * TOUCH_WORDS + 1];  // row a, bit of slot b: near; only later slots
+  ARRAY(unsigned int, rows, SWEEP ? 1 : NUM_SHAPES * TOUCH_WORDS + 1);  // row a, bit of slot b: near; only later slots
 
   // `reach` is the distance at which a contact is prepared.
   KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, bool ahead) {

@@ -8,8 +8,8 @@ struct Report {
   IntColumn out;
   Column values;  // the same rows as floats
   int used, dropped;
-  int slot[REPORT_CONTACTS + 1];     // of each contact of the list, -1: none is free
-  Vec2 acted[REPORT_CONTACTS + 1];   // normal and tangential impulse of it that has been counted, or is of an earlier step
+  ARRAY(int, slot, REPORT_CONTACTS + 1);  // of each contact of the list, -1: none is free
+  ARRAY(Vec2, acted, REPORT_CONTACTS + 1);  // normal and tangential impulse of it that has been counted, or is of an earlier step
 
   KFN void begin_step(const IntColumn& table) {
     out = table;

@@ -84,7 +84,7 @@ struct Spring {
 };
 
 struct Springs {
-  Spring list[NUM_SPRINGS];
+  ARRAY(Spring, list, NUM_SPRINGS);
   int count;
 
   KFN void load(const Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,

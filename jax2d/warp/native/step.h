@@ -16,8 +16,8 @@ struct World {
   Bounces bounces;
   Report report;
   Soft soft;
-  unsigned int touching_now[NUM_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a slot
-  unsigned int touching_ever[NUM_SHAPES * TOUCH_WORDS];
+  ARRAY(unsigned int, touching_now, NUM_SHAPES * TOUCH_WORDS);  // a row a shape, a bit a slot
+  ARRAY(unsigned int, touching_ever, NUM_SHAPES * TOUCH_WORDS);
   bool first;       // nothing has been prepared in this call yet
   bool is_last_step;  // in the last step of the call
   int overflow;

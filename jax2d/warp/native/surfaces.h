@@ -1,9 +1,9 @@
 // What surfaces do beside friction, a number a contact: belts, and resistance to rolling. Of extended shapes.
 
 struct Surfaces {
-  real speed[HAS_SURFACE_SPEED ? NUM_CONTACTS + 1 : 1];             // m/s along the tangent, at which b shall go against a
-  real rolling_arm[HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1];  // m, largest torque a normal force
-  real rolling_impulse[HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1];  // N m s
+  ARRAY(real, speed, HAS_SURFACE_SPEED ? NUM_CONTACTS + 1 : 1);  // m/s along the tangent, at which b shall go against a
+  ARRAY(real, rolling_arm, HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1);  // m, largest torque a normal force
+  ARRAY(real, rolling_impulse, HAS_ROLLING_RESISTANCE ? NUM_CONTACTS + 1 : 1);  // N m s
 
   // Of contact k, between shapes a and b. Belts run clockwise, so that their speeds along the tangent add up.
   KFN void load(int k, const Column& scene, const Geometry& geometry, int a, int b) {

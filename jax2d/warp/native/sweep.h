@@ -10,11 +10,15 @@ struct Sweep {
     real begin;
     int shape;
   };
-  Entry sorted[SWEEP_SHAPES], spare[SWEEP_SHAPES];  // the order is kept from step to step, and then nearly right
-  real end[SWEEP_SHAPES], low[SWEEP_SHAPES], high[SWEEP_SHAPES];  // in sorted order: along the axis, then across it
-  Vec2 lower[SWEEP_SHAPES], upper[SWEEP_SHAPES];  // widened bounds, world frame, by shape
-  unsigned int rows[SWEEP_SHAPES * TOUCH_WORDS];  // a row a shape, a bit a later slot: may be near
-  unsigned int used[SWEEP_SHAPES];                // bit w: word w of the row holds a bit; the others are stale
+  ARRAY(Sweep::Entry, sorted, SWEEP_SHAPES);
+  ARRAY(Sweep::Entry, spare, SWEEP_SHAPES);  // the order is kept from step to step, and then nearly right
+  ARRAY(real, end, SWEEP_SHAPES);   // in sorted order, along the axis
+  ARRAY(real, low, SWEEP_SHAPES);   // as `end` in sorted order, across the axis
+  ARRAY(real, high, SWEEP_SHAPES);
+  ARRAY(Vec2, lower, SWEEP_SHAPES);  // widened bounds, world frame, by shape
+  ARRAY(Vec2, upper, SWEEP_SHAPES);
+  ARRAY(unsigned int, rows, SWEEP_SHAPES * TOUCH_WORDS);  // a row a shape, a bit a later slot: may be near
+  ARRAY(unsigned int, used, SWEEP_SHAPES);  // bit w: word w of the row holds a bit; the others are stale
   int count;
 
   // Active shapes, once a launch: those of unused slots all stand in one place.

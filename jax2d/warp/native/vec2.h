@@ -7,6 +7,10 @@
 typedef float real;
 #define KFN CUDA_CALLABLE inline
 
+// An array of a struct: in memory of its own, which ../native_arrays.py declares and points to. A GPU keeps what is used
+// by an index in local memory, and with it all of the object that it is in: what is left of a struct is in registers.
+#define ARRAY(type, name, size) type* name
+
 // Loops of these files stay loops on a GPU. Unrolled, size L is 260 kB of code, more than the instruction caches of a
 // multiprocessor hold, and every warp is somewhere else in it.
 #if defined(__CUDA_ARCH__)
