@@ -3,9 +3,10 @@
 // Body b is held to body a. Angles are angle_b - angle_a - rest angle.
 
 struct Joint {
-  int a, b, index, flags;
+  unsigned int a : SHAPE_BITS, b : SHAPE_BITS;  // one word: a GPU waits for each that it loads
+  int index, flags;
   Vec2 local_a, local_b;
-  Vec2 arm_a, arm_b;      // current, world orientation
+  Vec2 arm_a, arm_b;      // world orientation, since bodies last turned
   Vec2 centre_gap;        // centre of b from centre of a at the start of the step
   real start_angle;       // at the start of the step
   real axial_mass;

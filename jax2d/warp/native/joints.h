@@ -147,7 +147,6 @@ struct Joints {
   KFN void warm_start(Bodies& bodies) {
     springs.warm_start(bodies);
     for (int k = 0; k < count; ++k) {
-      list[k].turn_arms(bodies);
       Pair pair = Pair::of(bodies, list[k].a, list[k].b);
       apply_impulses(bodies, pair, k);
       pair.write_back(bodies);
@@ -204,7 +203,6 @@ struct Joints {
     real added = joint.motor_impulse(speed, mass);
     pair.apply_angular_impulse(added);
     if (joint.drive() == DRIVE_VELOCITY) return;
-    joint.turn_arms(bodies);
     Arms arms = joint.common_arms(pair, joint.gap(bodies));
     Vec2 answer = point_mass_times(pair, arms, wrong_of_turn(pair, arms)) * -added;
     joint.impulse = joint.impulse + answer;
@@ -282,7 +280,7 @@ struct Joints {
   // How fast b's point goes from a's, beyond what closes their gap; and the arms to where they are held.
   KFN static Vec2 wrong_of_point(const Bodies& bodies, const Pair& pair, Joint& joint, const Soft& soft, real rate,
                                  bool use_bias, Arms& arms) {
-    joint.turn_arms(bodies);
+    if (!use_bias) joint.turn_arms(bodies);  // since the pass with bias they have moved
     Vec2 gap = joint.gap(bodies);
     arms = joint.common_arms(pair, gap);
     Vec2 wrong = pair.relative(arms.a, arms.b);
