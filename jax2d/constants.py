@@ -43,6 +43,12 @@ class Constants:
         "a body with more of a joint's movement is light beside the other one",
         "0.97: a light arm between a wall and a weight gains energy",
     )
+    max_lever: float = _constant(
+        3.0,
+        "1",
+        "radii of gyration from a body's centre to its anchor, above which a joint yields; none inside a shape has more",
+        "2.8: the corner of a thin triangle is one",
+    )
     # Geometry
     far_distance: float = _constant(
         1e30, "m", "a distance of what does not exist", "float32 overflows when squared: compared only"

@@ -24,8 +24,9 @@ def yields(scene: Scene) -> jax.Array:
     A body's share in a joint is what of the joint's movement it makes, 0 to 1: 1/2 between equal bodies, 1 beside one
     that is fixed. Welds yield that hold a body whose shares, of mass or of inertia, come to more than
     `max_share_of_welds`: 1 in the middle of a beam of equal parts, 1.5 where it is welded to a wall. Hinges yield that
-    hold a body which has nearly all of the movement of two joints. Sliders neither yield nor count: none was seen to
-    need it."""
+    hold a body which has nearly all of the movement of two joints. Both yield whose anchor is farther from a body's
+    centre than `max_lever` radii of gyration, as none inside a convex shape is. Sliders neither yield nor count: softer,
+    they let go of what hangs from them; their limits yield instead, all of them."""
     shapes, joints = scene.shapes, scene.joints
     is_weld = joints.is_kind(JointKind.FIXED)[..., None]
     counts = joints.active & ~joints.is_kind(JointKind.PRISMATIC)
@@ -34,12 +35,13 @@ def yields(scene: Scene) -> jax.Array:
     mass, inertia = (_of(jnp.asarray(x), ends) for x in (shapes.inverse_mass, shapes.inverse_inertia))
     of_mass, of_inertia, of_point = _shares(mass), _shares(inertia), _shares(mass + inertia * arm)
     is_light = jnp.where(is_weld, jnp.maximum(of_mass, of_inertia), of_point) > C.light_share
+    is_long = (mass > 0) & (inertia * arm > C.max_lever**2 * mass)
 
     at = (ends[..., None] == jnp.arange(shapes.inverse_mass.shape[-1])) & counts[..., None, None]  # [..., J, 2, n]
     by_mass, by_inertia, lights = (jnp.sum(at * x[..., None], axis=(-3, -2)) for x in (of_mass, of_inertia, is_light))
     of_weld, of_hinge = jnp.maximum(by_mass, by_inertia) > C.max_share_of_welds, lights >= 2
     held = jnp.where(is_weld, _of(of_weld, ends), _of(of_hinge, ends))
-    return counts & jnp.any(held, axis=-1)
+    return counts & jnp.any(held | is_long, axis=-1)
 
 
 def _shares(inverse: jax.Array) -> jax.Array:

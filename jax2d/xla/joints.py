@@ -229,6 +229,7 @@ class Row(NamedTuple):
     is_fixed: jax.Array
     is_driven: jax.Array
     is_limited: jax.Array
+    is_prismatic: jax.Array
     axial: Jacobian
     first: Jacobian
     second: Jacobian
@@ -269,6 +270,7 @@ def solve_soft(
         is_fixed=joints.is_fixed,
         is_driven=joints.is_driven & motors,
         is_limited=joints.is_limited & ~joints.is_fixed,
+        is_prismatic=joints.is_prismatic,
         axial=now.axial,
         first=now.first,
         second=now.second,
@@ -342,10 +344,12 @@ def solve_limits(
 ) -> tuple[PairVelocities, JointImpulses]:
     def total(room: jax.Array, speed: jax.Array, accumulated: jax.Array) -> jax.Array:
         """Of a one-sided limit; `speed` is that at which room grows."""
-        # Not softened when violated: a strong motor would lean into a limit that yields.
+        # A hinge's is not softened when violated: a strong motor would lean into a limit that yields.
         back = jnp.maximum(params.joint.bias_rate * room, -row.return_speed) if use_bias else 0
         impulse = -row.axial_mass * (speed + jnp.where(room > 0, room / params.h, back))
-        return jnp.where(row.is_limited, jnp.maximum(accumulated + impulse, 0), accumulated)
+        slider = springs_of.limit_impulse(room, speed, row.axial_mass, accumulated, params, use_bias=use_bias)
+        total = jnp.where(row.is_prismatic, slider, jnp.maximum(accumulated + impulse, 0))
+        return jnp.where(row.is_limited, total, accumulated)
 
     lower = total(row.lower_room, speed_along(row.axial, of), impulses.lower)
     of = push(of, row.pair, row.axial, lower - impulses.lower)

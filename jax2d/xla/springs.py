@@ -201,7 +201,7 @@ def limit_impulse(
     use_bias: bool,
 ) -> jax.Array:
     """New total of a one-sided limit: room is what is left before it, `speed` that at which room grows. It yields as
-    joints do: rows of rods that do not would gain energy."""
+    joints do: rows of rods that do not, and light sliders that carry heavy ones, would gain energy."""
     soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
     back = jnp.maximum(soft.bias_rate * room, -params.joint_pull_speed)
     hard = -mass * (speed + room / params.h)

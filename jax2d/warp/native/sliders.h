@@ -99,9 +99,9 @@ struct Slider {
 
   KFN void solve_limits(Pair& pair, Joint& joint, const Soft& soft, bool use_bias) const {
     real translation = this->translation();
-    real lower = joint.lower_impulse(translation - joint.lower, axial_speed(pair), soft, use_bias, soft.pull_speed);
+    real lower = soft.limit_impulse(translation - joint.lower, axial_speed(pair), joint.axial_mass, joint.impulse_lower, use_bias);
     push_along(pair, lower);
-    real upper = joint.upper_impulse(joint.upper - translation, -axial_speed(pair), soft, use_bias, soft.pull_speed);
+    real upper = soft.limit_impulse(joint.upper - translation, -axial_speed(pair), joint.axial_mass, joint.impulse_upper, use_bias);
     push_along(pair, -upper);
   }
 

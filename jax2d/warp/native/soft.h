@@ -30,6 +30,24 @@ struct Soft {
             params.get(PARAM_PUSH_OUT_SPEED), params.get(PARAM_JOINT_PULL_SPEED), params.get(PARAM_JOINT_TURN_SPEED)};
   }
 
+  // Of a limit along a line, one-sided: room is what is left before it, speed that at which room grows. It yields as
+  // joints do: rows of rods that do not, and light sliders that carry heavy ones, would gain energy.
+  KFN real limit_impulse(real room, real speed, real mass, real& accumulated, bool use_bias) const {
+    real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
+    if (room > real(0)) {
+      bias = room * inverse_h;
+    } else if (use_bias) {
+      bias = Math::max(joint.bias_rate * room, -pull_speed);
+      mass_scale = joint.mass_scale;
+      impulse_scale = joint.impulse_scale;
+    }
+    real impulse = -mass * mass_scale * (speed + bias) - impulse_scale * accumulated;
+    real total = Math::max(accumulated + impulse, real(0));
+    impulse = total - accumulated;
+    accumulated = total;
+    return impulse;
+  }
+
   // Of springs (springs.h): stiffness x h^2 / mass of a joint, and how far ahead a spring looks, in sub-steps.
   KFN real max_q() const {
     return joint.impulse_scale > real(0) ? joint.mass_scale / joint.impulse_scale * joint.bias_rate * h : FAR_DISTANCE;

@@ -59,27 +59,9 @@ struct Spring {
   KFN void solve_limits(const Line& line, Pair& pair, const Soft& soft, bool use_bias) {
     real mass = Math::inverse_or_zero(line.inverse_mass(pair));
     if (min_length > real(0))
-      line.push(pair, limit_impulse(line.length - min_length, line.speed(pair), mass, impulse_min, soft, use_bias));
+      line.push(pair, soft.limit_impulse(line.length - min_length, line.speed(pair), mass, impulse_min, use_bias));
     if (max_length < NO_MAXIMUM)
-      line.push(pair, -limit_impulse(max_length - line.length, -line.speed(pair), mass, impulse_max, soft, use_bias));
-  }
-
-  // One-sided: room is what is left before the limit, speed that at which room grows. It yields as joints do: rows of
-  // rods that do not would gain energy.
-  KFN static real limit_impulse(real room, real speed, real mass, real& accumulated, const Soft& soft, bool use_bias) {
-    real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
-    if (room > real(0)) {
-      bias = room * soft.inverse_h;
-    } else if (use_bias) {
-      bias = Math::max(soft.joint.bias_rate * room, -soft.pull_speed);
-      mass_scale = soft.joint.mass_scale;
-      impulse_scale = soft.joint.impulse_scale;
-    }
-    real impulse = -mass * mass_scale * (speed + bias) - impulse_scale * accumulated;
-    real total = Math::max(accumulated + impulse, real(0));
-    impulse = total - accumulated;
-    accumulated = total;
-    return impulse;
+      line.push(pair, -soft.limit_impulse(max_length - line.length, -line.speed(pair), mass, impulse_max, use_bias));
   }
 };
 
