@@ -122,8 +122,31 @@ def clamped_controls(controls: Controls) -> tuple[Controls, jax.Array]:
 
 def check_real(name: str, values: Any) -> None:
     """Before numbers are cast, which would drop the imaginary parts of complex ones."""
-    if any(map(np.iscomplexobj, jax.tree.leaves(values))):
+    leaves = jax.tree.leaves(values)
+    if any(isinstance(leaf, str | bytes) for leaf in leaves):
+        raise ValueError(f"{name} has text; give numbers")
+    if any(map(np.iscomplexobj, leaves)):
         raise ValueError(f"{name} has complex numbers; give real ones")
+    if isinstance(values, list | tuple) and len(set(map(np.shape, values))) > 1:
+        raise ValueError(f"{name} has parts of {len(set(map(np.shape, values)))} different shapes; give them one shape")
+
+
+def check_fixed(scene: Scene, state: State) -> None:
+    """Refuses a fixed shape with a velocity, which it would give to what touches it without moving."""
+    shapes = scene.shapes
+    of_shapes = (shapes.active, shapes.kinematic, shapes.inverse_mass, shapes.inverse_inertia)
+    for name, given in (("velocity", state.velocity), ("angular_velocity", state.angular_velocity)):
+        if not all(map(is_known, (*of_shapes, given))):
+            return
+        active, kinematic, inverse_mass, inverse_inertia = map(np.asarray, of_shapes)
+        fixed = active & ~kinematic & (inverse_mass <= 0) & (inverse_inertia <= 0)
+        values = np.asarray(given)
+        wrong = fixed & ((values != 0).any(-1) if values.ndim > fixed.ndim else values != 0)
+        if wrong.any():
+            raise ValueError(
+                f"state.{name}{_first(wrong)} is {values[wrong][0].tolist()} of a fixed shape; give 0, or make the "
+                "shape kinematic (inside jit it is taken as 0)"
+            )
 
 
 def is_known(x: Array) -> bool:

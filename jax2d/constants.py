@@ -46,7 +46,7 @@ class Constants:
     max_lever: float = _constant(
         3.0,
         "1",
-        "radii of gyration from a body's centre to its anchor, above which a joint yields; none inside a shape has more",
+        "radii of gyration from a body's centre to an anchor, above which a joint yields: farther than a shape reaches",
         "2.8: the corner of a thin triangle is one",
     )
     # Geometry

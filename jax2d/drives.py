@@ -67,6 +67,8 @@ class MotorOptions:
             speed = in_units("speed", number("speed", self.speed), settings, units.speed)
         else:
             speed = number("motor_speed", self.motor_speed)  # type: ignore[arg-type]
+        if self.drive == "servo" and speed == 0:
+            raise SceneError("a servo of speed 0 never moves; give the largest speed at which it goes to its position")
         if self.strength is not None:
             name = self.strength_name
             power = in_units(name, positive(name, self.strength), settings, units.acceleration) / moved

@@ -25,6 +25,7 @@ from jax2d.backend import Backend, BackendFactory
 from jax2d.checks import (
     check_batches,
     check_controls,
+    check_fixed,
     check_layout,
     check_packed,
     check_real,
@@ -164,6 +165,7 @@ class Engine:
             controls = self.no_controls(*batch)
         self._check_scene(scene, batch)
         check_state(state, self.capacity, self.dtype, batch=batch)
+        check_fixed(scene, state)
         controls = completed(controls, self.capacity, self.dtype, batch=batch)
         check_controls(controls, self.capacity, self.dtype, batch=batch)
         single = not batch

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.checks import check_batches, check_controls, check_type, completed
+from jax2d.checks import check_batches, check_controls, check_fixed, check_type, completed
 from jax2d.engine import Engine
 from jax2d.engine_argument import FixedEngine
 from jax2d.fields import fields_of
@@ -66,6 +66,7 @@ def record(
     if contacts and not engine.report_contacts:
         raise ValueError("this engine does not report contacts; build it with report_contacts=True")
     check_batches(scene, state)
+    check_fixed(scene, state)
     batch = np.shape(state.angle)[:-1]
     policy = controls if callable(controls) else None
     given, change = _controls(engine, None if callable(controls) else controls, batch, num_samples)

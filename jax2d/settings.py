@@ -7,6 +7,7 @@ is soft-step sub-stepping as in Box2D v3 and is the default. Formulas stand in d
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import numbers
 from typing import Literal
@@ -163,6 +164,9 @@ class Settings:
         return self.dt / self.substeps if self.solver == "soft_step" else self.dt
 
     def replace(self, **changes: object) -> Settings:
+        if unknown := changes.keys() - {field.name for field in dataclasses.fields(self)}:
+            near = difflib.get_close_matches(min(unknown), [field.name for field in dataclasses.fields(self)], 1)
+            raise ValueError(f"settings have no {min(unknown)}" + (f"; there is {near[0]}" if near else ""))
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
 

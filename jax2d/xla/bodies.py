@@ -48,10 +48,13 @@ class Bodies(NamedTuple):
 
 
 def load(scene: Scene, state: State) -> Bodies:
+    moves = scene.shapes.kinematic | (scene.shapes.inverse_mass > 0) | (scene.shapes.inverse_inertia > 0)
     return Bodies(
         position=state.position,
         angle=state.angle,
-        velocities=Velocities(state.velocity, state.angular_velocity),
+        velocities=Velocities(
+            jnp.where(moves[:, None], state.velocity, 0), jnp.where(moves, state.angular_velocity, 0)
+        ),
         delta=jnp.zeros_like(state.position),
         turn=jnp.zeros_like(state.angle),
         inverse_mass=scene.shapes.inverse_mass,

@@ -321,6 +321,10 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
         engine().initial_state(scene, np.zeros((n, 2)), velocity=np.zeros((2, n)))
     with pytest.raises(ValueError, match=rf"position has shape \(4, {n}, 2\)"):
         engine().initial_state(scene, np.zeros((4, n, 2)))
+    with pytest.raises(ValueError, match=r"^position has text; give numbers$"):
+        engine().initial_state(scene, "abc")
+    with pytest.raises(ValueError, match=r"^position has parts of 2 different shapes; give them one shape$"):
+        engine().initial_state(scene, [[0.0, 0.0], [0.0]])
     other = SceneBuilder(Capacity(polygons=1, circles=0, joints=0, thrusters=0)).build()
     with pytest.raises(ValueError, match=r"scene\.shapes\.active has shape \(1,\); this engine .* needs"):
         engine().initial_state(other.scene, np.zeros((n, 2)))
@@ -374,3 +378,33 @@ def test_settings_take_numbers_of_numpy():
 def test_capacities_of_no_whole_numbers_are_refused(sizes: dict[str, Any], said: str):
     with pytest.raises(ValueError, match=rf"^Capacity\.{said}"):
         Capacity(**{"polygons": 1, "circles": 1, "joints": 1, "thrusters": 1} | sizes)
+
+
+def test_worlds_of_different_kinds_are_not_stacked():
+    scene, state = start()
+    other = SceneBuilder(Capacity(polygons=1, circles=0, joints=0, thrusters=0)).build()
+    with pytest.raises(ValueError, match=r"^worlds 0 and 1 are of different capacities; build them with one$"):
+        stack_worlds([scene, other.scene])
+    with pytest.raises(TypeError, match=r"^world 1 is of type State, world 0 Scene; give one type$"):
+        stack_worlds([scene, state])
+
+
+@pytest.mark.parametrize("backend", ["warp", "xla"])
+@pytest.mark.parametrize(("velocity", "spin"), [((1.0, 0.0), 0.0), ((0.0, -5.0), 0.0), ((0.0, 0.0), 3.0)])
+def test_velocity_of_a_fixed_shape_is_refused_outside_jit_and_none_inside(backend: str, velocity: Any, spin: float):
+    """It stood still and gave its speed to what lay on it, or let it through."""
+    b = builder()
+    floor = b.add_box(width=10, height=1, position=(0, -0.5), fixed=True)
+    box = b.add_box(width=0.5, height=0.5, position=(0, 0.25))
+    world, here = b.build(), Engine(CAPACITY, backend=backend)
+    state = here.initial_state(*world)
+    moved = changed(
+        state,
+        velocity=jnp.asarray(state.velocity).at[floor].set(np.array(velocity)),
+        angular_velocity=jnp.asarray(state.angular_velocity).at[floor].set(spin),
+    )
+    with pytest.raises(ValueError, match=rf"^state\.(angular_)?velocity\[{floor}\] is .* of a fixed shape; give 0, or"):
+        here.step(world.scene, moved)
+    jitted = jax.jit(lambda state: here.step(world.scene, state, num_steps=4)[0])
+    np.testing.assert_array_equal(jitted(moved).position[box], jitted(state).position[box])
+    np.testing.assert_array_equal(jitted(moved).velocity[box], jitted(state).velocity[box])

@@ -16,8 +16,8 @@ NUM_TREES, SECONDS = 128, 2.0
 
 
 def tree(seed: int, *, share_of_welds: float, mass_ratio: float, hangs: bool, outside: float = 0.1) -> BuiltWorld:
-    """Boxes of 10 to 60 cm that pass through each other, each joined to one before it at a point up to `outside` m beside the
-    middle between both; in free flight as one rigid body, or hung up at the first and let go."""
+    """Boxes of 10 to 60 cm that pass through each other, each joined to one before it at a point up to `outside` m
+    beside the middle between both; in free flight as one rigid body, or hung up at the first and let go."""
     rng = np.random.default_rng(seed)
     builder = SceneBuilder(CAPACITY, gravity=(0, -G if hangs else 0))
     spin = 0.0 if hangs else rng.uniform(-5, 5)

@@ -85,8 +85,6 @@ struct Bodies {
       }
       position[i] = state.get2(STATE_POSITION + 2 * slot);
       angle[i] = state.get(STATE_ANGLE + slot);
-      set_velocity(i, state.get2(STATE_VELOCITY + 2 * slot));
-      set_omega(i, state.get(STATE_ANGULAR_VELOCITY + slot));
       at(i, INVERSE_MASS) = scene.get(SCENE_SHAPES_INVERSE_MASS + slot);
       at(i, INVERSE_INERTIA) = scene.get(SCENE_SHAPES_INVERSE_INERTIA + slot);
       add(present, i);
@@ -94,6 +92,8 @@ struct Bodies {
       if (HAS_KINEMATIC_BODIES)
         moves |= ((unsigned int)(ints.get(INTS_SHAPES_KINEMATIC + slot / 32)) >> (slot % 32) & 1u) != 0u;
       if (moves) add(moving, i);
+      set_velocity(i, moves ? state.get2(STATE_VELOCITY + 2 * slot) : Vec2{real(0), real(0)});
+      set_omega(i, moves ? state.get(STATE_ANGULAR_VELOCITY + slot) : real(0));
     }
   }
 
