@@ -418,11 +418,10 @@ def stack_worlds(worlds: list[Any]) -> Any:
     """Stacks single worlds of one capacity into a batch with a leading world axis."""
     if not worlds:
         raise ValueError("stack_worlds has no worlds to stack; give a list of one or more")
+    kind, shapes = type(worlds[0]), [np.shape(x) for x in jax.tree.leaves(worlds[0])]
     for k, world in enumerate(worlds):
-        if type(world) is not type(worlds[0]):
-            raise TypeError(
-                f"world {k} is of type {type(world).__name__}, world 0 {type(worlds[0]).__name__}; give one type"
-            )
-        if [np.shape(x) for x in jax.tree.leaves(world)] != [np.shape(x) for x in jax.tree.leaves(worlds[0])]:
+        if type(world) is not kind:
+            raise TypeError(f"world {k} is of type {type(world).__name__}, world 0 {kind.__name__}; give one type")
+        if [np.shape(x) for x in jax.tree.leaves(world)] != shapes:
             raise ValueError(f"worlds 0 and {k} are of different capacities; build them with one")
     return jax.tree.map(lambda *xs: np.stack([np.asarray(x) for x in xs]), *worlds)
