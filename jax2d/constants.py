@@ -44,10 +44,10 @@ class Constants:
         "0.97: a light arm between a wall and a weight gains energy",
     )
     max_lever: float = _constant(
-        3.0,
+        6.0,
         "1",
         "radii of gyration from a body's centre to an anchor, above which a joint yields: farther than a shape reaches",
-        "2.8: the corner of a thin triangle is one",
+        "3: a load welded beside a cart is meant; no anchor inside a convex shape is at more than 2.8",
     )
     # Geometry
     far_distance: float = _constant(
