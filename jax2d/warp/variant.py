@@ -9,9 +9,9 @@ from jax2d.effects import Effects
 from jax2d.scene import Capacity
 from jax2d.settings import Settings, Solver
 
-# How many numbers of a body a GPU keeps in shared memory (all that solving uses; all but what it has moved), and from
-# how many worlds on that is faster: what is shared is taken from the cache, which few worlds make better use of.
-SHARED_RECORDS = ((8, 65536), (5, 131072))
+# How many numbers of a body a GPU keeps in shared memory, all that solving uses, and from how many worlds on that is
+# faster: what is shared is taken from the cache, of which few worlds make better use, and so do kernels of many shapes.
+SHARED_RECORD, MIN_SHARING_WORLDS = 8, 65536
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,5 @@ class KernelVariant:
 def shared_record(shapes: int, worlds: int, options: CompileOptions | None = None) -> int:
     """How many numbers of a body a kernel for so many shapes keeps in a GPU's shared memory."""
     options = options if options is not None else CompileOptions()
-    for numbers, min_worlds in SHARED_RECORDS:
-        if 4 * numbers * shapes * options.block_dim <= options.shared_bytes:
-            return numbers if worlds >= min_worlds else 0
-    return 0
+    fits = 4 * SHARED_RECORD * shapes * options.block_dim <= options.shared_bytes
+    return SHARED_RECORD if fits and worlds >= MIN_SHARING_WORLDS else 0

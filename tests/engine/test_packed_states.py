@@ -100,5 +100,4 @@ def test_what_is_in_shared_memory_changes_no_bit(numbers: int):
 
 def test_shared_memory_is_for_many_small_worlds():
     assert [shared_record(9, worlds) for worlds in (1, 65535, 65536, 1 << 20)] == [0, 0, 8, 8]
-    assert [shared_record(16, worlds) for worlds in (65536, 131072)] == [0, 5]
-    assert shared_record(17, 1 << 20) == shared_record(512, 1 << 20) == 0
+    assert shared_record(16, 1 << 20) == shared_record(512, 1 << 20) == 0
