@@ -95,6 +95,7 @@ _CURRICULA = {
     "dr": CurriculumConfig(name="domain_randomization"),
     "plr": CurriculumConfig(name="plr", buffer_size=4096),
     "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=4096),
+    "accel": CurriculumConfig(name="accel", buffer_size=4096),
 }
 
 
@@ -103,8 +104,8 @@ def _paper(curriculum: str, size: str) -> TrainConfig:
     return TrainConfig(
         env=EnvConfig(size=size),
         policy=PolicyConfig(dtype="bfloat16"),
-        # Robust PLR learns from half of the worlds: as many samples in a minibatch.
-        ppo=PpoConfig(minibatches=16) if curriculum == "robust_plr" else PpoConfig(),
+        # Robust PLR and ACCEL learn from half of the worlds: as many samples in a minibatch.
+        ppo=PpoConfig(minibatches=16) if curriculum in ("robust_plr", "accel") else PpoConfig(),
         curriculum=_CURRICULA[curriculum],
         evaluation=EvaluationConfig(sets=(f"random_{size}", f"designed_{size}")),
         run=RunConfig(name=f"{curriculum}_{size}", total_env_steps=1_000_000_000, device="gpu", checkpoint_every=100),

@@ -6,7 +6,10 @@ import dataclasses
 
 from kinetix_dist.level.generator_config import GeneratorConfig
 
-OWN_SECTIONS = ("plr",)  # of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`
+OWN_SECTIONS = (
+    "plr",
+    "accel",
+)  # of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`
 PRIORITISATIONS = ("rank", "top_k")
 
 
@@ -34,10 +37,27 @@ class PlrConfig:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class AccelConfig:
+    """Which new levels are children of levels in the buffer, and how far from them (Parker-Holder et al. 2022)."""
+
+    edited_share: float = 0.5  # of the worlds that play new levels; the others play fresh ones
+    num_changes: int = 3  # random mutators from a level to its child
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.edited_share <= 1.0:
+            raise ValueError(
+                f"AccelConfig.edited_share is {self.edited_share}; it must be above 0 and at most 1 (for none use name "
+                "'robust_plr')"
+            )
+        if self.num_changes < 1:
+            raise ValueError(f"AccelConfig.num_changes is {self.num_changes}; it must be 1 or more")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
 
-    name: str = "sfl"  # "sfl", "plr", "robust_plr", "domain_randomization" or "fixed"
+    name: str = "sfl"  # "sfl", "plr", "robust_plr", "accel", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
     num_candidates: int = 12288  # N, fresh levels scored in a refresh
     scoring_steps: int = 512  # L, environment steps played on each candidate
@@ -47,6 +67,7 @@ class CurriculumConfig:
     buffer_size: int = 1024  # K, levels kept
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
+    accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
 
     def __post_init__(self) -> None:

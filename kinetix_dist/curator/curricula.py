@@ -5,12 +5,14 @@
 | `sfl` | a share from a buffer of learnable levels, the rest fresh from the generator |
 | `plr` | a share from a buffer of levels of high score, by rank and staleness, the rest fresh |
 | `robust_plr` | the same; fresh levels give no gradient |
+| `accel` | the same; part of what is fresh there are levels of the buffer with random changes |
 | `domain_randomization` | all fresh from the generator |
 | `fixed` | a given set, spread evenly |
 """
 
 from __future__ import annotations
 
+from kinetix_dist.curator.accel import Accel
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.curator.domain_randomization import DomainRandomization
@@ -24,6 +26,7 @@ CURRICULA: Registry[type[Curriculum]] = Registry("curriculum")
 CURRICULA.register("sfl", Sfl)
 CURRICULA.register("plr", Plr)
 CURRICULA.register("robust_plr", RobustPlr)
+CURRICULA.register("accel", Accel)
 CURRICULA.register("domain_randomization", DomainRandomization)
 CURRICULA.register("fixed", Fixed)
 

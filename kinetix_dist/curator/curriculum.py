@@ -11,7 +11,7 @@ its result adopted at an update that is fixed beforehand. The state is one pytre
 checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
 
 How others are written: `plr.py` keeps a buffer of levels with scores as its state, proposes some of it and some fresh
-levels, and scores what was played in `observe`. ACCEL is PLR that proposes mutated levels of the buffer.
+levels, and scores what was played in `observe`. `accel.py` also proposes changed levels of it.
 A bandit over level sets observes success and proposes accordingly. Each is one file and its registration.
 """
 
@@ -28,6 +28,7 @@ from jax2d.scene import Array, Capacity
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.mutators import mutate
 from kinetix_dist.messages import LevelOutcome, Trajectory
 
 
@@ -62,6 +63,15 @@ class CurriculumTools:
             generator=self.config.generator,
             solves_itself=self.solves_itself,
         )
+
+    def edit(self, keys: Array, levels: Level) -> Level:
+        """[W, ...] levels, each after `accel.num_changes` random mutators. Consumes the keys [W]."""
+        config = self.config
+
+        def one(key: Array, level: Level) -> Level:
+            return mutate(key, level, self.capacity, config.generator, config.accel.num_changes)[0]
+
+        return jax.vmap(one)(keys, levels)
 
 
 class Curriculum(abc.ABC):

@@ -35,6 +35,7 @@ from kinetix_dist.curator.replay_buffer import (
 )
 from kinetix_dist.curator.replay_scores import REPLAY_SCORES, ValueSummary, summarise_values
 from kinetix_dist.level.generator import generate_level
+from kinetix_dist.level.level import Level
 from kinetix_dist.messages import LevelOutcome, Trajectory
 
 
@@ -73,12 +74,18 @@ class Plr(Curriculum):
         replayed = jax.tree.map(
             lambda buffered, new: jnp.where(is_empty, new[:, repeated], buffered[place]), state.levels, fresh
         )
+        new = self.new_levels(state, group_keys, replayed, fresh)
         no_place = jnp.zeros((num_groups, size - num_replayed), jnp.int32)
         tags = (
             {"place": place.astype(jnp.int32), "born": state.born[place], "is_new": jnp.zeros(place.shape, bool)},
             {"place": no_place, "born": no_place + NEVER, "is_new": jnp.ones(no_place.shape, bool)},
         )
-        return Proposal(levels=join_by_group(replayed, fresh), tags=join_by_group(*tags))
+        return Proposal(levels=join_by_group(replayed, new), tags=join_by_group(*tags))
+
+    def new_levels(self, state: ReplayBuffer, group_keys: Array, replayed: Level, fresh: Level) -> Level:
+        """What a group plays beside levels of the buffer: [groups, new, ...], as `fresh` is. `replayed`: its others."""
+        del state, group_keys, replayed
+        return fresh
 
     def summarise(self, trajectory: Trajectory, last_value: Array) -> ValueSummary:
         return summarise_values(trajectory, self.tools.advantages(trajectory, last_value))

@@ -21,6 +21,7 @@ CURRICULA = {
     "domain_randomization": CurriculumConfig(name="domain_randomization"),
     "plr": CurriculumConfig(name="plr", buffer_size=12),
     "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=12),
+    "accel": CurriculumConfig(name="accel", buffer_size=12),
 }
 IN_MAKE_TEST = "plr"  # it keeps as much as any; its learner is compiled for other tests too
 

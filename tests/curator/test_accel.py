@@ -1,0 +1,125 @@
+"""What ACCEL prefers, on levels of known difficulty: a level is the chance that the policy solves it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kinetix_dist.actors.outcomes import no_outcomes
+from kinetix_dist.curator.config import AccelConfig, CurriculumConfig, PlrConfig
+from kinetix_dist.curator.curricula import curriculum_class
+from kinetix_dist.curator.curriculum import CurriculumTools
+from kinetix_dist.curator.replay_buffer import empty_buffer
+from kinetix_dist.curator.replay_scores import ValueSummary
+from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.level import SIZES
+from tests.curator.made import curriculum_of
+
+GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
+EASIEST_HARD = 0.6  # fresh levels are solved more often than this
+
+
+class _Tools(CurriculumTools):
+    """Fresh levels are easy; a child is solved somewhat more or less often than its parent."""
+
+    def draw_fresh(self, group_keys, levels_per_group):
+        draw = jax.vmap(lambda key: jax.random.uniform(key, (levels_per_group,), minval=EASIEST_HARD))
+        return draw(group_keys).reshape(-1)
+
+    def edit(self, keys, levels):
+        return jnp.clip(levels + jax.vmap(lambda key: jax.random.uniform(key, minval=-0.1, maxval=0.1))(keys), 0, 1)
+
+
+def _curriculum(name="accel", trivial_above=2.0, **accel):
+    config = CurriculumConfig(name=name, plr=PlrConfig(score="failure", staleness=0.1), accel=AccelConfig(**accel))
+    return curriculum_of(config, PER_GROUP, _Tools, solves_itself=lambda levels: levels > trivial_above)
+
+
+def _propose(curriculum, state, update, groups=tuple(range(GROUPS))):
+    key, groups = jax.random.fold_in(jax.random.key(0), update), jnp.asarray(groups)
+    return curriculum.propose(state, jax.vmap(lambda group: jax.random.fold_in(key, group))(groups), groups)
+
+
+def _run(curriculum, num_updates):
+    """(state, levels that the last quarter of the updates replayed, proposals)"""
+
+    @jax.jit
+    def update(state, number):
+        proposal = _propose(curriculum, state, number)
+        levels = proposal.levels
+        solved = jax.random.uniform(jax.random.fold_in(jax.random.key(1), number), (EPISODES, levels.size)) < levels
+        none = no_outcomes(levels.size)
+        outcome = dataclasses.replace(
+            none,
+            num_finished=none.num_finished + EPISODES,
+            num_solved=solved.sum(0, dtype=jnp.int32),
+            summary=ValueSummary(
+                mean_value=levels, max_return=solved.any(0) * 1.0, positive_value_loss=levels, l1_value_loss=levels
+            ),
+        )
+        return curriculum.observe(state, proposal, outcome), proposal
+
+    state, proposals = empty_buffer(jnp.zeros(()), PLACES), []
+    for number in range(num_updates):
+        state, proposal = update(state, number)
+        proposals.append(np.asarray(proposal.levels).reshape(GROUPS, PER_GROUP))
+    return state, np.asarray(proposals[-num_updates // 4 :])[:, :, : PER_GROUP // 2], proposals
+
+
+def test_it_grows_levels_that_the_generator_never_draws():
+    """By failure: children of the hardest are harder still. Robust PLR has only what is drawn."""
+    _, grown, _ = _run(_curriculum(), 60)
+    _, drawn, _ = _run(_curriculum("robust_plr"), 60)
+    assert drawn.min() > EASIEST_HARD - 1e-6
+    assert grown.mean() < 0.2 < drawn.mean()
+
+
+def test_first_update_plays_fresh_levels_alone_and_later_ones_children_of_what_they_replay():
+    _, _, proposals = _run(_curriculum(edited_share=0.5), 4)
+    first, last = proposals[0], proposals[-1]
+    assert (first >= EASIEST_HARD).all()
+    replayed, children = last[:, : PER_GROUP // 2], last[:, PER_GROUP // 2 : 3 * PER_GROUP // 4]
+    assert (np.abs(children - replayed[:, : children.shape[1]]) <= 0.1 + 1e-6).all()
+    assert (children != replayed[:, : children.shape[1]]).all()
+    assert (last[:, 3 * PER_GROUP // 4 :] >= EASIEST_HARD).all()
+
+
+def test_a_child_that_solves_itself_gives_way_to_a_fresh_level():
+    curriculum, usual = _curriculum(trivial_above=-1.0), _curriculum("robust_plr")
+    state, _, _ = _run(usual, 4)
+    np.testing.assert_array_equal(_propose(curriculum, state, 9).levels, _propose(usual, state, 9).levels)
+
+
+def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn():
+    curriculum = _curriculum()
+    state, _, _ = _run(curriculum, 3)
+    together = _propose(curriculum, state, 9)
+    apart = [_propose(curriculum, state, 9, groups) for groups in ((0, 1), (2, 3))]
+    jax.tree.map(np.testing.assert_array_equal, together, jax.tree.map(lambda *xs: np.concatenate(xs), *apart))
+
+
+def test_edited_levels_are_mutated_ones():
+    config = CurriculumConfig(name="accel", accel=AccelConfig(num_changes=2))
+    tools = curriculum_of(config, PER_GROUP, CurriculumTools, capacity=SIZES["s"]).tools
+    levels = generate_levels(jax.random.key(0), 8, SIZES["s"], config.generator)
+    children = tools.edit(jax.random.split(jax.random.key(1), 8), levels)
+    same = jax.tree.map(lambda a, b: (np.asarray(a) == b).reshape(8, -1).all(1), children, levels)
+    assert np.all(jax.tree.leaves(same), axis=0).mean() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: AccelConfig(edited_share=0.0), r"^AccelConfig.edited_share is 0.0; it must be above 0"),
+        (lambda: AccelConfig(num_changes=0), r"^AccelConfig.num_changes is 0; it must be 1 or more$"),
+        (
+            lambda: curriculum_class(CurriculumConfig(name="accel", accel=AccelConfig(edited_share=0.1)), PER_GROUP),
+            r"^accel.edited_share 0.1 of 4 new levels a group is none; 'accel' needs one or more",
+        ),
+    ],
+)
+def test_wrong_settings_are_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
