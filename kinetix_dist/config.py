@@ -128,8 +128,9 @@ class RunConfig:
     max_seconds: float = 0.0  # training ends at the first update after so much training time; 0: no such end
     placement: str = "colocated"  # "local" (no ray), "colocated" or "split"
     device: str = "auto"  # "auto" (gpu if there is one), "cpu" or "gpu"
-    num_workers: int = 0  # learner processes; 0: one a GPU, on CPU one
-    num_rollout_actors: int = 1  # split placement only
+    num_workers: int = 0  # colocated placement: processes that play and learn; 0: one a GPU, on CPU one
+    num_learners: int = 1  # split placement: processes that learn together
+    num_rollout_actors: int = 1  # split placement: processes that play
     min_workers: int = 1  # or rollout actors, with which to go on while nodes are lost; with fewer it waits
     node_wait_seconds: float = 60.0  # for a lost node to come back, before going on with fewer
     gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
@@ -153,6 +154,7 @@ class RunConfig:
             ("total_env_steps", 0),
             ("max_seconds", 0),
             ("num_workers", 0),
+            ("num_learners", 1),
             ("num_rollout_actors", 1),
             ("min_workers", 1),
             ("node_wait_seconds", 0),

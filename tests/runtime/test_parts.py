@@ -94,6 +94,32 @@ def test_split_has_its_curator_beside_the_first_rollout_actor():
     ]
 
 
+def test_any_numbers_of_learners_and_actors_have_one_config_hash():
+    config = tiny_config(num_updates=1, placement="split")
+    for learners, actors in ((1, 3), (2, 1), (3, 4), (4, 4)):
+        other = tiny_config(num_updates=1, placement="split", num_learners=learners, num_rollout_actors=actors)
+        placement = plan(other, num_gpus=0)
+        assert (len(placement.of("learner")), len(placement.of("rollout"))) == (learners, actors)
+        assert other.hash == config.hash
+
+
+def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
+    config = recipe("sfl_s")
+    run = dataclasses.replace(config.run, placement="split", num_learners=2, num_rollout_actors=2)
+    placement = plan(dataclasses.replace(config, run=run), num_gpus=4)
+    assert [(p.name, p.gpu, p.memory.needs[0].num_in_group) for p in placement.processes] == [
+        ("learner 0", 0, 2),
+        ("learner 1", 1, 2),
+        ("rollout 0", 2, 1),
+        ("rollout 1", 3, 1),
+        ("curator 0", 2, 1),
+    ]
+    with pytest.raises(PlacementError, match="2 learners and 2 rollout actors needs 4 GPUs of 3; lower"):
+        plan(dataclasses.replace(config, run=run), num_gpus=3)
+    with pytest.raises(PlacementError, match=r"5 learners cannot share 4 blocks .* lower run.num_learners, or"):
+        plan(tiny_config(num_updates=1, placement="split", num_learners=5), num_gpus=0)
+
+
 def test_on_cpu_every_process_is_told_to_leave_gpus_alone():
     placement = plan(tiny_config(num_updates=1, placement="split", num_rollout_actors=2), num_gpus=0)
     assert [p.role for p in placement.processes] == ["learner", "rollout", "rollout", "curator"]

@@ -12,7 +12,7 @@ from jax.sharding import Mesh
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.learner.sharding import local_values, spread_worlds
+from kinetix_dist.learner.sharding import local_values, replicate, spread_worlds
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState, make_curriculum
 from kinetix_dist.runtime.cores.evaluator import Evaluator
@@ -69,7 +69,7 @@ class LearnerWorker:
             place(np.concatenate(last_value), *where),
         )
         if self._curriculum.observes:
-            self._state.observe(*jax.tree.map(lambda *xs: np.concatenate(xs), *seen))
+            self._state.observe(*replicate(jax.tree.map(lambda *xs: np.concatenate(xs), *seen), self._mesh))
         metrics = self._metrics(num_updates, jax.tree.map(lambda *xs: sum(xs), *sums), local_values(metrics))
         return metrics, {"learn": time.monotonic() - began}
 

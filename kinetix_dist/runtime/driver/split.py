@@ -6,7 +6,10 @@
 | role | consumes | produces | waits for | bound |
 |---|---|---|---|---|
 | rollout actor | weights of version u, state of the curriculum | its part of batch u + 1 | - | one batch ahead |
-| learner | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
+| learners | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
+
+Learners form one JAX world, as the workers of the colocated placement do: each learns from its blocks of worlds, and
+makes the same version.
 
 Levels and random streams belong to world groups and update numbers, so a part that was lost with its actor is played
 again by a new actor with the same weights and comes out the same.
@@ -14,7 +17,6 @@ again by a new actor with the same weights and comes out the same.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -36,7 +38,7 @@ _MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
 
 
 class SplitTrainer:
-    """A `roles.Trainer` of rollout actors, a bounded work buffer and a learner."""
+    """A `roles.Trainer` of rollout actors, a bounded work buffer and one or more learners."""
 
     policy_lag = 1
 
@@ -45,7 +47,7 @@ class SplitTrainer:
         self.backend = backend
         self.place(placement)
         self._observes = config.curriculum_class.observes
-        self._learner: Handle | None = None
+        self._learners: list[Handle] = []
         self._actors: list[Handle] = []
         self._dropped_before = 0
         self._reset()
@@ -57,58 +59,54 @@ class SplitTrainer:
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         self.stop()
         self._reset()
-        self._learner = self.backend.spawn(self._learner_plan, build_learner, self._config)[0]
-        self._actors = list(self.backend.spawn(self._rollout_plans, build_rollout, self._config))
+        self._learners = self.backend.spawn(self._learner_plans, build_learner, self._config)
+        self._actors = self.backend.spawn(self._rollout_plans, build_rollout, self._config, len(self._rollout_plans))
         stored = None if arrays is None else self.backend.put(dict(arrays))
-        self._ask_learner("start", stored)
-        self._state = self._learner.call("curriculum_state")
-        self._weights.publish(num_updates, self._learner.call("weights"))
+        self._ask_learners("start", stored)
+        self._state = self._learners[0].call("curriculum_state")
+        self._weights.publish(num_updates, self._learners[0].call("weights"))
         if arrays is not None and num_updates > 0:
             # The batch that was being played when the checkpoint was taken: same weights, same state.
             acting = nested(select_arrays(arrays, ACTING))
             self._weights.publish(num_updates - 1, self.backend.put(acting))
             state = self._state
             if self._observes:
-                state = self._learner.call("state_from", self.backend.put(select_arrays(arrays, PROPOSING)))
+                state = self._learners[0].call("state_from", self.backend.put(select_arrays(arrays, PROPOSING)))
             self._issue(num_updates, num_updates - 1, state)
 
     def place(self, placement: Placement) -> None:
-        self._learner_plan = placement.of("learner")
+        self._learner_plans = placement.of("learner")
         self._rollout_plans = placement.of("rollout")
-        run = dataclasses.replace(self._config.run, num_rollout_actors=len(self._rollout_plans))
-        self._config = dataclasses.replace(self._config, run=run)
 
     def weights(self) -> Ticket:
-        assert self._learner is not None
-        return self._learner.call("weights")
+        return self._learners[0].call("weights")
 
     def adopt(self, refreshed: Any) -> None:
-        assert self._learner is not None
-        self._ask_learner("adopt", refreshed)
-        self._state = self._learner.call("curriculum_state")
+        self._ask_learners("adopt", refreshed)
+        self._state = self._learners[0].call("curriculum_state")
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
-        assert self._learner is not None
         if num_updates not in self._orders:
             self._issue(num_updates, num_updates, self._state)
         self._issue(num_updates + 1, num_updates, self._state)
         stamps = self._collect(num_updates)
         queue_length = len(self._work)
         works = self._work.take(num_updates)
-        metrics, seconds = self._ask_learner("learn", num_updates, *[work.content for work in works])
-        self._weights.publish(num_updates + 1, self._learner.call("weights"))
+        answers = self._ask_learners("learn", num_updates, *[work.content for work in works])
+        metrics, learn_seconds = answers[0][0], max(seconds["learn"] for _, seconds in answers)
+        self._weights.publish(num_updates + 1, self._learners[0].call("weights"))
         if self._observes:
-            self._state = self._learner.call("curriculum_state")
+            self._state = self._learners[0].call("curriculum_state")
         lags = [num_updates - work.policy_version for work in works]
         metrics |= {
             "runtime/policy_lag": float(np.mean(lags)),
             "runtime/policy_lag_max": float(max(lags)),
             "runtime/queue_length": float(queue_length),
         }
-        return metrics, seconds | {"rollout": max(stamp["seconds"] for stamp in stamps)}
+        return metrics, {"learn": learn_seconds, "rollout": max(stamp["seconds"] for stamp in stamps)}
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        arrays = self._ask_learner("snapshot")
+        arrays = self._ask_first("snapshot")
         acting_version = max(self._weights_in_flight(), default=None)
         if acting_version is not None:
             arrays |= flatten_arrays({ACTING: resolve(self._weights.get(acting_version))})
@@ -118,26 +116,29 @@ class SplitTrainer:
         return arrays
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
-        return self._ask_learner("evaluate", use_policy)
+        return self._ask_first("evaluate", use_policy)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
-        return self._ask_learner("record", num_rollouts, num_updates)
+        return self._ask_first("record", num_rollouts, num_updates)
 
     def topology(self) -> dict[str, Any]:
-        devices = learning_devices(self._ask_learner("facts"))
-        return {"placement": "split", "processes": 1 + len(self._actors), **devices}
+        devices = learning_devices(self._ask_first("facts"))
+        processes = len(self._learners) + len(self._actors)
+        parts = {"learners": len(self._learners), "rollout_actors": len(self._actors)}
+        return {"placement": "split", "processes": processes, **parts, **devices}
 
     def facts(self) -> dict[str, Any]:
-        assert self._learner is not None
-        return {**self._ask_learner("facts"), "processes": self.backend.facts([self._learner, *self._actors])}
+        return {**self._ask_first("facts"), "processes": self.backend.facts([*self._learners, *self._actors])}
 
     def stop(self) -> None:
-        handles = [*self._actors, *([self._learner] if self._learner is not None else [])]
-        self._actors, self._learner = [], None
+        handles = [*self._actors, *self._learners]
+        self._actors, self._learners = [], []
         self.backend.kill(handles)
 
     def _reset(self) -> None:
         if hasattr(self, "_work"):
+            # What was being played, or waited for the learners, when these were lost: it is played again.
+            self._work.drop(self._config.rollout.steps_per_update * len(self._orders))
             self._dropped_before += self._work.dropped_steps
         self._work = WorkBuffer(num_parts=len(self._rollout_plans), lag=self.policy_lag)
         self._weights = WeightStore(keep_last=2)
@@ -149,9 +150,13 @@ class SplitTrainer:
     def _weights_in_flight(self) -> list[int]:
         return [version for version, _ in self._orders.values()]
 
-    def _ask_learner(self, method: str, *arguments: Any) -> Any:
-        assert self._learner is not None
-        return self.backend.gather([self._learner.call(method, *arguments)])[0]
+    def _ask_first(self, method: str, *arguments: Any) -> Any:
+        """Of what all learners hold."""
+        return self.backend.gather([self._learners[0].call(method, *arguments)])[0]
+
+    def _ask_learners(self, method: str, *arguments: Any) -> list[Any]:
+        """What they do together."""
+        return self.backend.gather([learner.call(method, *arguments) for learner in self._learners])
 
     def _issue(self, update: int, policy_version: int, state: Any) -> None:
         """Orders batch `update` from all rollout actors, its levels proposed by `state` of the curriculum."""
@@ -207,7 +212,8 @@ class SplitTrainer:
         num_groups = len(self._config.groups_of_part(part, len(self._rollout_plans)))
         self._work.drop(num_groups * self._config.rollout.steps_per_group * len(lost))
         self.backend.kill([self._actors[part]])
-        self._actors[part] = self.backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
+        plan, num_parts = self._rollout_plans[part], len(self._rollout_plans)
+        self._actors[part] = self.backend.spawn([plan], build_rollout, self._config, num_parts)[0]
         self.backend.sections.begin_again()
         for issued in sorted(lost):
             self._issue_part(issued, part)

@@ -142,7 +142,8 @@ class RayBackend:
             ray.util.remove_placement_group(group)
             raise PlacementError(
                 f"this run needs {len(bundles)} of the cluster's {self.num_gpus} GPUs, and they were not free within "
-                f"{FREE_TIMEOUT_S:g} s: {nodes_in_words()}; wait for the run that holds them, or lower run.num_workers"
+                f"{FREE_TIMEOUT_S:g} s: {nodes_in_words()}; wait for the run that holds them, or lower run.num_workers "
+                "(split: run.num_learners, run.num_rollout_actors)"
             )
         self._group = group
 
@@ -202,7 +203,7 @@ class RayBackend:
         started = self._all(actors, [actor.prepare.remote() for actor in actors])
         for handle, where in zip(handles, started, strict=True):
             self._on_event("process_started", process=handle.plan.name, **where)
-        if len(actors) > 1 and handles[0].plan.role == "worker":
+        if len(actors) > 1 and handles[0].plan.joins_group:
             coordinator = self._all(actors[:1], [actors[0].free_address.remote()])[0]
             self._all(actors, [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)])
         self._all(actors, [actor.build.remote() for actor in actors])
