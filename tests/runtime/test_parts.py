@@ -114,10 +114,38 @@ def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
         ("rollout 1", 3, 1),
         ("curator 0", 2, 1),
     ]
-    with pytest.raises(PlacementError, match="2 learners and 2 rollout actors needs 4 GPUs of 3; lower"):
+    with pytest.raises(PlacementError, match="2 learners and 2 rollout actors, 0 of them on CPUs, needs 4 GPUs of 3"):
         plan(dataclasses.replace(config, run=run), num_gpus=3)
     with pytest.raises(PlacementError, match=r"5 learners cannot share 4 blocks .* lower run.num_learners, or"):
         plan(tiny_config(num_updates=1, placement="split", num_learners=5), num_gpus=0)
+
+
+def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
+    config = recipe("sfl_s")
+
+    def placed(num_gpus, **run):
+        run = dataclasses.replace(config.run, placement="split", **run)
+        return plan(dataclasses.replace(config, run=run), num_gpus=num_gpus)
+
+    mixed = placed(2, num_rollout_actors=3, num_cpu_rollout_actors=2)
+    assert [(p.name, p.gpu) for p in mixed.processes] == [
+        ("learner 0", 0),
+        ("rollout 0", 1),
+        ("rollout 1", None),
+        ("rollout 2", None),
+        ("curator 0", 1),
+    ]
+    assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} and p.memory is None for p in mixed.processes if p.gpu is None)
+    alone = placed(1, num_rollout_actors=2, num_cpu_rollout_actors=2)  # then the curator is beside the learner
+    assert [(p.name, p.gpu, p.gpu_share) for p in alone.processes if p.gpu == 0] == [
+        ("learner 0", 0, 0.5),
+        ("curator 0", 0, 0.5),
+    ]
+    assert len(alone.of("rollout")) == 2
+    with pytest.raises(PlacementError, match=r"1 of them on CPUs, needs 3 GPUs of 2; .* raise run.num_cpu"):
+        placed(2, num_rollout_actors=3, num_cpu_rollout_actors=1)
+    with pytest.raises(ConfigError, match="num_cpu_rollout_actors is 2, of num_rollout_actors 1 in all; lower the one"):
+        placed(2, num_rollout_actors=1, num_cpu_rollout_actors=2)
 
 
 def test_on_cpu_every_process_is_told_to_leave_gpus_alone():

@@ -12,12 +12,19 @@ import pytest
 import ray
 
 from kinetix_dist.recipes import recipe
+from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.telemetry.names import check_metrics
-from tests.runtime.cores_for_tests import build_compiler, build_from_missing_levels, build_greedy, build_told
+from tests.runtime.cores_for_tests import (
+    build_compiler,
+    build_from_missing_levels,
+    build_greedy,
+    build_together,
+    build_told,
+)
 
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
 
@@ -108,6 +115,16 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
     (process, _) = plan(recipe("sfl_s"), num_gpus=1).processes
     with pytest.raises(ProcessFailedError, match=r"^worker 0 failed: the NVIDIA driver"):
         backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_told)
+
+
+def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
+    groups = [
+        Group([ProcessPlan(role=role, index=0, env_vars=ON_CPU)], build_together, (str(tmp_path), 2))
+        for role in ("learner", "rollout")
+    ]
+    (learner,), (actor,) = backend.spawn_groups(groups)
+    assert len({learner.pid, actor.pid}) == 2
+    backend.kill([learner, actor])
 
 
 # A group of two

@@ -92,7 +92,7 @@ def test_learners_and_actors_that_are_lost_change_no_bit_of_what_one_learner_lea
     told = {"learners": 2, "rollout_actors": config.run.num_rollout_actors, "devices": 2}
     assert description["topology"].items() >= told.items()
     other = description["topology"] | {"learners": 1, "devices": 1}
-    assert what_differs(description, other) == ["learners 1 instead of 2", "devices 1 instead of 2"]
+    assert set(what_differs(description, other)) == {"learners 1 instead of 2", "devices 1 instead of 2"}
     part = config.rollout.steps_per_update // config.run.num_rollout_actors
     dropped = rows[-1]["runtime/dropped_steps"]  # of the one or two batches that were being played
     assert 0 < dropped <= 4 * config.rollout.steps_per_update and dropped % part == 0
@@ -107,8 +107,10 @@ def test_a_run_goes_on_with_other_numbers_of_learners_and_actors_and_says_so(ray
     other = split_config(num_learners=1, num_rollout_actors=3)
     assert other.hash == config.hash
     _train(other, path, ray_backend, resume=True, reporter=reporter)
-    assert "learners 1 instead of 2, rollout_actors 3 instead of 2, devices 1 instead of 2" in " ".join(reporter.notes)
-    assert "not bit for bit" in " ".join(reporter.notes)
+    told = " ".join(reporter.notes)
+    for words in ("learners 1 instead of 2", "rollout_actors 3 instead of 2", "devices 1 instead of 2"):
+        assert words in told
+    assert "not bit for bit" in told
     arrays = final_arrays(path)
     for name, expected in two_devices.items():
         if name.startswith("learner/params"):

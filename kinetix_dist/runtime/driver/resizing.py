@@ -142,8 +142,11 @@ class Resizing:
             for num_learners in range(others[0], 0, -1) if others else [0]:
                 number = size - num_learners
                 if least_first <= number <= first:
-                    found = {"num_rollout_actors": number, "num_learners": num_learners}
-                    found = found if others else {"num_workers": number}
+                    found = {"num_workers": number}
+                    if others:
+                        on_cpu = min(run.num_cpu_rollout_actors, number)  # GPUs are rarer: they are given up first
+                        found = {"num_rollout_actors": number, "num_cpu_rollout_actors": on_cpu}
+                        found["num_learners"] = num_learners
                     yield dataclasses.replace(self._config, run=dataclasses.replace(run, **found))
 
     @property

@@ -29,7 +29,7 @@ from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
-from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.backend import Backend, Group, Handle, Ticket
 from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
 from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import Placement
@@ -59,8 +59,9 @@ class SplitTrainer:
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         self.stop()
         self._reset()
-        self._learners = self.backend.spawn(self._learner_plans, build_learner, self._config)
-        self._actors = self.backend.spawn(self._rollout_plans, build_rollout, self._config, len(self._rollout_plans))
+        learners = Group(self._learner_plans, build_learner, (self._config,))
+        actors = Group(self._rollout_plans, build_rollout, (self._config, len(self._rollout_plans)))
+        self._learners, self._actors = self.backend.spawn_groups([learners, actors])
         stored = None if arrays is None else self.backend.put(dict(arrays))
         self._ask_learners("start", stored)
         self._state = self._learners[0].call("curriculum_state")
@@ -124,8 +125,14 @@ class SplitTrainer:
     def topology(self) -> dict[str, Any]:
         devices = learning_devices(self._ask_first("facts"))
         processes = len(self._learners) + len(self._actors)
-        parts = {"learners": len(self._learners), "rollout_actors": len(self._actors)}
+        parts = {"learners": len(self._learners), "rollout_actors": self._actors_in_words()}
         return {"placement": "split", "processes": processes, **parts, **devices}
+
+    def _actors_in_words(self) -> int | str:
+        """Their number; where some compute on another kind of device than learners, which makes other bits, so many."""
+        number = len(self._rollout_plans)
+        num_on_cpu = sum(plan.gpu is None for plan in self._rollout_plans)
+        return number if self._learner_plans[0].gpu is None or not num_on_cpu else f"{number} ({num_on_cpu} on CPU)"
 
     def facts(self) -> dict[str, Any]:
         return {**self._ask_first("facts"), "processes": self.backend.facts([*self._learners, *self._actors])}

@@ -6,6 +6,7 @@ of the runtime is written once.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -35,6 +36,15 @@ class Handle(Protocol):
         """The same for a method that returns (stamp, content): the small stamp can be fetched without the content."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Processes of one role: a core `build(plan.index, number of plans, *arguments)` for each plan."""
+
+    plans: Sequence[ProcessPlan]
+    build: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
+
+
 class Backend(Protocol):
     """Starts processes and ends them."""
 
@@ -42,7 +52,10 @@ class Backend(Protocol):
     losses: Losses  # of processes so far
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[Handle]:
-        """One core `build(plan.index, number of plans, *arguments)` a plan; several form one JAX world, by rank."""
+        """One core a plan, as `Group` says; several that join a group form one JAX world, by rank."""
+
+    def spawn_groups(self, groups: Sequence[Group]) -> list[list[Handle]]:
+        """The same for several groups at the same time: no process waits for one that it does not join."""
 
     def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> Handle:
         """The same for one process, without waiting for it: what is asked of it is done once it has started."""

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.facts import facts_of
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.measures import Meter, summary
@@ -54,6 +55,9 @@ class LocalBackend:
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle]:
         return [LocalHandle(plan, build(plan.index, 1, *arguments)) for plan in plans]
+
+    def spawn_groups(self, groups: Sequence[Group]) -> list[list[LocalHandle]]:
+        return [self.spawn(group.plans, group.build, *group.arguments) for group in groups]
 
     def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> LocalHandle:
         return self.spawn([plan], build, *arguments)[0]

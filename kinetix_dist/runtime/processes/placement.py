@@ -3,7 +3,7 @@
 colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
 split       N learners that form one JAX world, and rollout actors on devices of their own; lag 1
 both        one curator, and an evaluator where evaluations or recordings are asked for during training, on the GPU of
-            the first worker (or rollout actor), whose memory they share
+            the first worker (or rollout actor; where these play on CPUs: learner), whose memory they share
 """
 
 from __future__ import annotations
@@ -60,19 +60,25 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
     on_gpus = resolve_device(config.run.device, num_gpus=num_gpus) == "gpu"
     is_split = config.run.placement == "split"
     devices = _of_split(config) if is_split else _of_colocated(config, num_gpus if on_gpus else 1)
+    num_on_cpu = config.run.num_cpu_rollout_actors if is_split and on_gpus else 0
+    devices, on_cpu = devices[: len(devices) - num_on_cpu], devices[len(devices) - num_on_cpu :]
     if on_gpus and len(devices) > num_gpus:
         raise PlacementError(_too_few_gpus(config, len(devices), num_gpus))
-    # Beside the first that plays, which has least to do of all that have a GPU.
-    beside = devices[config.run.num_learners if is_split else 0]
+    # Beside the first that plays, which has least to do of all that have a GPU; where none of these has, a learner.
+    first = config.run.num_learners if is_split else 0
+    beside = devices[first if first < len(devices) else 0]
     if config.has_curator:
         beside.append(("curator", 0))
     if config.evaluates_beside:
         beside.append(("evaluator", 0))
     if not on_gpus:
-        return Placement(processes=_in_order(_on_cpu(role, index) for roles in devices for role, index in roles))
+        devices, on_cpu = [], devices
     return Placement(
         processes=_in_order(
-            process for gpu, roles in enumerate(devices) for process in _on_gpu(config, gpu, roles, devices)
+            [
+                *(process for gpu, roles in enumerate(devices) for process in _on_gpu(config, gpu, roles, devices)),
+                *(_on_cpu(role, index) for roles in on_cpu for role, index in roles),
+            ]
         )
     )
 
@@ -108,8 +114,9 @@ def _too_few_gpus(config: TrainConfig, needed: int, there: int) -> str:
         return f"run.num_workers {run.num_workers} needs as many GPUs; there are {there}"
     return (
         f"split placement with {counted(run.num_learners, 'learner')} and "
-        f"{counted(run.num_rollout_actors, 'rollout')} needs {needed} GPUs of {there}; lower run.num_learners or "
-        "run.num_rollout_actors, or use run.placement colocated"
+        f"{counted(run.num_rollout_actors, 'rollout')}, {run.num_cpu_rollout_actors} of them on CPUs, needs {needed} "
+        f"GPUs of {there}; lower run.num_learners or run.num_rollout_actors, raise run.num_cpu_rollout_actors, or use "
+        "run.placement colocated"
     )
 
 

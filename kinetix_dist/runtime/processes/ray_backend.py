@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import logging
 import os
 import time
@@ -16,6 +17,7 @@ import ray.util
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from kinetix_dist.runtime.processes.actor import ProcessActor
+from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
@@ -181,13 +183,19 @@ class RayBackend:
             time.sleep(CPUS_POLL_S)
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
-        handles = [self._create(plan, build, len(plans), arguments) for plan in plans]
+        return self.spawn_groups([Group(plans, build, arguments)])[0]
+
+    def spawn_groups(self, groups: Sequence[Group]) -> list[list[RayHandle]]:
+        started = [
+            [self._create(plan, group.build, len(group.plans), group.arguments) for plan in group.plans]
+            for group in groups
+        ]
         try:
-            self._start(handles)
+            self._start(started)
         except BaseException:
-            self.kill(handles)
+            self.kill(list(itertools.chain(*started)))
             raise
-        return handles
+        return started
 
     def _create(self, plan: ProcessPlan, build: Callable[..., Any], group: int, arguments: Sequence[Any]) -> RayHandle:
         actor = ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, group, *arguments)
@@ -195,7 +203,8 @@ class RayBackend:
         self._readings.add(actor)
         return RayHandle(plan, actor, None, self)
 
-    def _start(self, handles: Sequence[RayHandle]) -> None:
+    def _start(self, groups: Sequence[Sequence[RayHandle]]) -> None:
+        handles = list(itertools.chain(*groups))
         actors = [handle.actor for handle in handles]
         # Pings first: what dies while it is told more could not be seen to be gone by its number.
         for handle, pid in zip(handles, self._all(actors, [actor.ping.remote() for actor in actors]), strict=True):
@@ -203,10 +212,16 @@ class RayBackend:
         started = self._all(actors, [actor.prepare.remote() for actor in actors])
         for handle, where in zip(handles, started, strict=True):
             self._on_event("process_started", process=handle.plan.name, **where)
-        if len(actors) > 1 and handles[0].plan.joins_group:
-            coordinator = self._all(actors[:1], [actors[0].free_address.remote()])[0]
-            self._all(actors, [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)])
-        self._all(actors, [actor.build.remote() for actor in actors])
+        # Those that join nobody build first: they do so while the others ask for an address and wait for each other.
+        calls: list[tuple[Any, Any]] = []
+        for group in sorted(groups, key=_joins):
+            members = [handle.actor for handle in group]
+            if _joins(group):
+                coordinator = self._all(members[:1], [members[0].free_address.remote()])[0]
+                joined = [actor.join.remote(coordinator, len(members), rank) for rank, actor in enumerate(members)]
+                calls += zip(joined, members, strict=True)
+            calls += [(actor.build.remote(), actor) for actor in members]
+        self._supervisor.gather(calls)
 
     def _all(self, actors: Sequence[Any], references: Sequence[Any]) -> list[Any]:
         return self._supervisor.gather(list(zip(references, actors, strict=True)))
@@ -282,6 +297,10 @@ class RayBackend:
             self.release()
         if self._watchdog is not None:
             self._watchdog.stop()
+
+
+def _joins(group: Sequence[RayHandle]) -> bool:
+    return len(group) > 1 and group[0].plan.joins_group
 
 
 def _references(arguments: Sequence[Any]) -> list[Any]:
