@@ -67,6 +67,7 @@ class Compiler:
         from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 
         self._num_hits = 0
+        self._handed: Any = None
         enable_compile_cache(directory)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.monitoring.register_event_listener(self._count)
@@ -84,6 +85,25 @@ class Compiler:
 
     def sleep(self, seconds: float, *beside: object) -> None:
         time.sleep(seconds)
+
+    def give(self, size: int) -> tuple[dict[str, int], Any]:
+        """(stamp, content)"""
+        import numpy as np
+
+        return {"size": size}, np.ones(size, np.uint8)
+
+    def compute_until_handed(self, seconds: float) -> int:
+        """As a learner that computes: bytes that `hand` fetched meanwhile. Raises TimeoutError where it did not."""
+        deadline = time.monotonic() + seconds
+        while self._handed is None:
+            if time.monotonic() > deadline:
+                raise TimeoutError("nothing was handed over while this call ran")
+            time.sleep(0.01)
+        return self._handed.nbytes
+
+    def hand(self, content: Any) -> None:
+        """content: fetched here."""
+        self._handed = content.fetch()
 
     def _count(self, event: str, **details: object) -> None:
         del details

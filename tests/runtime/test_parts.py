@@ -166,7 +166,7 @@ def test_a_gpu_that_is_not_there_is_refused():
 
 
 def _work(update, version, part=0, steps=10):
-    return Work(update=update, policy_version=version, part=part, num_env_steps=steps, content=(update, part))
+    return Work(update=update, part=part, stamp={"policy_version": version, "num_env_steps": steps})
 
 
 def test_a_batch_is_taken_whole_and_in_order_of_its_parts():

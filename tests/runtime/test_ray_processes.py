@@ -188,6 +188,18 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
     assert ("memory/gpu_share" in found) == (count_gpus() > 0 and "cpu" not in ON_CPU.values())
 
 
+def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_timed(backend, restarted):
+    (learner, actor), _ = restarted
+    computing = learner.call("compute_until_handed", 60.0)
+    stamp, content = actor.call_stamped("give", 1 << 20)
+    (found,) = backend.gather([stamp])
+    assert found["size"] == found["put"][0] == 1 << 20 and found["put"][1] > 0
+    handed = learner.call_beside("hand", content)
+    first = backend.first_of([computing, handed])
+    assert first and all(ticket is computing or ticket is handed for ticket in first)
+    assert backend.gather([computing, handed]) == [1 << 20, None]
+
+
 def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):
     (stopped, asleep), _ = restarted
     backend.sections.limits = {"save": 2.0}

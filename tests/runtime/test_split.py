@@ -13,6 +13,7 @@ from kinetix_dist.checkpoint import newest_good
 from kinetix_dist.runtime.driver.provenance import what_differs
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.telemetry.names import COPIES
 from tests.helpers import REPOSITORY, python_path
 from tests.runtime.runs import NotingReporter, QuietReporter, assert_same_bits, final_arrays, run_updates
 from tests.runtime.split_program import NUM_UPDATES, split_config
@@ -93,6 +94,11 @@ def test_learners_and_actors_that_are_lost_change_no_bit_of_what_one_learner_lea
     assert description["topology"].items() >= told.items()
     other = description["topology"] | {"learners": 1, "devices": 1}
     assert set(what_differs(description, other)) == {"learners 1 instead of 2", "devices 1 instead of 2"}
+    copied = {name.removesuffix("_mib") for name in rows[-1] if name.startswith("copies/") and name.endswith("_mib")}
+    # One actor plays all worlds, of which each learner has half, in order.
+    assert copied == {f"copies/{name}" for name in COPIES}
+    batch_mib = rows[-1]["copies/device_to_host_mib"]
+    assert rows[-1]["copies/store_put_mib"] == rows[-1]["copies/host_to_device_mib"] == batch_mib > 0
     part = config.rollout.steps_per_update // config.run.num_rollout_actors
     dropped = rows[-1]["runtime/dropped_steps"]  # of the one or two batches that were being played
     assert 0 < dropped <= 4 * config.rollout.steps_per_update and dropped % part == 0

@@ -8,6 +8,9 @@
 | rollout actor | weights of version u, state of the curriculum | its part of batch u + 1 | - | one batch ahead |
 | learners | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
 
+Every part of batch u + 1 goes to the learners as soon as it is played: they fetch it and lay it out on their devices
+while they compute update u.
+
 Learners form one JAX world, as the workers of the colocated placement do: each learns from its blocks of worlds, and
 makes the same version.
 
@@ -17,7 +20,9 @@ again by a new actor with the same weights and comes out the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +32,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
 from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.colocated import learning_devices
+from kinetix_dist.runtime.driver.transfers import added, copy_metrics, straggler_metrics
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
 from kinetix_dist.runtime.processes.backend import Backend, Group, Handle, Ticket
@@ -34,7 +40,7 @@ from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostEr
 from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import Placement
 
-_MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
+_MAX_REPLACEMENTS = 3  # of a rollout actor in a row, without a part of a batch from it
 
 
 class SplitTrainer:
@@ -80,31 +86,43 @@ class SplitTrainer:
         self._rollout_plans = placement.of("rollout")
 
     def weights(self) -> Ticket:
-        return self._learners[0].call("weights")
+        return self._weights.newest
 
     def adopt(self, refreshed: Any) -> None:
         self._ask_learners("adopt", refreshed)
         self._state = self._learners[0].call("curriculum_state")
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
+        began = time.monotonic()
         if num_updates not in self._orders:
             self._issue(num_updates, num_updates, self._state)
         self._issue(num_updates + 1, num_updates, self._state)
-        stamps = self._collect(num_updates)
-        queue_length = len(self._work)
+        self._receive(num_updates)
+        staged = [added(parts) for parts in zip(*self._staged(num_updates), strict=True)]
+        waited, queue_length = time.monotonic() - began, len(self._work)
         works = self._work.take(num_updates)
-        answers = self._ask_learners("learn", num_updates, *[work.content for work in works])
-        metrics, learn_seconds = answers[0][0], max(seconds["learn"] for _, seconds in answers)
-        self._weights.publish(num_updates + 1, self._learners[0].call("weights"))
+        played = [work.stamp for work in works]
+        sums = [stamp["sums"] for stamp in played]
+        learning = [learner.call_stamped("learn", num_updates, *sums) for learner in self._learners]
+        self._receive(num_updates + 1, until=[stamp for stamp, _ in learning])
+        learned = self.backend.gather([stamp for stamp, _ in learning])
+        del self._orders[num_updates]
+        self._weights.publish(num_updates + 1, learning[0][1])
         if self._observes:
             self._state = self._learners[0].call("curriculum_state")
         lags = [num_updates - work.policy_version for work in works]
-        metrics |= {
+        metrics = {
+            **learned[0]["metrics"],
             "runtime/policy_lag": float(np.mean(lags)),
             "runtime/policy_lag_max": float(max(lags)),
             "runtime/queue_length": float(queue_length),
+            "runtime/batch_wait_seconds": waited,
+            **straggler_metrics(played),
+            **copy_metrics([*staged, *(_copied(stamp, "store_put") for stamp in played)]),
+            **copy_metrics([_copied(learned[0], "weights_put")]),
         }
-        return metrics, {"learn": learn_seconds, "rollout": max(stamp["seconds"] for stamp in stamps)}
+        seconds = {"learn": learned, "rollout": played}
+        return metrics, {role: max(stamp["seconds"] for stamp in stamps) for role, stamps in seconds.items()}
 
     def snapshot(self) -> dict[str, np.ndarray]:
         arrays = self._ask_first("snapshot")
@@ -152,6 +170,9 @@ class SplitTrainer:
         # By update: the policy version and the state of the curriculum that its batch is played with.
         self._orders: dict[int, tuple[int, Any]] = {}
         self._in_flight: dict[tuple[int, int], tuple[Ticket, Ticket]] = {}  # (update, part) -> stamp, batch
+        self._staging: dict[int, list[list[Ticket]]] = {}  # by update: for each part that came, answers of learners
+        self._losses: dict[int, Loss] = {}  # by part: the first one since its actor gave something
+        self._num_replaced: Counter[int] = Counter()  # by part, since then
         self._state: Any = None  # of the curriculum
 
     def _weights_in_flight(self) -> list[int]:
@@ -176,51 +197,78 @@ class SplitTrainer:
         weights = self._weights.get(policy_version)
         self._in_flight[update, part] = self._actors[part].call_stamped("play", update, policy_version, weights, state)
 
-    def _collect(self, update: int) -> list[dict[str, Any]]:
-        """Waits for the parts of a batch; an actor that is lost is replaced and plays its parts again."""
-        stamps = []
-        for part in self._work.missing(update):
-            stamp, batch = self._fetch_part(update, part)
-            work = Work(
-                update=update,
-                policy_version=stamp["policy_version"],
-                part=part,
-                num_env_steps=stamp["num_env_steps"],
-                content=batch,
-            )
-            self._work.put(work)
-            stamps.append(stamp)
-        del self._orders[update]
-        return stamps
+    def _receive(self, update: int, *, until: Sequence[Ticket] = ()) -> None:
+        """Parts of a batch as they come: all of them, or those that are there before one of `until` is answered.
 
-    def _fetch_part(self, update: int, part: int) -> tuple[dict[str, Any], Ticket]:
-        first: Loss | None = None
-        for _ in range(_MAX_REPLACEMENTS):
-            stamp, batch = self._in_flight.pop((update, part))
+        An actor that is lost is replaced and plays its parts again.
+        """
+        while missing := self._work.missing(update):
+            stamps = {part: self._in_flight[update, part][0] for part in missing}
             try:
-                stamped = self.backend.gather([stamp])[0]
-            except InputLostError:  # the learner's: the actor is well
-                raise
-            except WorkerLostError as error:
-                if self.backend.has_lost_room:  # it went with its node: the whole run is placed anew
+                ready = {id(ticket) for ticket in self.backend.first_of([*until, *stamps.values()])}
+            except WorkerLostError as error:  # it is silent, or the section takes too long
+                part = next((plan.index for plan in self._rollout_plans if plan.name == error.process), None)
+                if part is None:
                     raise
-                error.section = self.backend.sections.name
-                loss = self.backend.losses.lost(error)
-                first = first or loss
-                self._replace(update, part)
+                self._replace({part: error})
                 continue
-            if first is not None:
-                self.backend.losses.recovered(first, update=update)
-            return stamped, batch
-        raise WorkerLostError(f"rollout actor {part} was lost {_MAX_REPLACEMENTS} times over batch {update}")
+            lost = {}
+            for part, stamp in stamps.items():
+                if id(stamp) in ready and (error := self._accept(update, part)) is not None:
+                    lost[part] = error
+            if lost:
+                self._replace(lost)
+            if any(id(ticket) in ready for ticket in until):
+                return
 
-    def _replace(self, update: int, part: int) -> None:
-        lost = [update, *(issued for issued, of_part in self._in_flight if of_part == part)]
-        num_groups = len(self._config.groups_of_part(part, len(self._rollout_plans)))
-        self._work.drop(num_groups * self._config.rollout.steps_per_group * len(lost))
-        self.backend.kill([self._actors[part]])
-        plan, num_parts = self._rollout_plans[part], len(self._rollout_plans)
-        self._actors[part] = self.backend.spawn([plan], build_rollout, self._config, num_parts)[0]
+    def _accept(self, update: int, part: int) -> WorkerLostError | None:
+        """Takes a part that is answered and hands it on to all learners; or returns why there is none."""
+        stamp, content = self._in_flight[update, part]
+        try:
+            stamped = self.backend.gather([stamp])[0]
+        except InputLostError:  # the learner's: the actor is well
+            raise
+        except WorkerLostError as error:
+            return error
+        del self._in_flight[update, part]
+        self._work.put(Work(update=update, part=part, stamp=stamped))
+        asked = ("stage", update, part, len(self._actors), content)
+        self._staging.setdefault(update, []).append([learner.call_beside(*asked) for learner in self._learners])
+        self._num_replaced.pop(part, None)
+        if (loss := self._losses.pop(part, None)) is not None:
+            self.backend.losses.recovered(loss, update=self.backend.losses.update)
+        return None
+
+    def _staged(self, update: int) -> list[list[dict[str, tuple[int, float]]]]:
+        """Waits until a batch lies on the devices of all learners: by part, what each of them copied."""
+        by_part = self._staging.pop(update)
+        answers = iter(self.backend.gather([ticket for tickets in by_part for ticket in tickets]))
+        return [[next(answers) for _ in tickets] for tickets in by_part]
+
+    def _replace(self, lost: Mapping[int, WorkerLostError]) -> None:
+        """Rollout actors by others, all at the same time; what they were at is played again."""
+        for part, error in lost.items():
+            if self.backend.has_lost_room:  # it went with its node: the whole run is placed anew
+                raise error
+            self._num_replaced[part] += 1
+            if self._num_replaced[part] > _MAX_REPLACEMENTS:
+                raise WorkerLostError(f"rollout actor {part} was lost {_MAX_REPLACEMENTS} times over one batch")
+            error.section = self.backend.sections.name
+            self._losses.setdefault(part, self.backend.losses.lost(error))
+        again = sorted((update, part) for update, part in self._in_flight if part in lost)
+        num_parts = len(self._rollout_plans)
+        for _, part in again:
+            self._work.drop(len(self._config.groups_of_part(part, num_parts)) * self._config.rollout.steps_per_group)
+        self.backend.kill([self._actors[part] for part in lost])
+        plans = [self._rollout_plans[part] for part in lost]
+        started = self.backend.spawn(plans, build_rollout, self._config, num_parts)
+        for part, actor in zip(lost, started, strict=True):
+            self._actors[part] = actor
         self.backend.sections.begin_again()
-        for issued in sorted(lost):
-            self._issue_part(issued, part)
+        for update, part in again:
+            self._issue_part(update, part)
+
+
+def _copied(stamp: Mapping[str, Any], put: str) -> dict[str, tuple[int, float]]:
+    """What a process copied for an answer, storing it included."""
+    return {**stamp["copies"], put: stamp["put"]}

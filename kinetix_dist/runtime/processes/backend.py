@@ -33,7 +33,16 @@ class Handle(Protocol):
         """Asks for `core.method(*arguments)`; calls of one handle are done in order."""
 
     def call_stamped(self, method: str, *arguments: Any) -> tuple[Ticket, Ticket]:
-        """The same for a method that returns (stamp, content): the small stamp can be fetched without the content."""
+        """The same for a method that returns (stamp, content): the small stamp can be fetched without the content.
+
+        The stamp, a dictionary, also gets "put": bytes of the content and seconds that storing it took.
+        """
+
+    def call_beside(self, method: str, *arguments: Any) -> Ticket:
+        """The same while another call runs; calls of this kind are done in order.
+
+        A ticket as an argument stays one: the method fetches it. Its answer has to be there already.
+        """
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,6 +85,10 @@ class Backend(Protocol):
 
     def gather(self, tickets: Sequence[Ticket]) -> list[Any]:
         """All answers. Raises WorkerLostError as soon as a process is lost, ProcessFailedError as soon as one fails."""
+
+    def first_of(self, tickets: Sequence[Ticket]) -> list[Ticket]:
+        """Those that are answered or lost: waits until it is one at least. Raises WorkerLostError where a process is
+        silent for too long or the limit of the section is exceeded."""
 
     def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
         """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""

@@ -40,7 +40,10 @@ class LocalHandle:
 
     def call_stamped(self, method: str, *arguments: Any) -> tuple[LocalTicket, LocalTicket]:
         stamp, content = self.call(method, *arguments).value
-        return LocalTicket(stamp), LocalTicket(content)
+        return LocalTicket({**stamp, "put": (0, 0.0)}), LocalTicket(content)
+
+    def call_beside(self, method: str, *arguments: Any) -> LocalTicket:
+        return LocalTicket(getattr(self._core, method)(*arguments))
 
 
 class LocalBackend:
@@ -71,6 +74,9 @@ class LocalBackend:
 
     def gather(self, tickets: Sequence[LocalTicket]) -> list[Any]:
         return [ticket.value for ticket in tickets]
+
+    def first_of(self, tickets: Sequence[LocalTicket]) -> list[LocalTicket]:
+        return list(tickets)
 
     def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:
         """Of this process, once: all of its cores share it."""

@@ -16,7 +16,7 @@ import ray
 import ray.util
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
-from kinetix_dist.runtime.processes.actor import ProcessActor
+from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
 from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Losses
@@ -66,9 +66,13 @@ class RayHandle:
         return RayTicket(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
 
     def call_stamped(self, method: str, *arguments: Any) -> tuple[RayTicket, RayTicket]:
-        call = self.actor.call.options(num_returns=2)
-        stamp, content = call.remote(method, *_references(arguments))
+        call = self.actor.call_stamped.options(num_returns=2)
+        content, stamp = call.remote(method, *_references(arguments))
         return RayTicket(stamp, self.actor, self._backend), RayTicket(content, self.actor, self._backend)
+
+    def call_beside(self, method: str, *arguments: Any) -> RayTicket:
+        given = [InStore(argument.reference) if isinstance(argument, RayTicket) else argument for argument in arguments]
+        return RayTicket(self.actor.call_beside.remote(method, *given), self.actor, self._backend)
 
 
 class RayBackend:
@@ -276,6 +280,10 @@ class RayBackend:
 
     def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
         return self._supervisor.gather([(ticket.reference, ticket.actor) for ticket in tickets])
+
+    def first_of(self, tickets: Sequence[RayTicket]) -> list[RayTicket]:
+        ready = set(self._supervisor.first_of([(ticket.reference, ticket.actor) for ticket in tickets]))
+        return [ticket for ticket in tickets if ticket.reference in ready]
 
     def kill(self, handles: Sequence[RayHandle]) -> None:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
