@@ -210,6 +210,14 @@ RED: dict[str, tuple[str, str]] = {
         "above 0.5 for worker, learner or rollout",
         "they wait for others: in split, give the slower side more devices; else see time/*",
     ),
+    "runtime/batch_wait_seconds": (
+        "above half the time of an update",
+        "learners wait: more rollout actors, or see runtime/slowest_actor and copies/*_seconds",
+    ),
+    "runtime/slowest_actor_lag_seconds": (
+        "above half the time of an update",
+        "one device is slower or busy: `processes` in report.json says where that actor is",
+    ),
     "runtime/save_seconds": ("above the time of checkpoint_every updates", "a faster disk, or raise checkpoint_every"),
     "memory/host_share": ("above 0.9", "the kernel may soon kill a process: fewer processes, or what else runs there?"),
     "memory/gpu_share": ("above 0.98", "another program is on the GPU: run.gpu_memory_gib leaves it room"),

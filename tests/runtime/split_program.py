@@ -1,6 +1,6 @@
 """Trains in the split placement in this process, on as many devices as JAX has here, and leaves a run directory.
 
-    XLA_FLAGS=--xla_force_host_platform_device_count=2 python tests/runtime/split_program.py RUN
+    XLA_FLAGS=--xla_force_host_platform_device_count=2 python tests/runtime/split_program.py RUN domain_randomization
 
 The one learner of this process uses all of its devices: what several learners of one device each have to reproduce.
 """
@@ -22,16 +22,18 @@ from tests.runtime.runs import run_updates, tiny_config
 NUM_UPDATES = 5
 
 
-def split_config(**run: Any) -> TrainConfig:
-    """Without a curator, which has nothing to do with placements."""
+def split_config(curriculum: str = "domain_randomization", **run: Any) -> TrainConfig:
+    """With a curriculum that has no curator, which has nothing to do with placements."""
     config = tiny_config(num_updates=NUM_UPDATES, placement="split", **run)
-    return dataclasses.replace(config, curriculum=CurriculumConfig(name="domain_randomization"))
+    # So that episodes end within an update, for curricula that observe.
+    env = dataclasses.replace(config.env, max_steps=5)
+    return dataclasses.replace(config, env=env, curriculum=CurriculumConfig(name=curriculum, buffer_size=12))
 
 
-def main(path: Path) -> None:
-    config = split_config()
+def main(path: Path, curriculum: str) -> None:
+    config = split_config(curriculum)
     run_updates(config, path, SplitTrainer(config, LocalBackend(), plan(config, num_gpus=0)), None)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2])

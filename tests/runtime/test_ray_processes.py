@@ -198,6 +198,8 @@ def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_
     first = backend.first_of([computing, handed])
     assert first and all(ticket is computing or ticket is handed for ticket in first)
     assert backend.gather([computing, handed]) == [1 << 20, None]
+    with pytest.raises(ProcessFailedError, match="worker 1 failed"):
+        backend.gather([actor.call_stamped("give", -1)[0]])
 
 
 def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):

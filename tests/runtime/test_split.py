@@ -22,16 +22,19 @@ from tests.runtime.train_process import events
 PROGRAM = REPOSITORY / "tests" / "runtime" / "split_program.py"
 
 
-@pytest.fixture(scope="module")
-def two_devices(tmp_path_factory):
+def _on_two_devices(path, curriculum):
     """Arrays of one learner with two devices, in a process of its own."""
-    path = tmp_path_factory.mktemp("two") / "run"
     flags = "--xla_force_host_platform_device_count=2"
     environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
-    command = [sys.executable, str(PROGRAM), str(path)]
+    command = [sys.executable, str(PROGRAM), str(path), curriculum]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     return final_arrays(path)
+
+
+@pytest.fixture(scope="module")
+def two_devices(tmp_path_factory):
+    return _on_two_devices(tmp_path_factory.mktemp("two") / "run", "domain_randomization")
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +105,15 @@ def test_learners_and_actors_that_are_lost_change_no_bit_of_what_one_learner_lea
     part = config.rollout.steps_per_update // config.run.num_rollout_actors
     dropped = rows[-1]["runtime/dropped_steps"]  # of the one or two batches that were being played
     assert 0 < dropped <= 4 * config.rollout.steps_per_update and dropped % part == 0
+
+
+@pytest.mark.slow
+def test_learners_see_the_outcomes_of_all_actors_where_a_curriculum_observes(ray_backend, tmp_path):
+    config = split_config("plr", num_learners=2, num_rollout_actors=3)
+    _train(config, tmp_path / "run", ray_backend)
+    arrays = final_arrays(tmp_path / "run")
+    assert (arrays["curriculum/born"] > 0).any()  # levels of updates after the first
+    assert_same_bits(arrays, _on_two_devices(tmp_path / "two", "plr"))
 
 
 @pytest.mark.slow
