@@ -58,8 +58,9 @@ class Staging:
         coming.num_parts += 1
         if coming.num_parts == num_parts:
             with copies.timed("host_to_device") as copied:
-                self._ready[update] = self._placed(self._coming.pop(update))
-                copied.append(self._ready[update])
+                batch, seen = self._in_order(self._coming.pop(update))
+                self._ready[update] = self._placed(batch, seen)
+                copied += [batch, seen]  # of this process alone: what lies on devices says the size of all learners'
         return copies.found
 
     def take(self, update: int) -> tuple[Batch, Any]:
@@ -74,18 +75,20 @@ class Staging:
         places = np.flatnonzero((self._rows >= first) & (self._rows < groups.stop * worlds_a_group))
         return places, self._rows[places] - first
 
-    def _placed(self, coming: _Coming) -> tuple[Batch, Any]:
-        static_obs, trajectory, last_value = coming.batch
-        batch = Batch(
+    def _in_order(self, coming: _Coming) -> tuple[Batch, Any]:
+        """As numpy."""
+        seen = [coming.seen[part] for part in sorted(coming.seen)] if self._observes else []
+        return coming.batch, jax.tree.map(lambda *xs: np.concatenate(xs), *seen) if seen else None
+
+    def _placed(self, batch: Batch, seen: Any) -> tuple[Batch, Any]:
+        """On the devices, when it is there."""
+        static_obs, trajectory, last_value = batch
+        placed = Batch(
             shard_worlds(static_obs, self._mesh),
             shard_worlds(trajectory, self._mesh, axis=1),
             shard_worlds(last_value, self._mesh),
         )
-        seen = None
-        if self._observes:
-            in_order = [coming.seen[part] for part in sorted(coming.seen)]
-            seen = replicate(jax.tree.map(lambda *xs: np.concatenate(xs), *in_order), self._mesh)
-        return jax.block_until_ready((batch, seen))
+        return jax.block_until_ready((placed, replicate(seen, self._mesh)))
 
 
 class _Coming:
