@@ -13,6 +13,7 @@ EVENTS: dict[str, str] = {
     "process_lost": "a process died, fell silent or exceeded a time limit: which, and in which section of the run",
     "recovered": "the first new result after a loss: from and to which update, seconds since the loss",
     "resized": "nodes were lost or came: from and to how many processes of a role, and at which update",
+    "straggler": "a rollout actor took over twice the median of the others, five batches in a row: which, and seconds",
     "token_secured": "Ray's token file could be read by others, and cannot any more",
     "stopped": "SIGTERM or Ctrl-C ended the run: after which update, and whether that is saved",
     "run_failed": "the run ended by an error: which",

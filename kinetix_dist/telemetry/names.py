@@ -216,7 +216,7 @@ RED: dict[str, tuple[str, str]] = {
     ),
     "runtime/slowest_actor_lag_seconds": (
         "above half the time of an update",
-        "one device is slower or busy: `processes` in report.json says where that actor is",
+        "one device is slower or busy: event straggler names the actor, `processes` in report.json says where it is",
     ),
     "runtime/save_seconds": ("above the time of checkpoint_every updates", "a faster disk, or raise checkpoint_every"),
     "memory/host_share": ("above 0.9", "the kernel may soon kill a process: fewer processes, or what else runs there?"),

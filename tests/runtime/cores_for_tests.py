@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,21 @@ def build_together(index: int, num_processes: int, meeting: str, count: int) -> 
     return Told()
 
 
+class HangingStamp(dict[str, Any]):
+    """Whoever reads it waits for a minute, and says so by a file."""
+
+    def __init__(self, meeting: str) -> None:
+        self._meeting = meeting
+
+    def keys(self) -> Any:
+        Path(self._meeting).touch()
+        time.sleep(60.0)
+        return super().keys()
+
+    def __iter__(self) -> Any:
+        return iter(self.keys())
+
+
 class Compiler:
     """Compiles a program over all devices of its group, with compiled programs on disk; does nothing when told so."""
 
@@ -91,6 +107,15 @@ class Compiler:
         import numpy as np
 
         return {"size": size}, np.ones(size, np.uint8)
+
+    def give_what_cannot_be_stored(self) -> tuple[dict[str, int], Any]:
+        return {}, threading.Lock()
+
+    def give_and_hang(self, size: int, meeting: str) -> tuple[dict[str, Any], Any]:
+        """Hangs once the content is stored; the file `meeting` is there then."""
+        import numpy as np
+
+        return HangingStamp(meeting), np.ones(size, np.uint8)
 
     def compute_until_handed(self, seconds: float) -> int:
         """As a learner that computes: bytes that `hand` fetched meanwhile. Raises TimeoutError where it did not."""

@@ -5,6 +5,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -12,12 +14,13 @@ import pytest
 from kinetix_dist.checkpoint import newest_good
 from kinetix_dist.runtime.driver.provenance import what_differs
 from kinetix_dist.runtime.driver.split import SplitTrainer
+from kinetix_dist.runtime.driver.stragglers import TIMES_THE_OTHERS
 from kinetix_dist.runtime.processes.placement import plan
 from kinetix_dist.telemetry.names import COPIES
 from tests.helpers import REPOSITORY, python_path
 from tests.runtime.runs import NotingReporter, QuietReporter, assert_same_bits, final_arrays, run_updates
 from tests.runtime.split_program import NUM_UPDATES, split_config
-from tests.runtime.train_process import events
+from tests.runtime.train_process import STEPS_PER_UPDATE, TINY, events, rows, start, wait_for
 
 PROGRAM = REPOSITORY / "tests" / "runtime" / "split_program.py"
 
@@ -137,3 +140,37 @@ def test_a_run_goes_on_with_other_numbers_of_learners_and_actors_and_says_so(ray
             # Two updates of four gradient steps of size 1e-3 with sums in another order.
             np.testing.assert_allclose(arrays[name], expected, atol=2e-4, err_msg=name)
     assert arrays["learner/num_updates"] == NUM_UPDATES
+
+
+def _hold_back(pid, is_over):
+    """Lets a process run for a tenth of the time."""
+    while not is_over.wait(0.01):
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.09)
+        os.kill(pid, signal.SIGCONT)
+
+
+@pytest.mark.slow
+def test_an_actor_that_is_held_back_is_named_and_lag_stays_bounded(tmp_path):
+    run, is_over = tmp_path / "run", threading.Event()
+    steps = str(100_000 * STEPS_PER_UPDATE)
+    split = ["--run.placement", "split", "--run.num_rollout_actors", "3", "--run.total_env_steps", steps]
+    driver = start(run, *TINY, *split)
+    try:
+        wait_for(lambda: len(rows(run)) >= 5, driver, "five updates")
+        pid = events(run, "process_started", process="rollout 1")[0]["pid"]
+        holding = threading.Thread(target=_hold_back, args=(pid, is_over))
+        holding.start()
+        try:
+            wait_for(lambda: events(run, "straggler", process="rollout 1"), driver, "the event")
+        finally:
+            is_over.set()
+            holding.join()
+        driver.send_signal(signal.SIGTERM)
+        driver.communicate(timeout=60.0)
+    finally:
+        driver.kill()
+    told = events(run, "straggler", process="rollout 1")[0]
+    assert told["seconds"] > TIMES_THE_OTHERS * told["seconds_of_others"] > 0
+    assert max(row["runtime/policy_lag_max"] for row in rows(run)) == 1
+    assert rows(run)[-1]["runtime/dropped_steps"] == 0

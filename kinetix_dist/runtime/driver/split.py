@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
 from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.colocated import learning_devices
+from kinetix_dist.runtime.driver.stragglers import Stragglers
 from kinetix_dist.runtime.driver.transfers import added, copy_metrics, straggler_metrics
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
@@ -48,9 +49,18 @@ class SplitTrainer:
 
     policy_lag = 1
 
-    def __init__(self, config: TrainConfig, backend: Backend, placement: Placement) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        backend: Backend,
+        placement: Placement,
+        *,
+        on_event: Callable[..., None] = lambda kind, **details: None,
+    ) -> None:
+        """`on_event(kind, **details)` hears of rollout actors that are slower than the others."""
         self._config = config
         self.backend = backend
+        self._on_event = on_event
         self.place(placement)
         self._observes = config.curriculum_class.observes
         self._learners: list[Handle] = []
@@ -102,6 +112,7 @@ class SplitTrainer:
         waited, queue_length = time.monotonic() - began, len(self._work)
         works = self._work.take(num_updates)
         played = [work.stamp for work in works]
+        self._stragglers.add(num_updates + 1, played)
         sums = [stamp["sums"] for stamp in played]
         learning = [learner.call_stamped("learn", num_updates, *sums) for learner in self._learners]
         self._receive(num_updates + 1, until=[stamp for stamp, _ in learning])
@@ -174,6 +185,7 @@ class SplitTrainer:
         self._losses: dict[int, Loss] = {}  # by part: the first one since its actor gave something
         self._num_replaced: Counter[int] = Counter()  # by part, since then
         self._state: Any = None  # of the curriculum
+        self._stragglers = Stragglers(self._on_event)
 
     def _weights_in_flight(self) -> list[int]:
         return [version for version, _ in self._orders.values()]
@@ -264,6 +276,7 @@ class SplitTrainer:
         started = self.backend.spawn(plans, build_rollout, self._config, num_parts)
         for part, actor in zip(lost, started, strict=True):
             self._actors[part] = actor
+            self._stragglers.forget(part)
         self.backend.sections.begin_again()
         for update, part in again:
             self._issue_part(update, part)
