@@ -128,8 +128,10 @@ class RunConfig:
     max_seconds: float = 0.0  # training ends at the first update after so much training time; 0: no such end
     placement: str = "colocated"  # "local" (no ray), "colocated" or "split"
     device: str = "auto"  # "auto" (gpu if there is one), "cpu" or "gpu"
-    num_workers: int = 0  # learner processes; 0: one a GPU, on CPU one
-    num_rollout_actors: int = 1  # split placement only
+    num_workers: int = 0  # colocated placement: processes that play and learn; 0: one a GPU, on CPU one
+    num_learners: int = 1  # split placement: processes that learn together
+    num_rollout_actors: int = 1  # split placement: processes that play
+    num_cpu_rollout_actors: int = 0  # of these, how many play on CPUs although the run uses GPUs
     min_workers: int = 1  # or rollout actors, with which to go on while nodes are lost; with fewer it waits
     node_wait_seconds: float = 60.0  # for a lost node to come back, before going on with fewer
     gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
@@ -153,7 +155,9 @@ class RunConfig:
             ("total_env_steps", 0),
             ("max_seconds", 0),
             ("num_workers", 0),
+            ("num_learners", 1),
             ("num_rollout_actors", 1),
+            ("num_cpu_rollout_actors", 0),
             ("min_workers", 1),
             ("node_wait_seconds", 0),
             ("gpu_memory_gib", 0),
@@ -167,6 +171,11 @@ class RunConfig:
         ):
             if getattr(self, name) < least:
                 raise ConfigError(f"RunConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+        if self.num_cpu_rollout_actors > self.num_rollout_actors:
+            raise ConfigError(
+                f"RunConfig.num_cpu_rollout_actors is {self.num_cpu_rollout_actors}, of num_rollout_actors "
+                f"{self.num_rollout_actors} in all; lower the one or raise the other"
+            )
         if self.metrics_port > LAST_PORT:
             raise ConfigError(f"RunConfig.metrics_port is {self.metrics_port}; it must be {LAST_PORT} or less")
         if not self.total_env_steps and not self.max_seconds:

@@ -56,13 +56,18 @@ def shard_worlds(tree: Any, mesh: Mesh, *, axis: int = 0) -> Any:
 
 def spread_worlds(tree: Any, mesh: Mesh, division: Division, *, axis: int = 0) -> Any:
     """Puts worlds into the places of their parts. Every process hands in the worlds of all, each once."""
-    mine = [device.process_index == jax.process_index() for device in mesh.devices.flat]
 
     def place(x: Array) -> Array:
-        rows = division.spread(np.shape(x)[axis]).reshape(mesh.devices.size, -1)[mine].reshape(-1)
+        rows = own_rows(mesh, division, np.shape(x)[axis])
         return x if np.array_equal(rows, np.arange(np.shape(x)[axis])) else np.take(x, rows, axis=axis)
 
     return shard_worlds(jax.tree.map(place, tree), mesh, axis=axis)
+
+
+def own_rows(mesh: Mesh, division: Division, num_worlds: int) -> np.ndarray:
+    """Of all worlds, each once and in order: the number of the one in each place of this process's devices."""
+    mine = [device.process_index == jax.process_index() for device in mesh.devices.flat]
+    return division.spread(num_worlds).reshape(mesh.devices.size, -1)[mine].reshape(-1)
 
 
 def local_values(tree: Any) -> Any:

@@ -25,6 +25,18 @@ class Metric:
 
 ROLES = ("worker", "learner", "rollout", "curator", "evaluator")  # of processes
 
+# What is copied in an update of the split placement, in the order of its way.
+COPIES = {
+    "device_to_host": "batches off the devices of rollout actors",
+    "store_put": "batches of rollout actors into the object store",
+    "store_get": "parts out of the object store by learners, from other nodes too",
+    "host_layout": "parts into the order of a learner's own worlds",
+    "host_to_device": "batches onto the devices of learners",
+    "weights_to_host": "weights off the devices of learners",
+    "weights_put": "weights into the object store",
+    "weights_to_device": "weights and the state of the curriculum onto the devices of rollout actors",
+}
+
 PER_MILLION = "per million physics steps"
 
 _ALL = (
@@ -128,6 +140,22 @@ _ALL = (
     Metric("runtime/compile_seconds", "s", "the process that compiled longest has compiled since its start"),
     Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, beside training"),
     Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
+    Metric(
+        "runtime/batch_wait_seconds",
+        "s",
+        "of an update before learning began: waiting for the slowest rollout actor, and for copies not done by then",
+    ),
+    Metric("runtime/slowest_actor", "number", "of the rollout actor that took longest for its part of the batch"),
+    Metric("runtime/slowest_actor_lag_seconds", "s", "that it took longer than the median of the others"),
+    # Copies of an update in the split placement
+    *(
+        metric
+        for copy, meaning in COPIES.items()
+        for metric in (
+            Metric(f"copies/{copy}_mib", "MiB", f"{meaning}, in this update, all processes together"),
+            Metric(f"copies/{copy}_seconds", "s", "the same, of the process that took longest"),
+        )
+    ),
     # Memory
     *(
         Metric(f"memory/resident_gib_{role}", "GiB", f"of host memory that the largest process of role {role} holds")
@@ -181,6 +209,14 @@ RED: dict[str, tuple[str, str]] = {
     "runtime/idle_<role>": (
         "above 0.5 for worker, learner or rollout",
         "they wait for others: in split, give the slower side more devices; else see time/*",
+    ),
+    "runtime/batch_wait_seconds": (
+        "above half the time of an update",
+        "learners wait: more rollout actors, or see runtime/slowest_actor and copies/*_seconds",
+    ),
+    "runtime/slowest_actor_lag_seconds": (
+        "above half the time of an update",
+        "one device is slower or busy: event straggler names the actor, `processes` in report.json says where it is",
     ),
     "runtime/save_seconds": ("above the time of checkpoint_every updates", "a faster disk, or raise checkpoint_every"),
     "memory/host_share": ("above 0.9", "the kernel may soon kill a process: fewer processes, or what else runs there?"),

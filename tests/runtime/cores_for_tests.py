@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
+from pathlib import Path
 from typing import Any
 
 
@@ -44,6 +46,34 @@ def build_from_missing_levels(index: int, num_processes: int, path: str) -> Any:
     return load_level_set(path, "s")
 
 
+def build_together(index: int, num_processes: int, meeting: str, count: int) -> Told:
+    """Is done when `count` processes are at it: those that are started one after another never are."""
+    del index, num_processes
+    here = Path(meeting) / str(os.getpid())
+    here.touch()
+    deadline = time.monotonic() + 60.0
+    while len(list(here.parent.iterdir())) < count:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{count} processes were not built at the same time")
+        time.sleep(0.05)
+    return Told()
+
+
+class HangingStamp(dict[str, Any]):
+    """Whoever reads it waits for a minute, and says so by a file."""
+
+    def __init__(self, meeting: str) -> None:
+        self._meeting = meeting
+
+    def keys(self) -> Any:
+        Path(self._meeting).touch()
+        time.sleep(60.0)
+        return super().keys()
+
+    def __iter__(self) -> Any:
+        return iter(self.keys())
+
+
 class Compiler:
     """Compiles a program over all devices of its group, with compiled programs on disk; does nothing when told so."""
 
@@ -53,6 +83,7 @@ class Compiler:
         from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 
         self._num_hits = 0
+        self._handed: Any = None
         enable_compile_cache(directory)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.monitoring.register_event_listener(self._count)
@@ -70,6 +101,34 @@ class Compiler:
 
     def sleep(self, seconds: float, *beside: object) -> None:
         time.sleep(seconds)
+
+    def give(self, size: int) -> tuple[dict[str, int], Any]:
+        """(stamp, content)"""
+        import numpy as np
+
+        return {"size": size}, np.ones(size, np.uint8)
+
+    def give_what_cannot_be_stored(self) -> tuple[dict[str, int], Any]:
+        return {}, threading.Lock()
+
+    def give_and_hang(self, size: int, meeting: str) -> tuple[dict[str, Any], Any]:
+        """Hangs once the content is stored; the file `meeting` is there then."""
+        import numpy as np
+
+        return HangingStamp(meeting), np.ones(size, np.uint8)
+
+    def compute_until_handed(self, seconds: float) -> int:
+        """As a learner that computes: bytes that `hand` fetched meanwhile. Raises TimeoutError where it did not."""
+        deadline = time.monotonic() + seconds
+        while self._handed is None:
+            if time.monotonic() > deadline:
+                raise TimeoutError("nothing was handed over while this call ran")
+            time.sleep(0.01)
+        return self._handed.nbytes
+
+    def hand(self, content: Any) -> None:
+        """content: fetched here."""
+        self._handed = content.fetch()
 
     def _count(self, event: str, **details: object) -> None:
         del details

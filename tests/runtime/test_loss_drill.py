@@ -27,7 +27,10 @@ SEED = 11
 
 
 def _options(placement):
-    workers = {"colocated": ["--run.num_workers", "2"], "split": ["--run.num_rollout_actors", "2"]}
+    workers = {
+        "colocated": ["--run.num_workers", "2"],
+        "split": ["--run.num_learners", "2", "--run.num_rollout_actors", "2"],
+    }
     steps = str(NUM_UPDATES * STEPS_PER_UPDATE)
     return [
         *(*TINY, "--run.placement", placement, *workers[placement], "--run.total_env_steps", steps),

@@ -150,3 +150,13 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
     assert process.returncode == EXIT_STOPPED
     assert sum("have no room" in line for line in said) == 2  # that it was lost, and that it is waited for
     assert all(row["differs"] == [] for row in events(run, "resumed"))
+
+
+def test_a_split_run_gives_up_rollout_actors_before_learners():
+    """Of two learners and three actors: all sizes that are tried, the largest first. No node is asked."""
+    config = tiny_config(num_updates=1, placement="split", num_learners=2, num_rollout_actors=3, min_workers=2)
+    told = {"on_event": lambda kind, **details: None, "on_note": lambda text: None}
+    resizing = Resizing(config, None, plan(config, num_gpus=0), _Placed(), {}, **told)
+    assert resizing.size == 5
+    tried = resizing._smaller_and_smaller(resizing._least)
+    assert [(c.run.num_learners, c.run.num_rollout_actors) for c in tried] == [(2, 3), (2, 2), (1, 3), (1, 2)]

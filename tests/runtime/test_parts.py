@@ -94,6 +94,60 @@ def test_split_has_its_curator_beside_the_first_rollout_actor():
     ]
 
 
+def test_any_numbers_of_learners_and_actors_have_one_config_hash():
+    config = tiny_config(num_updates=1, placement="split")
+    for learners, actors in ((1, 3), (2, 1), (3, 4), (4, 4)):
+        other = tiny_config(num_updates=1, placement="split", num_learners=learners, num_rollout_actors=actors)
+        placement = plan(other, num_gpus=0)
+        assert (len(placement.of("learner")), len(placement.of("rollout"))) == (learners, actors)
+        assert other.hash == config.hash
+
+
+def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
+    config = recipe("sfl_s")
+    run = dataclasses.replace(config.run, placement="split", num_learners=2, num_rollout_actors=2)
+    placement = plan(dataclasses.replace(config, run=run), num_gpus=4)
+    assert [(p.name, p.gpu, p.memory.needs[0].num_in_group) for p in placement.processes] == [
+        ("learner 0", 0, 2),
+        ("learner 1", 1, 2),
+        ("rollout 0", 2, 1),
+        ("rollout 1", 3, 1),
+        ("curator 0", 2, 1),
+    ]
+    with pytest.raises(PlacementError, match="2 learners and 2 rollout actors, 0 of them on CPUs, needs 4 GPUs of 3"):
+        plan(dataclasses.replace(config, run=run), num_gpus=3)
+    with pytest.raises(PlacementError, match=r"5 learners cannot share 4 blocks .* lower run.num_learners, or"):
+        plan(tiny_config(num_updates=1, placement="split", num_learners=5), num_gpus=0)
+
+
+def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
+    config = recipe("sfl_s")
+
+    def placed(num_gpus, **run):
+        run = dataclasses.replace(config.run, placement="split", **run)
+        return plan(dataclasses.replace(config, run=run), num_gpus=num_gpus)
+
+    mixed = placed(2, num_rollout_actors=3, num_cpu_rollout_actors=2)
+    assert [(p.name, p.gpu) for p in mixed.processes] == [
+        ("learner 0", 0),
+        ("rollout 0", 1),
+        ("rollout 1", None),
+        ("rollout 2", None),
+        ("curator 0", 1),
+    ]
+    assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} and p.memory is None for p in mixed.processes if p.gpu is None)
+    alone = placed(1, num_rollout_actors=2, num_cpu_rollout_actors=2)  # then the curator is beside the learner
+    assert [(p.name, p.gpu, p.gpu_share) for p in alone.processes if p.gpu == 0] == [
+        ("learner 0", 0, 0.5),
+        ("curator 0", 0, 0.5),
+    ]
+    assert len(alone.of("rollout")) == 2
+    with pytest.raises(PlacementError, match=r"1 of them on CPUs, needs 3 GPUs of 2; .* raise run.num_cpu"):
+        placed(2, num_rollout_actors=3, num_cpu_rollout_actors=1)
+    with pytest.raises(ConfigError, match="num_cpu_rollout_actors is 2, of num_rollout_actors 1 in all; lower the one"):
+        placed(2, num_rollout_actors=1, num_cpu_rollout_actors=2)
+
+
 def test_on_cpu_every_process_is_told_to_leave_gpus_alone():
     placement = plan(tiny_config(num_updates=1, placement="split", num_rollout_actors=2), num_gpus=0)
     assert [p.role for p in placement.processes] == ["learner", "rollout", "rollout", "curator"]
@@ -112,7 +166,7 @@ def test_a_gpu_that_is_not_there_is_refused():
 
 
 def _work(update, version, part=0, steps=10):
-    return Work(update=update, policy_version=version, part=part, num_env_steps=steps, content=(update, part))
+    return Work(update=update, part=part, stamp={"policy_version": version, "num_env_steps": steps})
 
 
 def test_a_batch_is_taken_whole_and_in_order_of_its_parts():

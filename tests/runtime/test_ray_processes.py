@@ -10,14 +10,22 @@ import time
 import numpy as np
 import pytest
 import ray
+from ray._private.internal_api import memory_summary  # no public function says what the store holds
 
 from kinetix_dist.recipes import recipe
+from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.telemetry.names import check_metrics
-from tests.runtime.cores_for_tests import build_compiler, build_from_missing_levels, build_greedy, build_told
+from tests.runtime.cores_for_tests import (
+    build_compiler,
+    build_from_missing_levels,
+    build_greedy,
+    build_together,
+    build_told,
+)
 
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
 
@@ -110,6 +118,16 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
         backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_told)
 
 
+def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
+    groups = [
+        Group([ProcessPlan(role=role, index=0, env_vars=ON_CPU)], build_together, (str(tmp_path), 2))
+        for role in ("learner", "rollout")
+    ]
+    (learner,), (actor,) = backend.spawn_groups(groups)
+    assert len({learner.pid, actor.pid}) == 2
+    backend.kill([learner, actor])
+
+
 # A group of two
 
 
@@ -169,6 +187,58 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
         time.sleep(0.1)
         found = backend.measures()
     assert ("memory/gpu_share" in found) == (count_gpus() > 0 and "cpu" not in ON_CPU.values())
+
+
+def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_timed(backend, restarted):
+    (learner, actor), _ = restarted
+    computing = learner.call("compute_until_handed", 60.0)
+    stamp, content = actor.call_stamped("give", 1 << 20)
+    (found,) = backend.gather([stamp])
+    assert found["size"] == found["put"][0] == 1 << 20 and found["put"][1] > 0
+    handed = learner.call_beside("hand", content)
+    first = backend.first_of([computing, handed])
+    assert first and all(ticket is computing or ticket is handed for ticket in first)
+    assert backend.gather([computing, handed]) == [1 << 20, None]
+    with pytest.raises(ProcessFailedError, match="worker 1 failed"):
+        backend.gather([actor.call_stamped("give", -1)[0]])
+
+
+def _stored_mib():
+    """What lies in the object store of this machine."""
+    summary = memory_summary(ray.get_runtime_context().gcs_address, stats_only=True)
+    return int(re.search(r"Plasma memory usage (\d+) MiB", summary)[1])
+
+
+def _wait_for(condition, seconds=20.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_answers_that_nobody_fetches_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
+    (process,) = backend.spawn([ProcessPlan(role="rollout", index=0, env_vars=ON_CPU)], build_compiler, str(tmp_path))
+    before = _stored_mib()
+    stamp, content = process.call_stamped("give_what_cannot_be_stored")
+    for ticket in (stamp, content):
+        with pytest.raises(ProcessFailedError, match="rollout 0 failed: TypeError: cannot pickle"):
+            backend.gather([ticket])
+    assert ray.get(process.actor.doing.remote()).what == "idle"  # the call is over for the process, too
+    stamp, content = process.call_stamped("give", 32 << 20)
+    backend.gather([stamp])
+    assert _stored_mib() == before + 32
+    del content
+    _wait_for(lambda: _stored_mib() == before)
+    stamp, content = process.call_stamped("give_and_hang", 32 << 20, str(tmp_path / "stored"))
+    _wait_for((tmp_path / "stored").exists)
+    assert _stored_mib() == before + 32 and not content.is_ready()
+    os.kill(process.pid, signal.SIGKILL)
+    for ticket in (stamp, content):
+        with pytest.raises(WorkerLostError, match="rollout 0 died"):
+            backend.gather([ticket])
+    del stamp, content, ticket
+    _wait_for(lambda: _stored_mib() == before)
+    backend.kill([process])
 
 
 def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):

@@ -1,7 +1,7 @@
 """What each kind of process is built from, inside that process: `build(index, number of processes, config)`.
 
 build_worker    worlds and a learner shard      colocated placement, and all of local mode
-build_learner   the learner alone               split placement
+build_learner   a learner shard                 split placement
 build_rollout   a part of the worlds            split placement
 build_curator   scoring of levels               both
 build_evaluator evaluations and recordings      both, where they are asked for during training
@@ -31,10 +31,11 @@ def build_learner(index: int, num_processes: int, config: TrainConfig) -> Learne
     return LearnerWorker(config, data_mesh())
 
 
-def build_rollout(index: int, num_processes: int, config: TrainConfig) -> RolloutWorker:
+def build_rollout(index: int, num_processes: int, config: TrainConfig, num_parts: int) -> RolloutWorker:
+    """num_parts: rollout actors of the run; one that replaces a lost one is started alone."""
     del num_processes
     _prepare_process(config)
-    return RolloutWorker(config, data_mesh(), index=index, num_parts=config.run.num_rollout_actors)
+    return RolloutWorker(config, data_mesh(), index=index, num_parts=num_parts)
 
 
 def build_curator(index: int, num_processes: int, config: TrainConfig) -> CuratorCore:

@@ -74,7 +74,7 @@ class CurriculumState:
         self._place(jax.device_get(self._curriculum.adopt(self.values, refreshed)))
 
     def observe(self, proposal: Proposal, outcome: LevelOutcome, *, division: Division | None = None) -> None:
-        """proposal, outcome: of all worlds, each once as numpy, or sharded over the mesh in places of `division`."""
+        """proposal, outcome: replicated, each world once, or sharded over the mesh, in all places of `division`."""
         self.placed, self._values = self._observe(self.placed, proposal, outcome, division), None
 
     @property

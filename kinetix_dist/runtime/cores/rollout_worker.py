@@ -12,6 +12,7 @@ from jax.sharding import Mesh
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import replicate
 from kinetix_dist.models.policy import make_policy
+from kinetix_dist.runtime.cores.copies import Copies
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.rollout_core import Batch, RolloutCore
@@ -29,26 +30,39 @@ class RolloutWorker:
         self._num_env_steps = len(groups) * config.rollout.steps_per_group
         self._rollout = RolloutCore(config, env, policy, curriculum, mesh, groups=groups)
 
-    def play(self, update: int, policy_version: int, params: Any, state: Any) -> tuple[dict[str, Any], tuple[Any, ...]]:
-        """(stamp, what `RolloutCore.play` gives as numpy) of this part of batch `update`. state: of the curriculum."""
-        began = time.monotonic()
-        params, state = replicate(params, self._mesh), replicate(state, self._mesh)
-        played = self._each_world_once(*jax.device_get(self._rollout.play(params, state, update)))
+    def play(
+        self, update: int, policy_version: int, params: Any, state: Any
+    ) -> tuple[dict[str, Any], tuple[Batch, Any]]:
+        """(stamp, (batch, what the curriculum observes of it or None) as numpy) of this part of batch `update`.
+
+        state: of the curriculum.
+        """
+        began, copies = time.monotonic(), Copies()
+        with copies.timed("weights_to_device") as copied:
+            params, state = replicate(params, self._mesh), replicate(state, self._mesh)
+            copied += jax.block_until_ready([params, state])
+        played = jax.block_until_ready(self._rollout.play(params, state, update))
+        with copies.timed("device_to_host") as copied:
+            batch, seen, sums = jax.device_get(played)
+            copied += [batch, seen]
+        content = self._each_world_once(batch, seen)
         stamp = {
             "update": update,
             "policy_version": policy_version,
             "num_env_steps": self._num_env_steps,
+            "sums": sums,
+            "copies": copies.found,
             "seconds": time.monotonic() - began,
         }
-        return stamp, played
+        return stamp, content
 
-    def _each_world_once(self, batch: Batch, seen: Any, sums: Any) -> tuple[Any, ...]:
+    def _each_world_once(self, batch: Batch, seen: Any) -> tuple[Batch, Any]:
         if self._rollout.division.is_even:
-            return batch, seen, sums
+            return batch, seen
 
         def once(x: Any, axis: int = 0) -> Any:
             return np.take(x, self._rollout.division.gathered(x.shape[axis]), axis=axis)
 
         static_obs, seen = jax.tree.map(once, (batch.static_obs, seen))
         trajectory = jax.tree.map(lambda x: once(x, axis=1), batch.trajectory)
-        return Batch(static_obs, trajectory, once(batch.last_value)), seen, sums
+        return Batch(static_obs, trajectory, once(batch.last_value)), seen

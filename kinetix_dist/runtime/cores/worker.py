@@ -12,20 +12,22 @@ from jax.sharding import Mesh
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.learner.sharding import local_values, spread_worlds
+from kinetix_dist.learner.sharding import local_values
 from kinetix_dist.models.policy import make_policy
+from kinetix_dist.runtime.cores.copies import Copies
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState, make_curriculum
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.staging import Staging, Stored
 from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
 from kinetix_dist.telemetry.compile_time import compile_seconds
 
 
 class LearnerWorker:
-    """Parameters, optimiser, evaluation; learns from batches that are handed in as numpy."""
+    """Parameters, optimiser, evaluation; learns from batches that others played."""
 
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
         self._config = config
@@ -36,6 +38,7 @@ class LearnerWorker:
         self._evaluator = Evaluator(config, self._env, self._policy)
         self._curriculum = make_curriculum(config, self._env, self._policy)
         self._state = CurriculumState(self._curriculum, mesh)
+        self._staging = Staging(config, mesh, self._learner.division)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         """From a checkpoint's arrays or afresh."""
@@ -57,21 +60,29 @@ class LearnerWorker:
         """What a curator worked out."""
         self._state.adopt(refreshed)
 
-    def learn(self, num_updates: int, *parts: tuple[Any, ...]) -> tuple[dict[str, float], dict[str, float]]:
-        """Learns from the parts of a batch, in the order of their worlds: (metrics, seconds)."""
+    def stage(self, update: int, part: int, num_parts: int, content: Stored) -> dict[str, tuple[int, float]]:
+        """A part of a batch on its way to the devices, while another batch is learned from: see `Staging.add`."""
+        return self._staging.add(update, part, num_parts, content)
+
+    def learn(self, num_updates: int, *sums: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
+        """Learns from the batch that was staged for this update; sums: of its parts, as `RolloutCore.play` gives them.
+
+        (stamp, new weights). stamp: "metrics", "seconds" and "copies". Weights come from the first process alone.
+        """
         began = time.monotonic()
-        batches, seen, sums = zip(*parts, strict=True)
-        static_obs, trajectory, last_value = zip(*batches, strict=True)
-        place, where = spread_worlds, (self._mesh, self._learner.division)
-        metrics = self._learner.learn(
-            place(jax.tree.map(lambda *xs: np.concatenate(xs), *static_obs), *where),
-            place(jax.tree.map(lambda *xs: np.concatenate(xs, axis=1), *trajectory), *where, axis=1),
-            place(np.concatenate(last_value), *where),
-        )
-        if self._curriculum.observes:
-            self._state.observe(*jax.tree.map(lambda *xs: np.concatenate(xs), *seen))
+        batch, seen = self._staging.take(num_updates)
+        metrics = self._learner.learn(*batch)
+        if seen is not None:
+            self._state.observe(*seen)
         metrics = self._metrics(num_updates, jax.tree.map(lambda *xs: sum(xs), *sums), local_values(metrics))
-        return metrics, {"learn": time.monotonic() - began}
+        stamp = {"metrics": metrics, "seconds": time.monotonic() - began}
+        copies = Copies()
+        weights = None
+        if jax.process_index() == 0:
+            with copies.timed("weights_to_host") as copied:
+                weights = self.weights()
+                copied.append(weights)
+        return stamp | {"copies": copies.found}, weights
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""

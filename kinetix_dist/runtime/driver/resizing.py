@@ -1,4 +1,4 @@
-"""How many workers (or rollout actors) a run has: as many as asked for, and fewer while nodes are lost.
+"""How many workers (or rollout actors and learners) a run has: as many as asked for, and fewer while nodes are lost.
 
 consumes      nodes of the cluster
 produces      a placement that they have room for
@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.driver.evaluations import Evaluations
 from kinetix_dist.runtime.driver.roles import Curator, Trainer
 from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
-from kinetix_dist.runtime.processes.placement import Placement, PlacementError, plan
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, counted, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from kinetix_dist.runtime.processes.room import needed_by, nodes_in_words
 
@@ -47,7 +46,7 @@ class Resizing:
         self._beside = beside
         self._on_event = on_event
         self._on_note = on_note
-        self._role = "rollout" if config.run.placement == "split" else "worker"
+        self._roles = ("rollout", "learner") if config.run.placement == "split" else ("worker",)
         # What is asked for is fixed now: a cluster that has lost its GPUs is no reason to go on without them.
         device = "cpu" if placement.processes[0].gpu is None else "gpu"
         self._config = dataclasses.replace(config, run=dataclasses.replace(config.run, device=device))
@@ -55,8 +54,8 @@ class Resizing:
 
     @property
     def size(self) -> int:
-        """Workers or rollout actors now."""
-        return len(self._placed.of(self._role))
+        """Workers, or rollout actors and learners, now."""
+        return sum(_sizes(self._placed, self._roles).values())
 
     def fit(self, update: int, stop: StopSignals) -> None:
         """Before lost processes are started again: where a node was lost with them, waits for it or goes on smaller.
@@ -67,7 +66,7 @@ class Resizing:
             return
         wait_s = self._config.run.node_wait_seconds
         self._on_note(
-            f"nodes were lost, and {self._in_words(self.size)} have no room: {nodes_in_words()}; waits {wait_s:g} s "
+            f"nodes were lost, and {self._in_words(self._placed)} have no room: {nodes_in_words()}; waits {wait_s:g} s "
             "(run.node_wait_seconds)"
         )
         if self._came_back(wait_s, stop):
@@ -76,7 +75,7 @@ class Resizing:
 
     def has_room_to_grow(self) -> bool:
         """Whether a run that was made smaller can have more processes again."""
-        if self.size == len(self._asked.of(self._role)):
+        if self.size == self._asked_size:
             return False
         return self._largest(least=self.size + 1) is not None
 
@@ -86,22 +85,26 @@ class Resizing:
         for part in self._beside.values():
             part.stop()
         self._backend.release()
-        before, began, is_told = self.size, time.monotonic(), False
+        before, began, is_told = self._placed, time.monotonic(), False
         while True:
             placement = self._largest(least=self._least)
             if placement is not None and self._is_reserved(placement):
                 break
             if not is_told and time.monotonic() > began + NOTE_AFTER_S:
                 is_told = True
-                least = self._in_words(self._least)
+                least = counted(min(self._config.run.min_workers, len(self._asked.of(self._roles[0]))), self._roles[0])
                 self._on_note(f"{least} (run.min_workers) have no room: {nodes_in_words()}; waits for a node")
             _pause(stop)
         self._placed = placement
         self._trainer.place(placement)
         for role, part in self._beside.items():
             part.place(placement.of(role)[0])
-        self._on_event("resized", role=self._role, before=before, now=self.size, update=update)
-        self._on_note(f"goes on with {self._in_words(self.size)} instead of {before}: {nodes_in_words()}")
+        for role in self._roles:
+            was, now = len(before.of(role)), len(placement.of(role))
+            if was != now:
+                self._on_event("resized", role=role, before=was, now=now, update=update)
+        words = f"{self._in_words(placement)} instead of {self._in_words(before)}"
+        self._on_note(f"goes on with {words}: {nodes_in_words()}")
 
     def _came_back(self, wait_s: float, stop: StopSignals) -> bool:
         deadline = time.monotonic() + wait_s
@@ -119,27 +122,47 @@ class Resizing:
         return True
 
     def _largest(self, *, least: int) -> Placement | None:
+        """The largest one that there is room for, of `least` processes or more of the roles that change."""
         room = self._backend.room()
-        for number in range(len(self._asked.of(self._role)), least - 1, -1):
+        for config in self._smaller_and_smaller(least):
             try:
-                placement = plan(self._of_size(number), num_gpus=room.gpus)
+                placement = plan(config, num_gpus=room.gpus)
             except PlacementError:
                 continue
             if room.holds(needed_by(placement)):
                 return placement
         return None
 
+    def _smaller_and_smaller(self, least: int) -> Iterator[TrainConfig]:
+        """Configurations from the size that was asked for down; of the same size, those with more learners first."""
+        asked, run = _sizes(self._asked, self._roles), self._config.run
+        first, *others = asked.values()
+        least_first = min(run.min_workers, first)
+        for size in range(self._asked_size, least - 1, -1):
+            for num_learners in range(others[0], 0, -1) if others else [0]:
+                number = size - num_learners
+                if least_first <= number <= first:
+                    found = {"num_workers": number}
+                    if others:
+                        on_cpu = min(run.num_cpu_rollout_actors, number)  # GPUs are rarer: they are given up first
+                        found = {"num_rollout_actors": number, "num_cpu_rollout_actors": on_cpu}
+                        found["num_learners"] = num_learners
+                    yield dataclasses.replace(self._config, run=dataclasses.replace(run, **found))
+
+    @property
+    def _asked_size(self) -> int:
+        return sum(_sizes(self._asked, self._roles).values())
+
     @property
     def _least(self) -> int:
-        return min(self._config.run.min_workers, len(self._asked.of(self._role)))
+        return min(self._config.run.min_workers, len(self._asked.of(self._roles[0]))) + len(self._roles) - 1
 
-    def _of_size(self, number: int) -> TrainConfig:
-        field: dict[str, Any] = {"num_workers" if self._role == "worker" else "num_rollout_actors": number}
-        return dataclasses.replace(self._config, run=dataclasses.replace(self._config.run, **field))
+    def _in_words(self, placement: Placement) -> str:
+        return " and ".join(counted(number, role) for role, number in _sizes(placement, self._roles).items())
 
-    def _in_words(self, number: int) -> str:
-        name = "worker" if self._role == "worker" else "rollout actor"
-        return f"{number} {name}{'' if number == 1 else 's'}"
+
+def _sizes(placement: Placement, roles: Sequence[str]) -> dict[str, int]:
+    return {role: len(placement.of(role)) for role in roles}
 
 
 def _pause(stop: StopSignals) -> None:

@@ -6,7 +6,13 @@
 | role | consumes | produces | waits for | bound |
 |---|---|---|---|---|
 | rollout actor | weights of version u, state of the curriculum | its part of batch u + 1 | - | one batch ahead |
-| learner | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
+| learners | all parts of batch u | version u + 1 | the slowest rollout actor | two batches in the work buffer |
+
+Every part of batch u + 1 goes to the learners as soon as it is played: they fetch it and lay it out on their devices
+while they compute update u.
+
+Learners form one JAX world, as the workers of the colocated placement do: each learns from its blocks of worlds, and
+makes the same version.
 
 Levels and random streams belong to world groups and update numbers, so a part that was lost with its actor is played
 again by a new actor with the same weights and comes out the same.
@@ -14,8 +20,9 @@ again by a new actor with the same weights and comes out the same.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,27 +32,38 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
 from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.colocated import learning_devices
+from kinetix_dist.runtime.driver.stragglers import Stragglers
+from kinetix_dist.runtime.driver.transfers import added, copy_metrics, straggler_metrics
 from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
 from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
-from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.backend import Backend, Group, Handle, Ticket
 from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
 from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import Placement
 
-_MAX_REPLACEMENTS = 3  # of rollout actors while one batch is collected
+_MAX_REPLACEMENTS = 3  # of a rollout actor in a row, without a part of a batch from it
 
 
 class SplitTrainer:
-    """A `roles.Trainer` of rollout actors, a bounded work buffer and a learner."""
+    """A `roles.Trainer` of rollout actors, a bounded work buffer and one or more learners."""
 
     policy_lag = 1
 
-    def __init__(self, config: TrainConfig, backend: Backend, placement: Placement) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        backend: Backend,
+        placement: Placement,
+        *,
+        on_event: Callable[..., None] = lambda kind, **details: None,
+    ) -> None:
+        """`on_event(kind, **details)` hears of rollout actors that are slower than the others."""
         self._config = config
         self.backend = backend
+        self._on_event = on_event
         self.place(placement)
         self._observes = config.curriculum_class.observes
-        self._learner: Handle | None = None
+        self._learners: list[Handle] = []
         self._actors: list[Handle] = []
         self._dropped_before = 0
         self._reset()
@@ -57,58 +75,68 @@ class SplitTrainer:
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         self.stop()
         self._reset()
-        self._learner = self.backend.spawn(self._learner_plan, build_learner, self._config)[0]
-        self._actors = list(self.backend.spawn(self._rollout_plans, build_rollout, self._config))
+        learners = Group(self._learner_plans, build_learner, (self._config,))
+        actors = Group(self._rollout_plans, build_rollout, (self._config, len(self._rollout_plans)))
+        self._learners, self._actors = self.backend.spawn_groups([learners, actors])
         stored = None if arrays is None else self.backend.put(dict(arrays))
-        self._ask_learner("start", stored)
-        self._state = self._learner.call("curriculum_state")
-        self._weights.publish(num_updates, self._learner.call("weights"))
+        self._ask_learners("start", stored)
+        self._state = self._learners[0].call("curriculum_state")
+        self._weights.publish(num_updates, self._learners[0].call("weights"))
         if arrays is not None and num_updates > 0:
             # The batch that was being played when the checkpoint was taken: same weights, same state.
             acting = nested(select_arrays(arrays, ACTING))
             self._weights.publish(num_updates - 1, self.backend.put(acting))
             state = self._state
             if self._observes:
-                state = self._learner.call("state_from", self.backend.put(select_arrays(arrays, PROPOSING)))
+                state = self._learners[0].call("state_from", self.backend.put(select_arrays(arrays, PROPOSING)))
             self._issue(num_updates, num_updates - 1, state)
 
     def place(self, placement: Placement) -> None:
-        self._learner_plan = placement.of("learner")
+        self._learner_plans = placement.of("learner")
         self._rollout_plans = placement.of("rollout")
-        run = dataclasses.replace(self._config.run, num_rollout_actors=len(self._rollout_plans))
-        self._config = dataclasses.replace(self._config, run=run)
 
     def weights(self) -> Ticket:
-        assert self._learner is not None
-        return self._learner.call("weights")
+        return self._weights.newest
 
     def adopt(self, refreshed: Any) -> None:
-        assert self._learner is not None
-        self._ask_learner("adopt", refreshed)
-        self._state = self._learner.call("curriculum_state")
+        self._ask_learners("adopt", refreshed)
+        self._state = self._learners[0].call("curriculum_state")
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
-        assert self._learner is not None
+        began = time.monotonic()
         if num_updates not in self._orders:
             self._issue(num_updates, num_updates, self._state)
         self._issue(num_updates + 1, num_updates, self._state)
-        stamps = self._collect(num_updates)
-        queue_length = len(self._work)
+        self._receive(num_updates)
+        staged = [added(parts) for parts in zip(*self._staged(num_updates), strict=True)]
+        waited, queue_length = time.monotonic() - began, len(self._work)
         works = self._work.take(num_updates)
-        metrics, seconds = self._ask_learner("learn", num_updates, *[work.content for work in works])
-        self._weights.publish(num_updates + 1, self._learner.call("weights"))
+        played = [work.stamp for work in works]
+        self._stragglers.add(num_updates + 1, played)
+        sums = [stamp["sums"] for stamp in played]
+        learning = [learner.call_stamped("learn", num_updates, *sums) for learner in self._learners]
+        self._receive(num_updates + 1, until=[stamp for stamp, _ in learning])
+        learned = self.backend.gather([stamp for stamp, _ in learning])
+        del self._orders[num_updates]
+        self._weights.publish(num_updates + 1, learning[0][1])
         if self._observes:
-            self._state = self._learner.call("curriculum_state")
+            self._state = self._learners[0].call("curriculum_state")
         lags = [num_updates - work.policy_version for work in works]
-        metrics |= {
+        metrics = {
+            **learned[0]["metrics"],
             "runtime/policy_lag": float(np.mean(lags)),
             "runtime/policy_lag_max": float(max(lags)),
             "runtime/queue_length": float(queue_length),
+            "runtime/batch_wait_seconds": waited,
+            **straggler_metrics(played),
+            **copy_metrics([*staged, *(_copied(stamp, "store_put") for stamp in played)]),
+            **copy_metrics([_copied(learned[0], "weights_put")]),
         }
-        return metrics, seconds | {"rollout": max(stamp["seconds"] for stamp in stamps)}
+        seconds = {"learn": learned, "rollout": played}
+        return metrics, {role: max(stamp["seconds"] for stamp in stamps) for role, stamps in seconds.items()}
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        arrays = self._ask_learner("snapshot")
+        arrays = self._ask_first("snapshot")
         acting_version = max(self._weights_in_flight(), default=None)
         if acting_version is not None:
             arrays |= flatten_arrays({ACTING: resolve(self._weights.get(acting_version))})
@@ -118,40 +146,57 @@ class SplitTrainer:
         return arrays
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
-        return self._ask_learner("evaluate", use_policy)
+        return self._ask_first("evaluate", use_policy)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
-        return self._ask_learner("record", num_rollouts, num_updates)
+        return self._ask_first("record", num_rollouts, num_updates)
 
     def topology(self) -> dict[str, Any]:
-        devices = learning_devices(self._ask_learner("facts"))
-        return {"placement": "split", "processes": 1 + len(self._actors), **devices}
+        devices = learning_devices(self._ask_first("facts"))
+        processes = len(self._learners) + len(self._actors)
+        parts = {"learners": len(self._learners), "rollout_actors": self._actors_in_words()}
+        return {"placement": "split", "processes": processes, **parts, **devices}
+
+    def _actors_in_words(self) -> int | str:
+        """Their number; where some compute on another kind of device than learners, which makes other bits, so many."""
+        number = len(self._rollout_plans)
+        num_on_cpu = sum(plan.gpu is None for plan in self._rollout_plans)
+        return number if self._learner_plans[0].gpu is None or not num_on_cpu else f"{number} ({num_on_cpu} on CPU)"
 
     def facts(self) -> dict[str, Any]:
-        assert self._learner is not None
-        return {**self._ask_learner("facts"), "processes": self.backend.facts([self._learner, *self._actors])}
+        return {**self._ask_first("facts"), "processes": self.backend.facts([*self._learners, *self._actors])}
 
     def stop(self) -> None:
-        handles = [*self._actors, *([self._learner] if self._learner is not None else [])]
-        self._actors, self._learner = [], None
+        handles = [*self._actors, *self._learners]
+        self._actors, self._learners = [], []
         self.backend.kill(handles)
 
     def _reset(self) -> None:
         if hasattr(self, "_work"):
+            # What was being played, or waited for the learners, when these were lost: it is played again.
+            self._work.drop(self._config.rollout.steps_per_update * len(self._orders))
             self._dropped_before += self._work.dropped_steps
         self._work = WorkBuffer(num_parts=len(self._rollout_plans), lag=self.policy_lag)
         self._weights = WeightStore(keep_last=2)
         # By update: the policy version and the state of the curriculum that its batch is played with.
         self._orders: dict[int, tuple[int, Any]] = {}
         self._in_flight: dict[tuple[int, int], tuple[Ticket, Ticket]] = {}  # (update, part) -> stamp, batch
+        self._staging: dict[int, list[list[Ticket]]] = {}  # by update: for each part that came, answers of learners
+        self._losses: dict[int, Loss] = {}  # by part: the first one since its actor gave something
+        self._num_replaced: Counter[int] = Counter()  # by part, since then
         self._state: Any = None  # of the curriculum
+        self._stragglers = Stragglers(self._on_event)
 
     def _weights_in_flight(self) -> list[int]:
         return [version for version, _ in self._orders.values()]
 
-    def _ask_learner(self, method: str, *arguments: Any) -> Any:
-        assert self._learner is not None
-        return self.backend.gather([self._learner.call(method, *arguments)])[0]
+    def _ask_first(self, method: str, *arguments: Any) -> Any:
+        """Of what all learners hold."""
+        return self.backend.gather([self._learners[0].call(method, *arguments)])[0]
+
+    def _ask_learners(self, method: str, *arguments: Any) -> list[Any]:
+        """What they do together."""
+        return self.backend.gather([learner.call(method, *arguments) for learner in self._learners])
 
     def _issue(self, update: int, policy_version: int, state: Any) -> None:
         """Orders batch `update` from all rollout actors, its levels proposed by `state` of the curriculum."""
@@ -164,50 +209,79 @@ class SplitTrainer:
         weights = self._weights.get(policy_version)
         self._in_flight[update, part] = self._actors[part].call_stamped("play", update, policy_version, weights, state)
 
-    def _collect(self, update: int) -> list[dict[str, Any]]:
-        """Waits for the parts of a batch; an actor that is lost is replaced and plays its parts again."""
-        stamps = []
-        for part in self._work.missing(update):
-            stamp, batch = self._fetch_part(update, part)
-            work = Work(
-                update=update,
-                policy_version=stamp["policy_version"],
-                part=part,
-                num_env_steps=stamp["num_env_steps"],
-                content=batch,
-            )
-            self._work.put(work)
-            stamps.append(stamp)
-        del self._orders[update]
-        return stamps
+    def _receive(self, update: int, *, until: Sequence[Ticket] = ()) -> None:
+        """Parts of a batch as they come: all of them, or those that are there before one of `until` is answered.
 
-    def _fetch_part(self, update: int, part: int) -> tuple[dict[str, Any], Ticket]:
-        first: Loss | None = None
-        for _ in range(_MAX_REPLACEMENTS):
-            stamp, batch = self._in_flight.pop((update, part))
+        An actor that is lost is replaced and plays its parts again.
+        """
+        while missing := self._work.missing(update):
+            stamps = {part: self._in_flight[update, part][0] for part in missing}
             try:
-                stamped = self.backend.gather([stamp])[0]
-            except InputLostError:  # the learner's: the actor is well
-                raise
-            except WorkerLostError as error:
-                if self.backend.has_lost_room:  # it went with its node: the whole run is placed anew
+                ready = {id(ticket) for ticket in self.backend.first_of([*until, *stamps.values()])}
+            except WorkerLostError as error:  # it is silent, or the section takes too long
+                part = next((plan.index for plan in self._rollout_plans if plan.name == error.process), None)
+                if part is None:
                     raise
-                error.section = self.backend.sections.name
-                loss = self.backend.losses.lost(error)
-                first = first or loss
-                self._replace(update, part)
+                self._replace({part: error})
                 continue
-            if first is not None:
-                self.backend.losses.recovered(first, update=update)
-            return stamped, batch
-        raise WorkerLostError(f"rollout actor {part} was lost {_MAX_REPLACEMENTS} times over batch {update}")
+            lost = {}
+            for part, stamp in stamps.items():
+                if id(stamp) in ready and (error := self._accept(update, part)) is not None:
+                    lost[part] = error
+            if lost:
+                self._replace(lost)
+            if any(id(ticket) in ready for ticket in until):
+                return
 
-    def _replace(self, update: int, part: int) -> None:
-        lost = [update, *(issued for issued, of_part in self._in_flight if of_part == part)]
-        num_groups = len(self._config.groups_of_part(part, len(self._rollout_plans)))
-        self._work.drop(num_groups * self._config.rollout.steps_per_group * len(lost))
-        self.backend.kill([self._actors[part]])
-        self._actors[part] = self.backend.spawn([self._rollout_plans[part]], build_rollout, self._config)[0]
+    def _accept(self, update: int, part: int) -> WorkerLostError | None:
+        """Takes a part that is answered and hands it on to all learners; or returns why there is none."""
+        stamp, content = self._in_flight[update, part]
+        try:
+            stamped = self.backend.gather([stamp])[0]
+        except InputLostError:  # the learner's: the actor is well
+            raise
+        except WorkerLostError as error:
+            return error
+        del self._in_flight[update, part]
+        self._work.put(Work(update=update, part=part, stamp=stamped))
+        asked = ("stage", update, part, len(self._actors), content)
+        self._staging.setdefault(update, []).append([learner.call_beside(*asked) for learner in self._learners])
+        self._num_replaced.pop(part, None)
+        if (loss := self._losses.pop(part, None)) is not None:
+            self.backend.losses.recovered(loss, update=self.backend.losses.update)
+        return None
+
+    def _staged(self, update: int) -> list[list[dict[str, tuple[int, float]]]]:
+        """Waits until a batch lies on the devices of all learners: by part, what each of them copied."""
+        by_part = self._staging.pop(update)
+        answers = iter(self.backend.gather([ticket for tickets in by_part for ticket in tickets]))
+        return [[next(answers) for _ in tickets] for tickets in by_part]
+
+    def _replace(self, lost: Mapping[int, WorkerLostError]) -> None:
+        """Rollout actors by others, all at the same time; what they were at is played again."""
+        for part, error in lost.items():
+            if self.backend.has_lost_room:  # it went with its node: the whole run is placed anew
+                raise error
+            self._num_replaced[part] += 1
+            if self._num_replaced[part] > _MAX_REPLACEMENTS:
+                raise WorkerLostError(f"rollout actor {part} was lost {_MAX_REPLACEMENTS} times over one batch")
+            error.section = self.backend.sections.name
+            self._losses.setdefault(part, self.backend.losses.lost(error))
+        again = sorted((update, part) for update, part in self._in_flight if part in lost)
+        num_parts = len(self._rollout_plans)
+        for _, part in again:
+            self._work.drop(len(self._config.groups_of_part(part, num_parts)) * self._config.rollout.steps_per_group)
+        self.backend.kill([self._actors[part] for part in lost])
+        plans = [self._rollout_plans[part] for part in lost]
+        started = self.backend.spawn(plans, build_rollout, self._config, num_parts)
+        for part, actor in zip(lost, started, strict=True):
+            self._actors[part] = actor
+            self._stragglers.forget(part)
         self.backend.sections.begin_again()
-        for issued in sorted(lost):
-            self._issue_part(issued, part)
+        for update, part in again:
+            self._issue_part(update, part)
+
+
+def _copied(stamp: Mapping[str, Any], put: str) -> dict[str, tuple[int, float]]:
+    """What a process copied for an answer, storing it included."""
+    return {**stamp["copies"], put: stamp["put"]}

@@ -201,7 +201,7 @@ def _start_roles(
     if config.run.placement == "split":
         from kinetix_dist.runtime.driver.split import SplitTrainer
 
-        trainer = SplitTrainer(config, backend, placement)
+        trainer = SplitTrainer(config, backend, placement, on_event=run.event)
     else:
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
     curators = placement.of("curator")

@@ -28,6 +28,10 @@ class WeightStore:
     def __contains__(self, version: int) -> bool:
         return version in self._weights
 
+    @property
+    def newest(self) -> Any:
+        return self._weights[max(self._weights)]
+
     def get(self, version: int) -> Any:
         if version not in self._weights:
             raise LookupError(f"policy version {version} is not kept; kept are {sorted(self._weights)}")

@@ -11,6 +11,7 @@ What does not fit the update or has another lag than promised is dropped and cou
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 CAPACITY_BATCHES = 2
@@ -22,13 +23,20 @@ class WorkBufferFullError(RuntimeError):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Work:
-    """A part of a batch: what one rollout actor played for one update."""
+    """A part of a batch: what one rollout actor played for one update. Its arrays are in the object store."""
 
     update: int  # the update it is for
-    policy_version: int  # of the policy that acted
     part: int  # which part of the worlds
-    num_env_steps: int
-    content: Any  # a batch, or a reference to one in the object store
+    stamp: Mapping[str, Any]  # what the rollout actor says of it: "policy_version", "num_env_steps" and more
+
+    @property
+    def policy_version(self) -> int:
+        """Of the policy that acted."""
+        return self.stamp["policy_version"]
+
+    @property
+    def num_env_steps(self) -> int:
+        return self.stamp["num_env_steps"]
 
 
 class WorkBuffer:

@@ -24,6 +24,7 @@ from kinetix_dist.runtime.processes.failures import failure_of
 from kinetix_dist.runtime.processes.gpu_memory import Budget, budget_of, this_gpu
 from kinetix_dist.runtime.processes.measures import Meter, Reading
 from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.telemetry.sizes import bytes_of
 
 HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
 
@@ -36,9 +37,27 @@ class Doing:
     is_waiting: bool  # for work, a device or its group: another process may be the cause
 
 
-@ray.remote(concurrency_groups={"control": 1})
+class InStore:
+    """A value in the object store, as an argument of a call that fetches it itself."""
+
+    def __init__(self, reference: Any) -> None:
+        self.reference = reference
+        self.on_fetched: Callable[[Any], None] = lambda value: None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return InStore, (self.reference,)
+
+    def fetch(self) -> Any:
+        """Waits for it; from another node it comes over the network."""
+        value = ray.get(self.reference)
+        self.on_fetched(value)
+        return value
+
+
+@ray.remote(concurrency_groups={"control": 1, "beside": 1})
 class ProcessActor:
-    """Holds one core. Methods are called one at a time, except `ping`, `doing` and `read`: these have a thread."""
+    """Holds one core. Methods are called one at a time, except `ping`, `doing` and `read`, which have a thread, and
+    `call_beside`, which has another."""
 
     def __init__(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> None:
         """`build(*arguments)` makes the core, later: a group has to be joined before JAX computes anything."""
@@ -48,7 +67,7 @@ class ProcessActor:
         self._budget: Budget | None = None
         self._core: Any = None
         self._meter = Meter(plan.role)
-        self._working: tuple[str, float, int] | None = None  # method, since, thread
+        self._working: dict[int, tuple[str, float]] = {}  # by thread: method, since
 
     def __repr__(self) -> str:
         return self._plan.name  # what Ray's log files call it
@@ -61,16 +80,8 @@ class ProcessActor:
     @ray.method(concurrency_group="control")
     def doing(self) -> Doing:
         """What this process is at, while a call runs too."""
-        if (working := self._working) is None:
-            return Doing(what="idle", is_waiting=True)
-        method, since, thread = working
-        frame = sys._current_frames().get(thread)
-        if frame is None:
-            return Doing(what=f"in {method}", is_waiting=False)
-        place = f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"
-        # Python's innermost frame is JAX's where a device, or a collective with the other processes, is waited for.
-        is_waiting = "jax" in Path(frame.f_code.co_filename).parts
-        return Doing(what=f"in {method} for {time.monotonic() - since:.0f} s, at {place}", is_waiting=is_waiting)
+        found = [_doing(thread, *working) for thread, working in list(self._working.items())]
+        return next((one for one in found if not one.is_waiting), found[0]) if found else Doing("idle", True)
 
     @ray.method(concurrency_group="control")
     def read(self) -> Reading:
@@ -118,19 +129,52 @@ class ProcessActor:
             self._meter.moved(arguments, answer)
             return answer
 
+    def call_stamped(self, method: str, *arguments: Any) -> Generator[Any]:
+        """The same of a method that returns (stamp, content), as (content, stamp with the cost of storing the content).
+
+        Ray stores what a generator gives before it asks for more.
+        """
+        with self._failures(method), self._meter.calling():
+            stamp, content = getattr(self._core, method)(*arguments)
+            self._meter.moved(arguments, content)
+            began = time.monotonic()
+            yield content
+            yield {**stamp, "put": (bytes_of(content), time.monotonic() - began)}
+
+    @ray.method(concurrency_group="beside")
+    def call_beside(self, method: str, *arguments: Any) -> Any:
+        """`core.method(*arguments)` while another call runs. What is in the object store the method fetches."""
+        for argument in arguments:
+            if isinstance(argument, InStore):
+                argument.on_fetched = self._meter.moved
+        with self._failures(method):
+            return getattr(self._core, method)(*arguments)
+
     def facts(self) -> dict[str, Any]:
         with self._failures("facts"):
             return facts_of(self._plan.name, self._budget)
 
     @contextmanager
     def _failures(self, method: str) -> Generator[None, None, None]:
-        self._working = (method, time.monotonic(), threading.get_ident())
+        self._working[threading.get_ident()] = (method, time.monotonic())
         try:
             yield
+        except ray.exceptions.RayError:  # what it was to fetch is lost: not its failure
+            raise
         except Exception as error:
             raise failure_of(self._plan.name, error, self._budget) from None
         finally:
-            self._working = None
+            del self._working[threading.get_ident()]
+
+
+def _doing(thread: int, method: str, since: float) -> Doing:
+    frame = sys._current_frames().get(thread)
+    if frame is None:
+        return Doing(what=f"in {method}", is_waiting=False)
+    place = f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"
+    # Python's innermost frame is JAX's where a device, or a collective with the other processes, is waited for.
+    is_waiting = "jax" in Path(frame.f_code.co_filename).parts
+    return Doing(what=f"in {method} for {time.monotonic() - since:.0f} s, at {place}", is_waiting=is_waiting)
 
 
 def _own_address() -> str:

@@ -6,6 +6,7 @@ of the runtime is written once.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -32,7 +33,25 @@ class Handle(Protocol):
         """Asks for `core.method(*arguments)`; calls of one handle are done in order."""
 
     def call_stamped(self, method: str, *arguments: Any) -> tuple[Ticket, Ticket]:
-        """The same for a method that returns (stamp, content): the small stamp can be fetched without the content."""
+        """The same for a method that returns (stamp, content): the small stamp can be fetched without the content.
+
+        The stamp, a dictionary, also gets "put": bytes of the content and seconds that storing it took.
+        """
+
+    def call_beside(self, method: str, *arguments: Any) -> Ticket:
+        """The same while another call runs; calls of this kind are done in order.
+
+        A ticket as an argument stays one: the method fetches it. Its answer has to be there already.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Processes of one role: a core `build(plan.index, number of plans, *arguments)` for each plan."""
+
+    plans: Sequence[ProcessPlan]
+    build: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
 
 
 class Backend(Protocol):
@@ -42,7 +61,10 @@ class Backend(Protocol):
     losses: Losses  # of processes so far
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[Handle]:
-        """One core `build(plan.index, number of plans, *arguments)` a plan; several form one JAX world, by rank."""
+        """One core a plan, as `Group` says; several that join a group form one JAX world, by rank."""
+
+    def spawn_groups(self, groups: Sequence[Group]) -> list[list[Handle]]:
+        """The same for several groups at the same time: no process waits for one that it does not join."""
 
     def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> Handle:
         """The same for one process, without waiting for it: what is asked of it is done once it has started."""
@@ -63,6 +85,10 @@ class Backend(Protocol):
 
     def gather(self, tickets: Sequence[Ticket]) -> list[Any]:
         """All answers. Raises WorkerLostError as soon as a process is lost, ProcessFailedError as soon as one fails."""
+
+    def first_of(self, tickets: Sequence[Ticket]) -> list[Ticket]:
+        """Those that are answered or lost: waits until it is one at least. Raises WorkerLostError where a process is
+        silent for too long or the limit of the section is exceeded."""
 
     def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
         """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""

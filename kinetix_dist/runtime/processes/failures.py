@@ -36,7 +36,7 @@ PORT_IS_TAKEN = ("Failed to start RPC server",)
 
 ADVICE = {
     "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib",
-    "learner": "lower rollout.num_envs or raise ppo.minibatches",
+    "learner": "lower rollout.num_envs, raise ppo.minibatches, or raise run.num_learners",
     "rollout": "lower rollout.num_envs or raise run.num_rollout_actors",
     "evaluator": "lower evaluation.attempts, or set evaluation.every and recording.every to 0",
     "curator": "raise run.curator_memory_gib or lower curriculum.scoring_batch",

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.facts import facts_of
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.measures import Meter, summary
@@ -39,7 +40,10 @@ class LocalHandle:
 
     def call_stamped(self, method: str, *arguments: Any) -> tuple[LocalTicket, LocalTicket]:
         stamp, content = self.call(method, *arguments).value
-        return LocalTicket(stamp), LocalTicket(content)
+        return LocalTicket({**stamp, "put": (0, 0.0)}), LocalTicket(content)
+
+    def call_beside(self, method: str, *arguments: Any) -> LocalTicket:
+        return LocalTicket(getattr(self._core, method)(*arguments))
 
 
 class LocalBackend:
@@ -55,6 +59,9 @@ class LocalBackend:
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle]:
         return [LocalHandle(plan, build(plan.index, 1, *arguments)) for plan in plans]
 
+    def spawn_groups(self, groups: Sequence[Group]) -> list[list[LocalHandle]]:
+        return [self.spawn(group.plans, group.build, *group.arguments) for group in groups]
+
     def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> LocalHandle:
         return self.spawn([plan], build, *arguments)[0]
 
@@ -67,6 +74,9 @@ class LocalBackend:
 
     def gather(self, tickets: Sequence[LocalTicket]) -> list[Any]:
         return [ticket.value for ticket in tickets]
+
+    def first_of(self, tickets: Sequence[LocalTicket]) -> list[LocalTicket]:
+        return list(tickets)
 
     def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:
         """Of this process, once: all of its cores share it."""

@@ -17,6 +17,7 @@ from typing import Any
 
 from kinetix_dist.runtime.processes.gpu_use import gpu_used_share, pool_peak_share
 from kinetix_dist.telemetry.compile_time import compile_seconds
+from kinetix_dist.telemetry.sizes import bytes_of
 
 GIB, MIB = 1 << 30, 1 << 20
 
@@ -56,9 +57,7 @@ class Meter:
 
     def moved(self, *values: Any) -> None:
         """Arguments or an answer, which cross between processes: arrays in nested containers are counted."""
-        import jax
-
-        self._moved += sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(values))
+        self._moved += bytes_of(values)
 
     def read(self, *, has_device: bool) -> Reading:
         """has_device: whether JAX has started in this process; asking it would start it."""

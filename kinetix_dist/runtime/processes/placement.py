@@ -1,9 +1,9 @@
 """Who runs where: processes, their devices and their environment variables. Pure: no process is started here.
 
 colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
-split       one learner process, and rollout actors on devices of their own; lag 1
+split       N learners that form one JAX world, and rollout actors on devices of their own; lag 1
 both        one curator, and an evaluator where evaluations or recordings are asked for during training, on the GPU of
-            the first worker (or rollout actor), whose memory they share
+            the first worker (or rollout actor; where these play on CPUs: learner), whose memory they share
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from collections.abc import Iterable, Sequence
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.processes.gpu_memory import GpuShare, share_of_gpu
+
+# Roles whose processes form one JAX world where there are several: gradients go from one to the other.
+ROLES_OF_GROUPS = ("worker", "learner")
 
 
 class PlacementError(ValueError):
@@ -36,6 +39,11 @@ class ProcessPlan:
     def name(self) -> str:
         return f"{self.role} {self.index}"
 
+    @property
+    def joins_group(self) -> bool:
+        """Whether it forms one JAX world with the others of its role."""
+        return self.role in ROLES_OF_GROUPS
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Placement:
@@ -50,38 +58,72 @@ class Placement:
 def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
     """The processes of a run on a machine with `num_gpus` GPUs; raises PlacementError where they do not fit."""
     on_gpus = resolve_device(config.run.device, num_gpus=num_gpus) == "gpu"
-    if config.run.placement == "colocated":
-        num_workers = config.run.num_workers or (num_gpus if on_gpus else 1)
-        if on_gpus and num_workers > num_gpus:
-            raise PlacementError(f"run.num_workers {num_workers} needs as many GPUs; there are {num_gpus}")
-        if num_workers > config.num_blocks:
-            raise PlacementError(
-                f"{num_workers} workers cannot share {config.num_blocks} blocks of worlds: some would have none; lower "
-                f"run.num_workers, or raise rollout.num_groups {config.rollout.num_groups} and ppo.virtual_shards "
-                f"{config.ppo.virtual_shards}"
-            )
-        gpus = [[("worker", index)] for index in range(num_workers)]
-        beside_curator, num_in_group = 0, num_workers
-    else:
-        num_rollout = config.run.num_rollout_actors
-        if on_gpus and num_gpus < 1 + num_rollout:
-            raise PlacementError(
-                f"split placement with {num_rollout} rollout actors needs {1 + num_rollout} GPUs of {num_gpus}; "
-                "use run.placement colocated"
-            )
-        gpus = [[("learner", 0)], *([("rollout", index)] for index in range(num_rollout))]
-        beside_curator, num_in_group = 1, 1
+    is_split = config.run.placement == "split"
+    devices = _of_split(config) if is_split else _of_colocated(config, num_gpus if on_gpus else 1)
+    num_on_cpu = config.run.num_cpu_rollout_actors if is_split and on_gpus else 0
+    devices, on_cpu = devices[: len(devices) - num_on_cpu], devices[len(devices) - num_on_cpu :]
+    if on_gpus and len(devices) > num_gpus:
+        raise PlacementError(_too_few_gpus(config, len(devices), num_gpus))
+    # Beside the first that plays, which has least to do of all that have a GPU; where none of these has, a learner.
+    first = config.run.num_learners if is_split else 0
+    beside = devices[first if first < len(devices) else 0]
     if config.has_curator:
-        gpus[beside_curator].append(("curator", 0))
+        beside.append(("curator", 0))
     if config.evaluates_beside:
-        gpus[beside_curator].append(("evaluator", 0))
+        beside.append(("evaluator", 0))
     if not on_gpus:
-        return Placement(processes=_in_order(_on_cpu(role, index) for gpu in gpus for role, index in gpu))
+        devices, on_cpu = [], devices
     return Placement(
         processes=_in_order(
-            process for gpu, roles in enumerate(gpus) for process in _on_gpu(config, gpu, roles, num_in_group)
+            [
+                *(process for gpu, roles in enumerate(devices) for process in _on_gpu(config, gpu, roles, devices)),
+                *(_on_cpu(role, index) for roles in on_cpu for role, index in roles),
+            ]
         )
     )
+
+
+_Roles = list[tuple[str, int]]  # (role, index) of the processes on one device
+
+
+def _of_colocated(config: TrainConfig, num_devices: int) -> list[_Roles]:
+    num_workers = config.run.num_workers or num_devices
+    _check_blocks(config, num_workers, "worker")
+    return [[("worker", index)] for index in range(num_workers)]
+
+
+def _of_split(config: TrainConfig) -> list[_Roles]:
+    run = config.run
+    _check_blocks(config, run.num_learners, "learner")
+    learners = [[("learner", index)] for index in range(run.num_learners)]
+    return learners + [[("rollout", index)] for index in range(run.num_rollout_actors)]
+
+
+def _check_blocks(config: TrainConfig, number: int, role: str) -> None:
+    if number > config.num_blocks:
+        raise PlacementError(
+            f"{number} {role}s cannot share {config.num_blocks} blocks of worlds: some would have none; lower "
+            f"run.num_{role}s, or raise rollout.num_groups {config.rollout.num_groups} and ppo.virtual_shards "
+            f"{config.ppo.virtual_shards}"
+        )
+
+
+def _too_few_gpus(config: TrainConfig, needed: int, there: int) -> str:
+    run = config.run
+    if run.placement == "colocated":
+        return f"run.num_workers {run.num_workers} needs as many GPUs; there are {there}"
+    return (
+        f"split placement with {counted(run.num_learners, 'learner')} and "
+        f"{counted(run.num_rollout_actors, 'rollout')}, {run.num_cpu_rollout_actors} of them on CPUs, needs {needed} "
+        f"GPUs of {there}; lower run.num_learners or run.num_rollout_actors, raise run.num_cpu_rollout_actors, or use "
+        "run.placement colocated"
+    )
+
+
+def counted(number: int, role: str) -> str:
+    """ "1 learner", "2 rollout actors" """
+    name = "rollout actor" if role == "rollout" else role
+    return f"{number} {name}{'' if number == 1 else 's'}"
 
 
 def resolve_device(device: str, *, num_gpus: int) -> str:
@@ -112,8 +154,10 @@ def _on_cpu(role: str, index: int) -> ProcessPlan:
     return ProcessPlan(role=role, index=index, env_vars={"JAX_PLATFORMS": "cpu"})
 
 
-def _on_gpu(config: TrainConfig, gpu: int, roles: Sequence[tuple[str, int]], num_in_group: int) -> list[ProcessPlan]:
+def _on_gpu(config: TrainConfig, gpu: int, roles: _Roles, devices: Sequence[_Roles]) -> list[ProcessPlan]:
     """The processes of one GPU; each knows of the others, since all of them share its memory."""
+    num_in_group = sum(role == roles[0][0] for others in devices for role, _ in others)
+    num_in_group = num_in_group if roles[0][0] in ROLES_OF_GROUPS else 1
     passed_on = {name: value for name, value in os.environ.items() if name.startswith("XLA_FLAGS")}
     memory = share_of_gpu(config, roles, num_in_group=num_in_group)
     share = 1.0 / len(roles)  # for Ray's books; how much memory each gets is gpu_memory's

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import logging
 import os
 import time
@@ -15,7 +16,8 @@ import ray
 import ray.util
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
-from kinetix_dist.runtime.processes.actor import ProcessActor
+from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
+from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
@@ -64,9 +66,13 @@ class RayHandle:
         return RayTicket(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
 
     def call_stamped(self, method: str, *arguments: Any) -> tuple[RayTicket, RayTicket]:
-        call = self.actor.call.options(num_returns=2)
-        stamp, content = call.remote(method, *_references(arguments))
+        call = self.actor.call_stamped.options(num_returns=2)
+        content, stamp = call.remote(method, *_references(arguments))
         return RayTicket(stamp, self.actor, self._backend), RayTicket(content, self.actor, self._backend)
+
+    def call_beside(self, method: str, *arguments: Any) -> RayTicket:
+        given = [InStore(argument.reference) if isinstance(argument, RayTicket) else argument for argument in arguments]
+        return RayTicket(self.actor.call_beside.remote(method, *given), self.actor, self._backend)
 
 
 class RayBackend:
@@ -142,7 +148,8 @@ class RayBackend:
             ray.util.remove_placement_group(group)
             raise PlacementError(
                 f"this run needs {len(bundles)} of the cluster's {self.num_gpus} GPUs, and they were not free within "
-                f"{FREE_TIMEOUT_S:g} s: {nodes_in_words()}; wait for the run that holds them, or lower run.num_workers"
+                f"{FREE_TIMEOUT_S:g} s: {nodes_in_words()}; wait for the run that holds them, or lower run.num_workers "
+                "(split: run.num_learners, run.num_rollout_actors)"
             )
         self._group = group
 
@@ -180,13 +187,19 @@ class RayBackend:
             time.sleep(CPUS_POLL_S)
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
-        handles = [self._create(plan, build, len(plans), arguments) for plan in plans]
+        return self.spawn_groups([Group(plans, build, arguments)])[0]
+
+    def spawn_groups(self, groups: Sequence[Group]) -> list[list[RayHandle]]:
+        started = [
+            [self._create(plan, group.build, len(group.plans), group.arguments) for plan in group.plans]
+            for group in groups
+        ]
         try:
-            self._start(handles)
+            self._start(started)
         except BaseException:
-            self.kill(handles)
+            self.kill(list(itertools.chain(*started)))
             raise
-        return handles
+        return started
 
     def _create(self, plan: ProcessPlan, build: Callable[..., Any], group: int, arguments: Sequence[Any]) -> RayHandle:
         actor = ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, group, *arguments)
@@ -194,7 +207,8 @@ class RayBackend:
         self._readings.add(actor)
         return RayHandle(plan, actor, None, self)
 
-    def _start(self, handles: Sequence[RayHandle]) -> None:
+    def _start(self, groups: Sequence[Sequence[RayHandle]]) -> None:
+        handles = list(itertools.chain(*groups))
         actors = [handle.actor for handle in handles]
         # Pings first: what dies while it is told more could not be seen to be gone by its number.
         for handle, pid in zip(handles, self._all(actors, [actor.ping.remote() for actor in actors]), strict=True):
@@ -202,10 +216,16 @@ class RayBackend:
         started = self._all(actors, [actor.prepare.remote() for actor in actors])
         for handle, where in zip(handles, started, strict=True):
             self._on_event("process_started", process=handle.plan.name, **where)
-        if len(actors) > 1 and handles[0].plan.role == "worker":
-            coordinator = self._all(actors[:1], [actors[0].free_address.remote()])[0]
-            self._all(actors, [actor.join.remote(coordinator, len(actors), rank) for rank, actor in enumerate(actors)])
-        self._all(actors, [actor.build.remote() for actor in actors])
+        # Those that join nobody build first: they do so while the others ask for an address and wait for each other.
+        calls: list[tuple[Any, Any]] = []
+        for group in sorted(groups, key=_joins):
+            members = [handle.actor for handle in group]
+            if _joins(group):
+                coordinator = self._all(members[:1], [members[0].free_address.remote()])[0]
+                joined = [actor.join.remote(coordinator, len(members), rank) for rank, actor in enumerate(members)]
+                calls += zip(joined, members, strict=True)
+            calls += [(actor.build.remote(), actor) for actor in members]
+        self._supervisor.gather(calls)
 
     def _all(self, actors: Sequence[Any], references: Sequence[Any]) -> list[Any]:
         return self._supervisor.gather(list(zip(references, actors, strict=True)))
@@ -261,6 +281,10 @@ class RayBackend:
     def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
         return self._supervisor.gather([(ticket.reference, ticket.actor) for ticket in tickets])
 
+    def first_of(self, tickets: Sequence[RayTicket]) -> list[RayTicket]:
+        ready = set(self._supervisor.first_of([(ticket.reference, ticket.actor) for ticket in tickets]))
+        return [ticket for ticket in tickets if ticket.reference in ready]
+
     def kill(self, handles: Sequence[RayHandle]) -> None:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
         self._supervisor.forget([handle.actor for handle in handles])
@@ -281,6 +305,10 @@ class RayBackend:
             self.release()
         if self._watchdog is not None:
             self._watchdog.stop()
+
+
+def _joins(group: Sequence[RayHandle]) -> bool:
+    return len(group) > 1 and group[0].plan.joins_group
 
 
 def _references(arguments: Sequence[Any]) -> list[Any]:

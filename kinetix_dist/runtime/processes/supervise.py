@@ -70,6 +70,16 @@ class Supervisor:
                 self._check([actor_of[reference] for reference in waiting])
         return [results[reference] for reference, _ in calls]
 
+    def first_of(self, calls: Sequence[tuple[Any, Any]]) -> list[Any]:
+        """References of those (reference, actor) whose result or loss is there: waits until it is one at least.
+
+        Raises WorkerLostError where an actor has been silent for too long or the limit of the section is exceeded.
+        """
+        references = [reference for reference, _ in calls]
+        while not ray.wait(references, num_returns=1, timeout=POLL_S)[0]:
+            self._check([actor for _, actor in calls])
+        return ray.wait(references, num_returns=len(references), timeout=0)[0]
+
     def silence(self, actor: Any, *, ping_every_s: float = PING_EVERY_S) -> float:
         """s for which a ping has not been answered; 0 where all are. Asks again when that is due."""
         now = time.monotonic()
