@@ -24,9 +24,10 @@ def yields(scene: Scene) -> jax.Array:
     A body's share in a joint is what of the joint's movement it makes, 0 to 1: 1/2 between equal bodies, 1 beside one
     that is fixed. Welds yield that hold a body whose shares, of mass or of inertia, come to more than
     `max_share_of_welds`: 1 in the middle of a beam of equal parts, 1.5 where it is welded to a wall. Hinges yield that
-    hold a body which has nearly all of the movement of two joints. Both yield whose anchor is farther from a body's
-    centre than `max_lever` radii of gyration: twice as far as any inside a convex shape. Sliders neither yield nor
-    count: if they did they would let go of what hangs from them. Their limits yield instead, all of them."""
+    hold a body which has nearly all of the movement of two joints. Both yield whose anchor on a body of
+    several joints is farther from its centre than `max_lever` radii of gyration: twice as far as any inside a convex
+    shape. Sliders neither yield nor count: if they did they would let go of what hangs from them. Their limits yield
+    instead, all of them."""
     shapes, joints = scene.shapes, scene.joints
     is_weld = joints.is_kind(JointKind.FIXED)[..., None]
     counts = joints.active & ~joints.is_kind(JointKind.PRISMATIC)
@@ -41,7 +42,8 @@ def yields(scene: Scene) -> jax.Array:
     by_mass, by_inertia, lights = (jnp.sum(at * x[..., None], axis=(-3, -2)) for x in (of_mass, of_inertia, is_light))
     of_weld, of_hinge = jnp.maximum(by_mass, by_inertia) > C.max_share_of_welds, lights >= 2
     held = jnp.where(is_weld, _of(of_weld, ends), _of(of_hinge, ends))
-    return counts & jnp.any(held | is_long, axis=-1)
+    has_several = _of(jnp.sum(at, axis=(-3, -2)) >= 2, ends)
+    return counts & jnp.any(held | (is_long & has_several), axis=-1)
 
 
 def _shares(inverse: jax.Array) -> jax.Array:
