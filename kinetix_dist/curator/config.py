@@ -6,10 +6,8 @@ import dataclasses
 
 from kinetix_dist.level.generator_config import GeneratorConfig
 
-OWN_SECTIONS = (
-    "plr",
-    "accel",
-)  # of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`
+# Of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`.
+OWN_SECTIONS = ("plr", "accel")
 PRIORITISATIONS = ("rank", "top_k")
 
 
