@@ -24,9 +24,9 @@ def yields(scene: Scene) -> jax.Array:
     A body's share in a joint is what of the joint's movement it makes, 0 to 1: 1/2 between equal bodies, 1 beside one
     that is fixed. Welds yield that hold a body whose shares, of mass or of inertia, come to more than
     `max_share_of_welds`: 1 in the middle of a beam of equal parts, 1.5 where it is welded to a wall. Hinges yield that
-    hold a body which has nearly all of the movement of two joints. Both yield whose anchor on a body of
-    several joints is farther from its centre than `max_lever` radii of gyration: twice as far as any inside a convex
-    shape. Sliders neither yield nor count: if they did they would let go of what hangs from them. Their limits yield
+    hold a body which has nearly all of the movement of two joints. Hinges yield whose anchor is
+    farther from a body's centre than `max_lever` radii of gyration, twice as far as any inside a convex shape; welds
+    where that body has several joints. Sliders neither yield nor count: if they did they would let go of what hangs from them. Their limits yield
     instead, all of them."""
     shapes, joints = scene.shapes, scene.joints
     is_weld = joints.is_kind(JointKind.FIXED)[..., None]
@@ -43,7 +43,7 @@ def yields(scene: Scene) -> jax.Array:
     of_weld, of_hinge = jnp.maximum(by_mass, by_inertia) > C.max_share_of_welds, lights >= 2
     held = jnp.where(is_weld, _of(of_weld, ends), _of(of_hinge, ends))
     has_several = _of(jnp.sum(at, axis=(-3, -2)) >= 2, ends)
-    return counts & jnp.any(held | (is_long & has_several), axis=-1)
+    return counts & jnp.any(held | (is_long & (has_several | ~is_weld)), axis=-1)
 
 
 def _shares(inverse: jax.Array) -> jax.Array:
