@@ -26,8 +26,8 @@ def yields(scene: Scene) -> jax.Array:
     `max_share_of_welds`: 1 in the middle of a beam of equal parts, 1.5 where it is welded to a wall. Hinges yield that
     hold a body which has nearly all of the movement of two joints. Hinges yield whose anchor is
     farther from a body's centre than `max_lever` radii of gyration, twice as far as any inside a convex shape; welds
-    where that body has several joints. Sliders neither yield nor count: if they did they would let go of what hangs from them. Their limits yield
-    instead, all of them."""
+    where that body has several joints. Sliders neither yield nor count: if they did they would let go of what hangs
+    from them. Their limits yield instead, all of them."""
     shapes, joints = scene.shapes, scene.joints
     is_weld = joints.is_kind(JointKind.FIXED)[..., None]
     counts = joints.active & ~joints.is_kind(JointKind.PRISMATIC)
