@@ -164,8 +164,9 @@ class Settings:
         return self.dt / self.substeps if self.solver == "soft_step" else self.dt
 
     def replace(self, **changes: object) -> Settings:
-        if unknown := changes.keys() - {field.name for field in dataclasses.fields(self)}:
-            near = difflib.get_close_matches(min(unknown), [field.name for field in dataclasses.fields(self)], 1)
+        names = [field.name for field in dataclasses.fields(self)]
+        if unknown := changes.keys() - set(names):
+            near = difflib.get_close_matches(min(unknown), names, 1)
             raise ValueError(f"settings have no {min(unknown)}" + (f"; there is {near[0]}" if near else ""))
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 

@@ -124,9 +124,14 @@ def first_free(active: Array) -> Array:
 
 def draft_to_level(draft: Draft, capacity: Capacity) -> tuple[Level, Array]:
     """The level (masses and contact permissions still to be derived) and `is_fixed` [n]."""
-    shapes, polygons = draft.shapes, capacity.polygons
     blank = jax.tree.map(jnp.asarray, empty_level(capacity))
-    scene = blank.scene.replace(
+    return with_draft(blank, draft, capacity), draft.shapes.is_fixed
+
+
+def with_draft(level: Level, draft: Draft, capacity: Capacity) -> Level:
+    """The level with all that a draft has; what a draft does not have stays. Masses are still to be derived."""
+    shapes, polygons = draft.shapes, capacity.polygons
+    scene = level.scene.replace(
         shapes={
             "active": shapes.active,
             "vertices": shapes.vertices[:polygons],
@@ -136,8 +141,8 @@ def draft_to_level(draft: Draft, capacity: Capacity) -> tuple[Level, Array]:
         joints=draft.joints,
         thrusters=draft.thrusters,
     )
-    level = dataclasses.replace(
-        blank,
+    return dataclasses.replace(
+        level,
         scene=scene,
         position=shapes.position,
         angle=shapes.angle,
@@ -145,4 +150,3 @@ def draft_to_level(draft: Draft, capacity: Capacity) -> tuple[Level, Array]:
         motor_colour=draft.driven_joints.colour,
         thruster_colour=draft.driven_thrusters.colour,
     )
-    return level, shapes.is_fixed

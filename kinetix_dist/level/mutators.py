@@ -21,7 +21,16 @@ from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
 from kinetix_dist.level.connections import connections
 from kinetix_dist.level.derive import derive
-from kinetix_dist.level.draft import Draft, DrivenJoints, DrivenThrusters, Shapes, first_free, read_slot, write_slot
+from kinetix_dist.level.draft import (
+    Draft,
+    DrivenJoints,
+    DrivenThrusters,
+    Shapes,
+    first_free,
+    read_slot,
+    with_draft,
+    write_slot,
+)
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M, Level
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose
@@ -135,7 +144,8 @@ def _add(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig
     draws = jax.random.uniform(key, (config.num_proposals, NUM_DRAWS))
     proposals = jax.vmap(lambda draw: propose(draft, request, draw, capacity.polygons, config))(draws)
     after = add_best(draft, proposals, jnp.array(is_joined), jnp.array(True))
-    return _with_draft(edited, after, capacity, proposals.is_possible.any())
+    level = with_draft(edited.level, after, capacity)
+    return Edited(level=level, is_fixed=after.shapes.is_fixed, changed=proposals.is_possible.any())
 
 
 def _draft_of(edited: Edited, capacity: Capacity) -> Draft:
@@ -159,30 +169,6 @@ def _draft_of(edited: Edited, capacity: Capacity) -> Draft:
         driven_joints=DrivenJoints(joints=joints, colour=level.motor_colour),
         driven_thrusters=DrivenThrusters(thrusters=level.scene.thrusters, colour=level.thruster_colour),
     )
-
-
-def _with_draft(edited: Edited, draft: Draft, capacity: Capacity, changed: Array) -> Edited:
-    level, shapes, polygons = edited.level, draft.shapes, capacity.polygons
-    scene = level.scene.replace(
-        shapes={
-            "active": shapes.active,
-            "vertices": shapes.vertices[:polygons],
-            "num_vertices": shapes.num_vertices[:polygons],
-            "radius": shapes.radius[polygons:],
-        },
-        joints=draft.joints,
-        thrusters=draft.thrusters,
-    )
-    level = dataclasses.replace(
-        level,
-        scene=scene,
-        position=shapes.position,
-        angle=shapes.angle,
-        shape_role=shapes.role,
-        motor_colour=draft.driven_joints.colour,
-        thruster_colour=draft.driven_thrusters.colour,
-    )
-    return Edited(level=level, is_fixed=shapes.is_fixed, changed=changed)
 
 
 def remove_shape(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig) -> Edited:

@@ -1,21 +1,17 @@
 """What ACCEL prefers, on levels of known difficulty: a level is the chance that the policy solves it."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kinetix_dist.actors.outcomes import no_outcomes
 from kinetix_dist.curator.config import AccelConfig, CurriculumConfig, PlrConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.replay_buffer import empty_buffer
-from kinetix_dist.curator.replay_scores import ValueSummary
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import SIZES
-from tests.curator.made import curriculum_of
+from tests.curator.made import curriculum_of, played
 
 GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
 EASIEST_HARD = 0.6  # fresh levels are solved more often than this
@@ -48,17 +44,8 @@ def _run(curriculum, num_updates):
     @jax.jit
     def update(state, number):
         proposal = _propose(curriculum, state, number)
-        levels = proposal.levels
-        solved = jax.random.uniform(jax.random.fold_in(jax.random.key(1), number), (EPISODES, levels.size)) < levels
-        none = no_outcomes(levels.size)
-        outcome = dataclasses.replace(
-            none,
-            num_finished=none.num_finished + EPISODES,
-            num_solved=solved.sum(0, dtype=jnp.int32),
-            summary=ValueSummary(
-                mean_value=levels, max_return=solved.any(0) * 1.0, positive_value_loss=levels, l1_value_loss=levels
-            ),
-        )
+        key = jax.random.fold_in(jax.random.key(1), number)
+        outcome = played(proposal.levels, key, EPISODES)
         return curriculum.observe(state, proposal, outcome), proposal
 
     state, proposals = empty_buffer(jnp.zeros(()), PLACES), []

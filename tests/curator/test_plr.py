@@ -7,13 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kinetix_dist.actors.outcomes import no_outcomes
 from kinetix_dist.curator.config import CurriculumConfig, PlrConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.replay_buffer import empty_buffer
-from kinetix_dist.curator.replay_scores import ValueSummary
-from tests.curator.made import curriculum_of
+from tests.curator.made import curriculum_of, played
 
 GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
 
@@ -54,17 +52,7 @@ class _Training:
 
     def _observe(self, state, proposal, update):
         """After EPISODES of each level."""
-        key, levels = jax.random.fold_in(jax.random.key(1), update), proposal.levels
-        solved = jax.random.uniform(key, (EPISODES, levels.size)) < levels
-        none = no_outcomes(levels.size)
-        outcome = dataclasses.replace(
-            none,
-            num_finished=none.num_finished + EPISODES,
-            num_solved=solved.sum(0, dtype=jnp.int32),
-            summary=ValueSummary(
-                mean_value=levels, max_return=solved.any(0) * 1.0, positive_value_loss=levels, l1_value_loss=levels
-            ),
-        )
+        outcome = played(proposal.levels, jax.random.fold_in(jax.random.key(1), update), EPISODES)
         return self.curriculum.observe(state, proposal, outcome)
 
 

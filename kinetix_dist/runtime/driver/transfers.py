@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-MIB = 1 << 20
+from kinetix_dist.runtime.processes.measures import MIB
 
 Copied = Mapping[str, tuple[int, float]]  # {copy: (bytes, seconds)} of one process
 
