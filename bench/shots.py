@@ -46,7 +46,8 @@ BIN_EDGES_M_S = (2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 100.0)
 WALL_M, BAR_M = 4.0, 2.0  # lengths
 NUM_STEPS = 30
 BATCH = 8192  # worlds stepped, and judged by one process, at once
-MOMENTS = np.linspace(0, 1, 48)  # of a step
+COARSE = np.linspace(0, 1, 7)  # moments of a step
+CLOSER = np.linspace(0, 1, 9)[1:-1]  # of a stretch between two of these
 UNCHANGED = 1e-3  # m/s and rad/s: nothing was touched
 
 
@@ -190,23 +191,45 @@ def passed_untouched(shots: Shots, wall: int, position: np.ndarray, angle: np.nd
     travel = np.linalg.norm(np.diff(position, axis=0), axis=-1).sum(-1)
     reach = np.linalg.norm(shots.corners[wall], axis=-1).max()
     swept = travel + np.abs(np.diff(angle, axis=0))[..., 1] * reach + 0.02
-    before = depth(shots, wall, position, angle)[:-1]
-    steps, worlds = np.nonzero((change <= UNCHANGED) & (before >= -swept) & (before <= shots.limit))
+    near = swept > apart(shots, wall, position[:-1], angle[:-1])
+    before = np.full(near.shape, -np.inf)
+    before[near] = depth(shots, wall, position[:-1][near], angle[:-1][near])
+    steps, worlds = np.nonzero((change <= UNCHANGED) & (before >= shots.limit - swept) & (before <= shots.limit))
     found = np.zeros(position.shape[1], bool)
+
+    def depths(k: np.ndarray, w: np.ndarray, moments: np.ndarray) -> np.ndarray:
+        """[..., n] m, at moments [..., n] of steps k [n] of worlds w [n]."""
+        at = position[k, w] + moments[..., None, None] * (position[k + 1, w] - position[k, w])
+        return depth(shots, wall, at, angle[k, w] + moments[..., None] * (angle[k + 1, w] - angle[k, w]))
+
     for part in np.array_split(np.arange(len(steps)), max(len(steps) // 4096, 1)):
         k, w = steps[part], worlds[part]
-        share = MOMENTS[:, None, None]
-        at = position[k, w] + share[..., None] * (position[k + 1, w] - position[k, w])
-        turned = angle[k, w] + share * (angle[k + 1, w] - angle[k, w])
-        found[w[depth(shots, wall, at, turned).max(0) > shots.limit]] = True
+        coarse = depths(k, w, np.broadcast_to(COARSE[:, None], (len(COARSE), len(part))))
+        found[w[coarse.max(0) > shots.limit]] = True
+        # Depth changes by at most `swept` a step, so most stretches between two moments need no closer look.
+        may = (coarse[1:] + coarse[:-1] + swept[k, w] / (len(COARSE) - 1)) / 2 > shots.limit
+        stretch, which = np.nonzero(may)
+        closer = COARSE[stretch] + CLOSER[:, None] * COARSE[1]
+        found[w[which][(depths(k[which], w[which], closer) > shots.limit).any(0)]] = True
     return found
+
+
+def apart(shots: Shots, wall: int, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """[...] m: at least so far is the shot from the wall, by the circle around it; negative where that touches it."""
+    away = np.abs(in_frame_of_wall(position, angle)) - np.abs(shots.corners[wall]).max(0)
+    return away.max(-1) - (shots.radius or np.linalg.norm(shots.corners[shots.shot], axis=-1).max())
+
+
+def in_frame_of_wall(position: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """[..., 2] m: the shot's centre, of [..., 2, 2] m and [..., 2] rad of the shot and the wall."""
+    away = position[..., 0, :] - position[..., 1, :]
+    return (np.swapaxes(rotation(angle[..., 1]), -1, -2) @ away[..., None])[..., 0]
 
 
 def changed_sides(shots: Shots, wall: int, position: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """[N] bool: whether a centre was on one side of a wall after a step and on the other after the next, not at its
     end."""
-    away = position[:, :, 0] - position[:, :, 1]
-    local = (np.swapaxes(rotation(angle[..., 1]), -1, -2) @ away[..., None])[..., 0]
+    local = in_frame_of_wall(position, angle)
     half_length = shots.corners[wall][:, 1].max()
     beside = np.abs(local[..., 1]) < half_length - (shots.radius or 0.0)
     return (beside[1:] & beside[:-1] & (local[1:, :, 0] * local[:-1, :, 0] < 0)).any(0)
