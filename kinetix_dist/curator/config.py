@@ -7,8 +7,9 @@ import dataclasses
 from kinetix_dist.level.generator_config import GeneratorConfig
 
 # Of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`.
-OWN_SECTIONS = ("plr", "accel")
+OWN_SECTIONS = ("plr", "accel", "paired")
 PRIORITISATIONS = ("rank", "top_k")
+ANTAGONIST_RETURNS = ("max", "mean")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,10 +53,38 @@ class AccelConfig:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class PairedConfig:
+    """How the teacher of PAIRED learns (Dennis et al. 2020); what is not here is as in `ppo`."""
+
+    antagonist_return: str = "max"  # in the regret: of its episodes on a level the best, "max", or their "mean"
+    hidden_size: int = 128  # of the teacher's network
+    hidden_layers: int = 2  # of its actor and of its critic
+    learning_rate: float = 3e-4
+    epochs: int = 8  # each is one gradient step, from all levels of an update
+    clip: float = 0.2
+    entropy_coefficient: float = 0.01
+
+    def __post_init__(self) -> None:
+        if self.antagonist_return not in ANTAGONIST_RETURNS:
+            raise ValueError(
+                f"PairedConfig.antagonist_return is {self.antagonist_return!r}; choose from "
+                f"{', '.join(ANTAGONIST_RETURNS)}"
+            )
+        for name in ("hidden_size", "hidden_layers", "epochs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"PairedConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        for name in ("learning_rate", "clip"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"PairedConfig.{name} is {getattr(self, name)}; it must be positive")
+        if self.entropy_coefficient < 0:
+            raise ValueError(f"PairedConfig.entropy_coefficient is {self.entropy_coefficient}; it must be 0 or more")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
 
-    name: str = "sfl"  # "sfl", "plr", "robust_plr", "accel", "domain_randomization" or "fixed"
+    name: str = "sfl"  # "sfl", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
     num_candidates: int = 12288  # N, fresh levels scored in a refresh
     scoring_steps: int = 512  # L, environment steps played on each candidate
@@ -66,6 +95,7 @@ class CurriculumConfig:
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)
+    paired: PairedConfig = dataclasses.field(default_factory=PairedConfig)
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
 
     def __post_init__(self) -> None:

@@ -36,7 +36,7 @@ class LearnerWorker:
         self._policy = make_policy(config.policy, self._env.action_distribution.head_sizes)
         self._learner = LearnerCore(config, self._env, self._policy, mesh)
         self._evaluator = Evaluator(config, self._env, self._policy)
-        self._curriculum = make_curriculum(config, self._env, self._policy)
+        self._curriculum = make_curriculum(config, self._env, self._policy, mesh)
         self._state = CurriculumState(self._curriculum, mesh)
         self._staging = Staging(config, mesh, self._learner.division)
 
