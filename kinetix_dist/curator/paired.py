@@ -13,6 +13,10 @@ antagonist got there more than the protagonist: so it looks for levels that can 
     observe     the teacher learns from the regret, the antagonist from what it played
 
 Both learn from what the update played, as the protagonist does. State: the learners of both, and what was last seen.
+
+Departures from the paper: a level is played by one world of each student, so that the antagonist's best episode is one
+of the few that end in an update; the teacher has no memory, since it sees all of the level that it builds; and it is
+not made to place what the generator places by chance (a role of the floor, triangles).
 """
 
 from __future__ import annotations
