@@ -39,14 +39,14 @@ class PlrConfig:
 class AccelConfig:
     """Which new levels are children of levels in the buffer, and how far from them (Parker-Holder et al. 2022)."""
 
-    edited_share: float = 0.5  # of the worlds that play new levels; the others play fresh ones
+    edited_share: float = 0.5  # of the worlds that play new levels; the others, one a group or more, play fresh ones
     num_changes: int = 3  # random mutators from a level to its child
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.edited_share <= 1.0:
+        if not 0.0 < self.edited_share < 1.0:
             raise ValueError(
-                f"AccelConfig.edited_share is {self.edited_share}; it must be above 0 and at most 1 (for none use name "
-                "'robust_plr')"
+                f"AccelConfig.edited_share is {self.edited_share}; it must be above 0 (for none use name 'robust_plr') "
+                "and below 1: fresh levels fill the buffer first"
             )
         if self.num_changes < 1:
             raise ValueError(f"AccelConfig.num_changes is {self.num_changes}; it must be 1 or more")
