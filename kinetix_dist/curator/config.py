@@ -9,7 +9,7 @@ from kinetix_dist.level.generator_config import GeneratorConfig
 # Of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`.
 OWN_SECTIONS = ("plr", "accel", "paired")
 PRIORITISATIONS = ("rank", "top_k")
-ANTAGONIST_RETURNS = ("max", "mean")
+ANTAGONIST_RETURNS = ("mean", "max")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class AccelConfig:
 class PairedConfig:
     """How the teacher of PAIRED learns (Dennis et al. 2020); what is not here is as in `ppo`."""
 
-    antagonist_return: str = "max"  # in the regret: of its episodes on a level the best, "max", or their "mean"
+    antagonist_return: str = "mean"  # in the regret: of its episodes on a level the "mean" return, or the best, "max"
     hidden_size: int = 128  # of the teacher's network
     hidden_layers: int = 2  # of its actor and of its critic
     learning_rate: float = 3e-4

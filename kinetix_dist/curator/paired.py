@@ -4,7 +4,7 @@ A teacher builds all levels, action by action. Two students play each: the prota
 and an antagonist with a network and a learner of its own. The teacher is rewarded with the regret of a level, what the
 antagonist got there more than the protagonist: so it looks for levels that can be solved and are not solved yet.
 
-    regret = return of the antagonist (best episode, or mean) - mean return of the protagonist
+    regret = mean return of the antagonist (or that of its best episode) - mean return of the protagonist
 
     propose     levels of the teacher; of each group the first half of the worlds is the protagonist's, the second half
                 holds the same levels for the antagonist. Tags: how the levels were built, [W / 2, ...]
@@ -14,9 +14,9 @@ antagonist got there more than the protagonist: so it looks for levels that can 
 
 Both learn from what the update played, as the protagonist does. State: the learners of both, and what was last seen.
 
-Departures from the paper: a level is played by one world of each student, so that the antagonist's best episode is one
-of the few that end in an update; the teacher has no memory, since it sees all of the level that it builds; and it is
-not made to place what the generator places by chance (a role of the floor, triangles).
+Departures from the paper: the antagonist counts by its mean. Its best episode would be one of as many as end within an
+update, and a teacher that is paid for it finds levels of many short episodes that end either way (docs/lab_log.md). A
+level is played by one world of each student. The teacher has no memory, since it sees all of the level that it builds.
 """
 
 from __future__ import annotations

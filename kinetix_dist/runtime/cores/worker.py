@@ -126,6 +126,7 @@ class Worker(LearnerWorker):
         learner_metrics = local_values(self._learner.learn(*batch))
         if seen is not None:
             self._state.observe(*seen, division=self._rollout.division)
+            jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)
         return metrics, {"rollout": played - began, "learn": learned - played}
