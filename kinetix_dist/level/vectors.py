@@ -1,4 +1,4 @@
-"""Levels as vectors of numbers for models that learn from sets of levels, and back: any numbers make a valid level.
+"""Levels as vectors of numbers, for models that learn from levels, and back: any finite numbers make a valid level.
 
     to_vector    slots in an order that says something (green, blue, red, plain; from left to right), a row each
     from_vector  repairs: one green and one blue shape, not both fixed; sizes, places and anchors within the ranges of
@@ -83,7 +83,7 @@ def to_vector(level: Level, capacity: Capacity, config: GeneratorConfig) -> Arra
     half = jnp.maximum(jnp.abs(body.vertices).max(1), body.radius[:, None])
     by_shape = [
         body.is_fixed[:, None],
-        body.position / WORLD_SIZE_M,
+        2.0 * body.position / WORLD_SIZE_M - 1.0,
         _direction(body.angle),
         half / size,
         _one_hot(body.role, len(Role)),
@@ -223,7 +223,7 @@ def _shapes(rows: Array, floor: Array, walls: Shapes, capacity: Capacity, config
     low, high = jnp.array([0.0, FLOOR_TOP_M]) + reach, WORLD_SIZE_M - reach
     new = Shapes(
         active=_is_on(rows[:, 0]) | is_green | is_blue,
-        position=jnp.clip(rows[:, 2:4] * WORLD_SIZE_M, low, high),
+        position=jnp.clip(0.5 * (rows[:, 2:4] + 1.0) * WORLD_SIZE_M, low, high),
         angle=_angle(rows[:, 4:6]),
         vertices=jnp.where(is_polygon[:, None, None], corners, 0.0),
         num_vertices=jnp.where(is_polygon, num_corners, 0),

@@ -7,8 +7,9 @@
 
     loss = |x - decode(z)|^2 + kl_coefficient KL(N(mean, std) || N(0, 1)),  z = mean + std noise; both summed
 
-What is decoded is repaired (`level/vectors.py`), so that every level is valid; of twice as many those that overlap at
-the start are left out.
+New levels lie between two of the set, as in DRED: their latents are interpolated, so that what all levels of a set have
+in common stays. What is decoded is repaired (`level/vectors.py`), so that every level is valid; of twice as many those
+that overlap at the start are left out.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ from kinetix_dist.level.vectors import (
 class VaeConfig:
     """The network and how it is trained."""
 
-    latent_size: int = 24
-    hidden_size: int = 256  # of two layers, of encoder and of decoder
-    kl_coefficient: float = 0.02
+    latent_size: int = 32
+    hidden_size: int = 384  # of two layers, of encoder and of decoder
+    kl_coefficient: float = 0.002
     learning_rate: float = 1e-3
     batch_size: int = 256
     num_steps: int = 3000  # gradient steps
@@ -86,15 +87,18 @@ class VaeLevels:
     """A trained model; a `LevelGenerator`."""
 
     params: Any
+    latents: Array  # [N, latent_size], means of the levels of the set
     capacity: Capacity
     generator: GeneratorConfig
     config: VaeConfig
 
     def generate(self, key: Array, num_levels: int) -> Level:
-        """Decoded from normal latents. Should more than half of what is drawn overlap, the last ones kept do, too."""
-        latent_key, order_key = jax.random.split(key)
+        """Each between two levels of the set. Should more than half of what is drawn overlap, the last ones kept do."""
+        pair_key, share_key, order_key = jax.random.split(key, 3)
         num_drawn = OVERSAMPLING * num_levels
-        drawn = self.decode(order_key, jax.random.normal(latent_key, (num_drawn, self.config.latent_size)))
+        first, second = jax.random.randint(pair_key, (2, num_drawn), 0, self.latents.shape[0])
+        share = jax.random.uniform(share_key, (num_drawn, 1))
+        drawn = self.decode(order_key, share * self.latents[first] + (1.0 - share) * self.latents[second])
         overlaps = jax.vmap(lambda level: overlaps_at_start(level, self.capacity))(drawn)
         return keep_unsolved(drawn, overlaps, num_levels)
 
@@ -127,7 +131,8 @@ def fit(
     init_key, step_key = jax.random.split(key)
 
     def loss(params: Any, batch: Array, noise: Array) -> Array:
-        decoded, mean, log_variance = network.apply(params, batch, noise)
+        outputs: Any = network.apply(params, batch, noise)
+        decoded, mean, log_variance = outputs
         error = jnp.square(decoded - batch).sum(-1).mean()
         divergence = 0.5 * (jnp.square(mean) + jnp.exp(log_variance) - 1.0 - log_variance).sum(-1).mean()
         return error + config.kl_coefficient * divergence
@@ -148,7 +153,8 @@ def fit(
         return params, losses
 
     params, losses = train()
-    return VaeLevels(params, capacity, generator, config), losses
+    latents, _ = jax.jit(lambda params: network.apply(params, vectors, method=Vae.encode))(params)
+    return VaeLevels(params, latents, capacity, generator, config), losses
 
 
 def _vectors(levels: Level, capacity: Capacity, generator: GeneratorConfig) -> Array:
