@@ -213,7 +213,12 @@ class TrainConfig:
                 f"env.observation {self.env.observation!r} gives {gives}, but policy.network {self.policy.network!r} "
                 f"takes {takes}; change one of them"
             )
-        curriculum_class(self.curriculum, self.rollout.worlds_per_group)
+        if self.curriculum_class.needs_whole_episodes and self.rollout.num_steps < self.env.max_steps:
+            raise ConfigError(
+                f"curriculum {self.curriculum.name!r} needs the end of an episode in every world of an update, but "
+                f"rollout.num_steps is {self.rollout.num_steps} and env.max_steps {self.env.max_steps}; raise the one "
+                "or lower the other"
+            )
         if self.run.placement == "split" and self.run.num_rollout_actors > self.rollout.num_groups:
             raise ConfigError(
                 f"{self.run.num_rollout_actors} rollout actors cannot share {self.rollout.num_groups} world groups: "

@@ -53,4 +53,4 @@ class LevelOutcome:
     return_sum: Array  # [W] float32, undiscounted returns
     length_sum: Array  # [W] int32, environment steps
     physics: PhysicsCounts  # [W] of all steps, of unfinished episodes too
-    summary: Any = None  # any pytree, [W, ...]: what the curriculum's `summarise` made of the trajectory
+    summary: Any = None  # any pytree, worlds first: what the curriculum's `summarise` made of the trajectory

@@ -96,6 +96,7 @@ _CURRICULA = {
     "plr": CurriculumConfig(name="plr", buffer_size=4096),
     "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=4096),
     "accel": CurriculumConfig(name="accel", buffer_size=4096),
+    "paired": CurriculumConfig(name="paired"),
 }
 
 
@@ -104,8 +105,8 @@ def _paper(curriculum: str, size: str) -> TrainConfig:
     return TrainConfig(
         env=EnvConfig(size=size),
         policy=PolicyConfig(dtype="bfloat16"),
-        # Robust PLR and ACCEL learn from half of the worlds: as many samples in a minibatch.
-        ppo=PpoConfig(minibatches=16) if curriculum in ("robust_plr", "accel") else PpoConfig(),
+        # These learn from half of the worlds: as many samples in a minibatch.
+        ppo=PpoConfig(minibatches=16) if curriculum in ("robust_plr", "accel", "paired") else PpoConfig(),
         curriculum=_CURRICULA[curriculum],
         evaluation=EvaluationConfig(sets=(f"random_{size}", f"designed_{size}")),
         run=RunConfig(name=f"{curriculum}_{size}", total_env_steps=1_000_000_000, device="gpu", checkpoint_every=100),

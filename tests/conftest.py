@@ -53,6 +53,7 @@ LONGEST_FILES = (
     "test_follows_float64.py",
     "test_effects.py",
     "test_hard_scenes.py",
+    "test_paired.py",
 )
 
 

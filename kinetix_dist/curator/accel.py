@@ -5,9 +5,11 @@ this update, each after `accel.num_changes` random mutators. Children are scored
 sees of them, and give no gradient; those that score higher than others in the buffer take their places. So levels grow
 from simple ones at the frontier of what the policy can do.
 
-Departures from the paper: parents are the levels that are drawn for replay, not the easiest of a batch; fresh levels go
-on being drawn beside (there they only fill the buffer at first); and where a child solves itself without any action, a
-fresh level is played in its place.
+Children are drawn as fresh levels are: twice as many as are played, those that solve themselves left out. While the
+buffer is empty they are children of fresh levels.
+
+Departures from the paper: parents are the levels that are drawn for replay, not the easiest of a batch; and fresh
+levels go on being drawn beside (there they only fill the buffer at first).
 """
 
 from __future__ import annotations
@@ -16,10 +18,10 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.curator.buffer_share import num_from_buffer
+from kinetix_dist.curator.buffer_share import by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
-from kinetix_dist.curator.replay_buffer import ReplayBuffer
 from kinetix_dist.curator.robust_plr import RobustPlr
+from kinetix_dist.level.filters import OVERSAMPLING, keep_unsolved
 from kinetix_dist.level.level import Level
 
 
@@ -31,29 +33,30 @@ class Accel(RobustPlr):
     @classmethod
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
         super().check(config, worlds_per_group)
-        if _num_edited(config, worlds_per_group) < 1:
-            num_new = worlds_per_group - num_from_buffer(config, worlds_per_group)
+        num_edited = _num_edited(config, worlds_per_group)
+        num_new = worlds_per_group - num_from_buffer(config, worlds_per_group)
+        if not 0 < num_edited < num_new:
             raise ValueError(
-                f"accel.edited_share {config.accel.edited_share} of {num_new} new levels a group is none; 'accel' "
-                "needs one or more: raise it, lower buffer_share, or play more worlds"
+                f"accel.edited_share {config.accel.edited_share} of {num_new} new levels a group is {num_edited}; "
+                "'accel' needs changed levels and fresh ones: change it, lower buffer_share, or play more worlds"
             )
 
-    def new_levels(self, state: ReplayBuffer, group_keys: Array, replayed: Level, fresh: Level) -> Level:
-        num_edited = _num_edited(self.tools.config, self.tools.worlds_per_group)
-        num_groups = group_keys.shape[0]
-        parents = jax.tree.map(lambda x: x[:, jnp.arange(num_edited) % x.shape[1]], replayed)
-        keys = jax.vmap(lambda key: jax.random.split(jax.random.fold_in(key, 2), num_edited))(group_keys)
-        flat = jax.tree.map(lambda x: x.reshape(num_groups * num_edited, *x.shape[2:]), parents)
-        children = self.tools.edit(keys.reshape(-1), flat)
-        is_trivial = self.tools.solves_itself(children).reshape(num_groups, num_edited)
-        is_fresh = is_trivial | ~state.is_filled.any()
+    @classmethod
+    def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
+        return super().num_fresh(config, worlds_per_group) - _num_edited(config, worlds_per_group)
 
-        def join(child: Array, new: Array) -> Array:
-            child = child.reshape(num_groups, num_edited, *child.shape[1:])
-            left_out = is_fresh.reshape(num_groups, num_edited, *(1,) * (child.ndim - 2))
-            return jnp.concatenate([jnp.where(left_out, new[:, :num_edited], child), new[:, num_edited:]], axis=1)
-
-        return jax.tree.map(join, children, fresh)
+    def new_levels(self, group_keys: Array, replayed: Level, fresh: Level) -> Level:
+        num_edited, num_groups = _num_edited(self.tools.config, self.tools.worlds_per_group), group_keys.shape[0]
+        num_drawn = OVERSAMPLING * num_edited
+        parents = jax.tree.map(lambda x: x[:, jnp.arange(num_drawn) % x.shape[1]], replayed)
+        keys = jax.vmap(lambda key: jax.random.split(jax.random.fold_in(key, 2), num_drawn))(group_keys)
+        # All groups are played together: one large batch instead of a few small ones.
+        flat = jax.tree.map(lambda x: x.reshape(num_groups * num_drawn, *x.shape[2:]), parents)
+        drawn = self.tools.edit(keys.reshape(-1), flat)
+        is_trivial = self.tools.solves_itself(drawn).reshape(num_groups, num_drawn)
+        keep = jax.vmap(lambda levels, trivial: keep_unsolved(levels, trivial, num_edited))
+        children = keep(by_group(drawn, num_groups), is_trivial)
+        return jax.tree.map(lambda *xs: jnp.concatenate(xs, axis=1), children, fresh)
 
 
 def _num_edited(config: CurriculumConfig, worlds_per_group: int) -> int:

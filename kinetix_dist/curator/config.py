@@ -7,8 +7,9 @@ import dataclasses
 from kinetix_dist.level.generator_config import GeneratorConfig
 
 # Of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`.
-OWN_SECTIONS = ("plr", "accel")
+OWN_SECTIONS = ("plr", "accel", "paired")
 PRIORITISATIONS = ("rank", "top_k")
+ANTAGONIST_RETURNS = ("mean", "max")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -38,24 +39,52 @@ class PlrConfig:
 class AccelConfig:
     """Which new levels are children of levels in the buffer, and how far from them (Parker-Holder et al. 2022)."""
 
-    edited_share: float = 0.5  # of the worlds that play new levels; the others play fresh ones
+    edited_share: float = 0.5  # of the worlds that play new levels; the others, one a group or more, play fresh ones
     num_changes: int = 3  # random mutators from a level to its child
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.edited_share <= 1.0:
+        if not 0.0 < self.edited_share < 1.0:
             raise ValueError(
-                f"AccelConfig.edited_share is {self.edited_share}; it must be above 0 and at most 1 (for none use name "
-                "'robust_plr')"
+                f"AccelConfig.edited_share is {self.edited_share}; it must be above 0 (for none use name 'robust_plr') "
+                "and below 1: fresh levels fill the buffer first"
             )
         if self.num_changes < 1:
             raise ValueError(f"AccelConfig.num_changes is {self.num_changes}; it must be 1 or more")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class PairedConfig:
+    """How the teacher of PAIRED learns (Dennis et al. 2020); what is not here is as in `ppo`."""
+
+    antagonist_return: str = "mean"  # in the regret: of its episodes on a level the "mean" return, or the best, "max"
+    hidden_size: int = 128  # of the teacher's network
+    hidden_layers: int = 2  # of its actor and of its critic
+    learning_rate: float = 3e-4
+    epochs: int = 8  # each is one gradient step, from all levels of an update
+    clip: float = 0.2
+    entropy_coefficient: float = 0.01
+
+    def __post_init__(self) -> None:
+        if self.antagonist_return not in ANTAGONIST_RETURNS:
+            raise ValueError(
+                f"PairedConfig.antagonist_return is {self.antagonist_return!r}; choose from "
+                f"{', '.join(ANTAGONIST_RETURNS)}"
+            )
+        for name in ("hidden_size", "hidden_layers", "epochs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"PairedConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        for name in ("learning_rate", "clip"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"PairedConfig.{name} is {getattr(self, name)}; it must be positive")
+        if self.entropy_coefficient < 0:
+            raise ValueError(f"PairedConfig.entropy_coefficient is {self.entropy_coefficient}; it must be 0 or more")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
 
-    name: str = "sfl"  # "sfl", "plr", "robust_plr", "accel", "domain_randomization" or "fixed"
+    name: str = "sfl"  # "sfl", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
     num_candidates: int = 12288  # N, fresh levels scored in a refresh
     scoring_steps: int = 512  # L, environment steps played on each candidate
@@ -66,6 +95,7 @@ class CurriculumConfig:
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)
+    paired: PairedConfig = dataclasses.field(default_factory=PairedConfig)
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@
 | `plr` | a share from a buffer of levels of high score, by rank and staleness, the rest fresh |
 | `robust_plr` | the same; fresh levels give no gradient |
 | `accel` | the same; part of what is fresh there are levels of the buffer with random changes |
+| `paired` | built by a teacher that looks for what a second student can and the policy cannot |
 | `domain_randomization` | all fresh from the generator |
 | `fixed` | a given set, spread evenly |
 """
@@ -17,6 +18,7 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.curator.domain_randomization import DomainRandomization
 from kinetix_dist.curator.fixed import Fixed
+from kinetix_dist.curator.paired import Paired
 from kinetix_dist.curator.plr import Plr
 from kinetix_dist.curator.robust_plr import RobustPlr
 from kinetix_dist.curator.sfl import Sfl
@@ -27,6 +29,7 @@ CURRICULA.register("sfl", Sfl)
 CURRICULA.register("plr", Plr)
 CURRICULA.register("robust_plr", RobustPlr)
 CURRICULA.register("accel", Accel)
+CURRICULA.register("paired", Paired)
 CURRICULA.register("domain_randomization", DomainRandomization)
 CURRICULA.register("fixed", Fixed)
 

@@ -1,6 +1,7 @@
 """What a curriculum is: it proposes the levels of an update, sees what became of them, and owns its state.
 
     levels of update u   proposal = propose(state, keys of the world groups, numbers of the groups)     on every device
+    who plays them       policy, params = players(policy, params, state)        that of the run, unless it says so
     where it was played  outcome.summary = summarise(trajectory, last values)               if it `observes`
     after update u       state = observe(state, proposal, outcome)                          if it `observes`
     now and then         refreshed = refresh(params, policy version, key)                   if it `refreshes`
@@ -11,8 +12,9 @@ its result adopted at an update that is fixed beforehand. The state is one pytre
 checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
 
 How others are written: `plr.py` keeps a buffer of levels with scores as its state, proposes some of it and some fresh
-levels, and scores what was played in `observe`. `accel.py` also proposes changed levels of it.
-A bandit over level sets observes success and proposes accordingly. Each is one file and its registration.
+levels, and scores what was played in `observe`. `accel.py` also proposes changed levels of it. In `paired.py` a second
+student plays half of the worlds; it and a teacher, who builds the levels, learn in `observe`. A bandit over level sets
+observes success and proposes accordingly. Each is one file and its registration.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from typing import Any
 import jax
 
 from jax2d.scene import Array, Capacity
+from kinetix_dist.curator.agents import Agents
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.level.level import Level
@@ -38,7 +41,7 @@ class Proposal:
     """Levels to play, one a world, and what the curriculum wants to know of each when it observes."""
 
     levels: Level  # [W, ...]
-    tags: Any = None  # any pytree, [W, ...]: where in the state a level comes from, say
+    tags: Any = None  # any pytree, [W, ...] (or as many rows a group): where in the state a level comes from, say
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,6 +55,7 @@ class CurriculumTools:
     play: Callable[[Any, Level, Array, int], LevelOutcome]  # (params, levels, key, steps): episodes of the policy
     load_levels: Callable[[str], Level]  # of a level set or a path, in the run's size
     advantages: Callable[[Trajectory, Array], Array]  # (trajectory, last values) -> [T, W], the learner's
+    agents: Agents  # what learns beside the policy
     devices: Sequence[Any] = dataclasses.field(default_factory=jax.local_devices)  # for `refresh`, of this process
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
@@ -80,6 +84,7 @@ class Curriculum(abc.ABC):
     observes: bool = False  # sees outcomes after each update
     refreshes: bool = False  # has a curator
     takes_levels: bool = False  # needs `curriculum.levels`
+    needs_whole_episodes: bool = False  # an episode ends in every world of an update: `num_steps` >= `max_steps`
     sections: tuple[str, ...] = ()  # of `CurriculumConfig` that are its own: the hash of other runs leaves them out
 
     def __init__(self, tools: CurriculumTools) -> None:
@@ -112,8 +117,18 @@ class Curriculum(abc.ABC):
         spread over devices.
         """
 
+    def players(self, policy: Any, params: Any, state: Any) -> tuple[Any, Any]:
+        """Who plays the worlds of an update: a policy and its parameters, by default those of the run.
+
+        The policy has `apply(params, obs)` -> (outputs, values) for the worlds of one device, group by group; the run
+        learns from the first `num_trained` of each group, where its own policy has to act. Inside jit and shard_map.
+        """
+        del state
+        return policy, params
+
     def summarise(self, trajectory: Trajectory, last_value: Array) -> Any:
         """What `observe` finds in `outcome.summary`: a pytree [W, ...] of what was played, by default nothing.
+        Leaves may have fewer rows, as many for each group.
 
         trajectory [T, W, ...], last_value [W]: of the worlds of one device, on which it works, inside jit and
         shard_map. A world's part must depend on that world only. The trajectory itself goes to the learner alone.

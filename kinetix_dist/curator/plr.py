@@ -63,18 +63,18 @@ class Plr(Curriculum):
         """A group's worlds are those of the buffer first, then the fresh ones."""
         del groups
         size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
-        num_replayed = num_from_buffer(self.tools.config, size)
+        num_replayed, num_fresh = num_from_buffer(self.tools.config, size), self.num_fresh(self.tools.config, size)
         split = jax.vmap(jax.random.split)(group_keys)
-        fresh = by_group(self.tools.draw_fresh(split[:, 1], size - num_replayed), num_groups)
+        fresh = by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups)
 
         log_chances, shape = jnp.log(replay_chances(state, self.tools.config.plr)), (num_replayed,)
         place = jax.vmap(lambda key: jax.random.categorical(key, log_chances, shape=shape))(split[:, 0])
         is_empty = ~state.is_filled.any()
-        repeated = jnp.arange(num_replayed) % (size - num_replayed)
+        repeated = jnp.arange(num_replayed) % num_fresh
         replayed = jax.tree.map(
             lambda buffered, new: jnp.where(is_empty, new[:, repeated], buffered[place]), state.levels, fresh
         )
-        new = self.new_levels(state, group_keys, replayed, fresh)
+        new = self.new_levels(group_keys, replayed, fresh)
         no_place = jnp.zeros((num_groups, size - num_replayed), jnp.int32)
         tags = (
             {"place": place.astype(jnp.int32), "born": state.born[place], "is_new": jnp.zeros(place.shape, bool)},
@@ -82,9 +82,14 @@ class Plr(Curriculum):
         )
         return Proposal(levels=join_by_group(replayed, new), tags=join_by_group(*tags))
 
-    def new_levels(self, state: ReplayBuffer, group_keys: Array, replayed: Level, fresh: Level) -> Level:
-        """What a group plays beside levels of the buffer: [groups, new, ...], as `fresh` is. `replayed`: its others."""
-        del state, group_keys, replayed
+    @classmethod
+    def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
+        """Levels that a group draws from the generator."""
+        return worlds_per_group - num_from_buffer(config, worlds_per_group)
+
+    def new_levels(self, group_keys: Array, replayed: Level, fresh: Level) -> Level:
+        """What a group plays beside levels of the buffer, [groups, new, ...]. replayed, fresh: [groups, ...]."""
+        del group_keys, replayed
         return fresh
 
     def summarise(self, trajectory: Trajectory, last_value: Array) -> ValueSummary:

@@ -41,6 +41,16 @@ class ValueSummary:
 
 def summarise_values(trajectory: Trajectory, advantages: Array) -> ValueSummary:
     """advantages [T, W]: of the steps of the trajectory, which begins with an episode."""
+    return ValueSummary(
+        mean_value=trajectory.values.mean(axis=0),
+        max_return=highest_return(trajectory),
+        positive_value_loss=jnp.maximum(advantages, 0.0).mean(axis=0),
+        l1_value_loss=jnp.abs(advantages).mean(axis=0),
+    )
+
+
+def highest_return(trajectory: Trajectory) -> Array:
+    """[W] float32, undiscounted, of the episodes that ended; UNKNOWN without one. Begins with an episode."""
 
     def step(carry: tuple[Array, Array], at: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
         so_far, highest = carry
@@ -51,12 +61,7 @@ def summarise_values(trajectory: Trajectory, advantages: Array) -> ValueSummary:
 
     zero = jnp.zeros_like(trajectory.rewards[0])
     (_, max_return), _ = jax.lax.scan(step, (zero, zero + UNKNOWN), (trajectory.rewards, trajectory.done_after))
-    return ValueSummary(
-        mean_value=trajectory.values.mean(axis=0),
-        max_return=max_return,
-        positive_value_loss=jnp.maximum(advantages, 0.0).mean(axis=0),
-        l1_value_loss=jnp.abs(advantages).mean(axis=0),
-    )
+    return max_return
 
 
 # (outcome, with a ValueSummary; best_return [W]: R of the level of each world, this update's episodes included, UNKNOWN

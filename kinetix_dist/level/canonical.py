@@ -32,17 +32,22 @@ def canonical(level: Level) -> Level:
     num_polygons = shapes.num_vertices.shape[0]
     vertices = jax.vmap(canonical_corners)(jnp.asarray(shapes.vertices), jnp.asarray(shapes.num_vertices))
     is_polygon = jnp.asarray(shapes.active)[:num_polygons, None, None]
+    ordered = in_order(joints)
+    ordered = dataclasses.replace(ordered, axis_angle=_wrapped(ordered.axis_angle))
+    scene = level.scene.replace(shapes={"vertices": jnp.where(is_polygon, vertices, shapes.vertices)}, joints=ordered)
+    return dataclasses.replace(level, scene=scene)
+
+
+def in_order(joints: Joints) -> Joints:
+    """The same joints [J], end a the lower slot."""
     is_reversed = jnp.asarray(joints.active) & (jnp.asarray(joints.a) > jnp.asarray(joints.b))
-    in_order = jax.tree.map(
+    return jax.tree.map(
         lambda swapped, as_is: jnp.where(
             is_reversed.reshape(is_reversed.shape + (1,) * (as_is.ndim - 1)), swapped, as_is
         ),
         swap_ends(joints),
         joints,
     )
-    in_order = dataclasses.replace(in_order, axis_angle=_wrapped(in_order.axis_angle))
-    scene = level.scene.replace(shapes={"vertices": jnp.where(is_polygon, vertices, shapes.vertices)}, joints=in_order)
-    return dataclasses.replace(level, scene=scene)
 
 
 def canonical_corners(vertices: Array, num_vertices: Array) -> Array:

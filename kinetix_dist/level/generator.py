@@ -32,7 +32,7 @@ from kinetix_dist.level.draft import (
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
-from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose
+from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose, shape_mass
 from kinetix_dist.level.roles import Role
 
 __all__ = ["GeneratorConfig", "generate_level", "generate_levels"]
@@ -143,7 +143,7 @@ def _add_thrusters(draws: Array, draft: Draft, force_thruster: Array, config: Ge
             body=body,
             position=position,
             angle=angle,
-            power=_mass(shape) * config.thruster_power_factor * (0.5 + 1.5 * draw[7]),
+            power=shape_mass(shape) * config.thruster_power_factor * (0.5 + 1.5 * draw[7]),
         )
         colour = jnp.floor(draw[8] * NUM_THRUSTER_COLOURS).astype(jnp.int32)
         driven = DrivenThrusters(thrusters=thruster, colour=colour)
@@ -153,14 +153,6 @@ def _add_thrusters(draws: Array, draft: Draft, force_thruster: Array, config: Ge
 
     draft, _ = jax.lax.scan(addition, draft, (jnp.arange(num_thrusters), draws))
     return draft
-
-
-def _mass(shape: object) -> Array:
-    """kg, at density 1."""
-    corners = shape.vertices
-    following = jnp.roll(corners, -1, axis=0)
-    area = 0.5 * jnp.sum(corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0])
-    return area + math.pi * shape.radius**2
 
 
 def _swap_green_and_blue(coin: Array, draft: Draft) -> Draft:

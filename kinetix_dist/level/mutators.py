@@ -134,7 +134,7 @@ def add_joined_shape(key: Array, edited: Edited, capacity: Capacity, config: Gen
 
 
 def _add(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig, *, is_joined: bool) -> Edited:
-    draft = _draft_of(edited, capacity)
+    draft = draft_of(edited, capacity)
     request = Request(
         is_joined=jnp.array(is_joined),
         force_motor=jnp.array(False),
@@ -148,7 +148,8 @@ def _add(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig
     return Edited(level=level, is_fixed=after.shapes.is_fixed, changed=proposals.is_possible.any())
 
 
-def _draft_of(edited: Edited, capacity: Capacity) -> Draft:
+def draft_of(edited: Edited, capacity: Capacity) -> Draft:
+    """A level as a draft: what `with_draft` takes."""
     level, shapes, joints = edited.level, edited.level.scene.shapes, edited.level.scene.joints
     circles, polygons = capacity.circles, capacity.polygons
     ends = (jnp.stack([joints.a, joints.b])[..., None] == jnp.arange(capacity.shapes)) & joints.active[..., None]
@@ -202,7 +203,7 @@ def add_thruster(key: Array, edited: Edited, capacity: Capacity, config: Generat
     level, draw = edited.level, _draws(key)
     may = _owned(edited) & ~edited.is_fixed
     body = _choose(may, draw[0])
-    shapes = _draft_of(edited, capacity).shapes
+    shapes = draft_of(edited, capacity).shapes
     inverse_mass = level.scene.shapes.inverse_mass[body]
     mass = 1.0 / jnp.where(inverse_mass > 0, inverse_mass, 1.0)
     thruster = Thrusters(

@@ -96,6 +96,14 @@ def point_inside(shape: Shapes, draw: Array) -> Array:
     return jnp.where(shape.num_vertices > 0, in_polygon, in_circle)
 
 
+def shape_mass(shape: Shapes) -> Array:
+    """kg, of one shape at density 1."""
+    corners = shape.vertices
+    following = jnp.roll(corners, -1, axis=0)
+    area = 0.5 * jnp.sum(corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0])
+    return area + math.pi * shape.radius**2
+
+
 def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, config: GeneratorConfig) -> Proposal:
     """One proposal from `draw` [NUM_DRAWS] uniform numbers."""
     shapes = draft.shapes

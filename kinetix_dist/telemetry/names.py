@@ -98,6 +98,21 @@ _ALL = (
         "mean score of the levels in the replay buffer; nan while it is empty",
     ),
     Metric("curriculum/replay_age", "updates", "since a level of the replay buffer was last played, mean"),
+    Metric(
+        "curriculum/regret",
+        "reward",
+        "PAIRED: return of the antagonist less that of the policy, mean over levels",
+    ),
+    Metric("curriculum/protagonist_return", "reward", "mean return of the policy on the levels of the teacher"),
+    Metric("curriculum/antagonist_return", "reward", "that of the second student, as curriculum.paired has it"),
+    Metric("curriculum/protagonist_solve_rate", "share", "of the episodes of the policy, mean over levels"),
+    Metric("curriculum/antagonist_solve_rate", "share", "of those of the second student, mean over levels"),
+    Metric("curriculum/teacher_entropy", "nat", "entropy of the teacher's policy, summed over the heads of an action"),
+    Metric(
+        "curriculum/skipped_steps",
+        "gradient steps",
+        "of teacher and antagonist, skipped in this update because a gradient was not finite",
+    ),
     Metric("curriculum/scoring_seconds", "s", "how long the scoring of the buffer in use took the curator"),
     # Learner
     Metric("learner/policy_loss", "1", "clipped surrogate loss, mean over gradient steps"),

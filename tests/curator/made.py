@@ -30,7 +30,7 @@ def curriculum_of(
     def unused(*arguments: Any) -> Any:
         raise AssertionError(f"this curriculum was to do without: {arguments}")
 
-    functions = dict.fromkeys(("solves_itself", "play", "load_levels", "advantages"), unused) | given
+    functions = dict.fromkeys(("solves_itself", "play", "load_levels", "advantages", "agents"), unused) | given
     made = tools(config=config, capacity=capacity, worlds_per_group=worlds_per_group, **functions)  # type: ignore[arg-type]
     return curriculum_class(config, worlds_per_group)(made)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.learner_core import _initial_state
@@ -35,7 +36,7 @@ def main() -> None:
     env = make_environment(config)
     policy = make_policy(config.policy, env.action_distribution.head_sizes)
     params = jax.device_get(jax.jit(lambda: _initial_state(config, env, policy))().params)
-    curriculum, buffers = make_curriculum(config, env, policy), {}
+    curriculum, buffers = make_curriculum(config, env, policy, data_mesh()), {}
     for count in counts:
         curriculum.tools = dataclasses.replace(curriculum.tools, devices=jax.devices()[: int(count)])
         buffer = curriculum.refresh(params, 5, jax.random.key(3))

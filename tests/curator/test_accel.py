@@ -63,20 +63,46 @@ def test_it_grows_levels_that_the_generator_never_draws():
     assert grown.mean() < 0.2 < drawn.mean()
 
 
-def test_first_update_plays_fresh_levels_alone_and_later_ones_children_of_what_they_replay():
+def _children(levels):
+    return np.asarray(levels).reshape(GROUPS, PER_GROUP)[:, PER_GROUP // 2 : 3 * PER_GROUP // 4]
+
+
+def test_a_quarter_of_the_worlds_plays_children_of_what_the_group_replays_from_the_first_update_on():
+    """In the first one fresh levels are repeated, and changed."""
     _, _, proposals = _run(_curriculum(edited_share=0.5), 4)
-    first, last = proposals[0], proposals[-1]
-    assert (first >= EASIEST_HARD).all()
-    replayed, children = last[:, : PER_GROUP // 2], last[:, PER_GROUP // 2 : 3 * PER_GROUP // 4]
-    assert (np.abs(children - replayed[:, : children.shape[1]]) <= 0.1 + 1e-6).all()
-    assert (children != replayed[:, : children.shape[1]]).all()
-    assert (last[:, 3 * PER_GROUP // 4 :] >= EASIEST_HARD).all()
+    for levels in proposals:
+        replayed, children = levels[:, : PER_GROUP // 2], _children(levels)
+        assert (np.abs(children - replayed[:, : children.shape[1]]) <= 0.1 + 1e-6).all()
+        assert (children != replayed[:, : children.shape[1]]).all()
+        assert (levels[:, 3 * PER_GROUP // 4 :] >= EASIEST_HARD).all()
+    fresh = proposals[0][:, 3 * PER_GROUP // 4 :]
+    np.testing.assert_array_equal(proposals[0][:, : PER_GROUP // 2], np.tile(fresh, 2))
 
 
-def test_a_child_that_solves_itself_gives_way_to_a_fresh_level():
-    curriculum, usual = _curriculum(trivial_above=-1.0), _curriculum("robust_plr")
-    state, _, _ = _run(usual, 4)
-    np.testing.assert_array_equal(_propose(curriculum, state, 9).levels, _propose(usual, state, 9).levels)
+def test_no_fresh_level_is_drawn_that_is_not_played():
+    """Twice as many of each kind are drawn as are played: the others solve themselves, or are spare."""
+    asked = []
+
+    class Counting(_Tools):
+        def draw_fresh(self, group_keys, levels_per_group):
+            asked.append(levels_per_group)
+            return super().draw_fresh(group_keys, levels_per_group)
+
+    config = CurriculumConfig(name="accel", plr=PlrConfig(score="failure"), accel=AccelConfig(edited_share=0.5))
+    curriculum = curriculum_of(config, PER_GROUP, Counting, solves_itself=lambda levels: levels > 2.0)
+    _propose(curriculum, empty_buffer(jnp.zeros(()), PLACES), 0)
+    assert asked == [PER_GROUP // 4]
+
+
+def test_children_that_solve_themselves_are_left_out_while_there_are_others():
+    state, _, _ = _run(_curriculum(), 4)
+    plain = _children(_propose(_curriculum(), state, 9).levels)
+    easiest = plain.max()
+    found = _children(_propose(_curriculum(trivial_above=easiest - 1e-6), state, 9).levels)
+    assert found.max() < easiest
+    others = (plain < easiest).all(1)
+    assert others.sum() == GROUPS - 1
+    np.testing.assert_array_equal(found[others], plain[others])
 
 
 def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn():
@@ -100,10 +126,11 @@ def test_edited_levels_are_mutated_ones():
     ("make", "said"),
     [
         (lambda: AccelConfig(edited_share=0.0), r"^AccelConfig.edited_share is 0.0; it must be above 0"),
+        (lambda: AccelConfig(edited_share=1.0), r"^AccelConfig.edited_share is 1.0; .* and below 1: fresh levels"),
         (lambda: AccelConfig(num_changes=0), r"^AccelConfig.num_changes is 0; it must be 1 or more$"),
         (
             lambda: curriculum_class(CurriculumConfig(name="accel", accel=AccelConfig(edited_share=0.1)), PER_GROUP),
-            r"^accel.edited_share 0.1 of 4 new levels a group is none; 'accel' needs one or more",
+            r"^accel.edited_share 0.1 of 4 new levels a group is 0; 'accel' needs changed levels and fresh ones",
         ),
     ],
 )

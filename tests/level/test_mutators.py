@@ -8,12 +8,11 @@ import jax
 import numpy as np
 import pytest
 
-from jax2d.checks import check_scene
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
-from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
+from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.mutators import MUTATORS, apply, mutate
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import empty_level
+from tests.level.valid import assert_valid
 
 SIZE = "m"
 CAPACITY, CONFIG = SIZES[SIZE], GeneratorConfig()
@@ -36,36 +35,10 @@ def mutated(name: str) -> tuple[Level, np.ndarray]:
     return jax.tree.map(np.asarray, jax.jit(one)(keys, generated()))
 
 
-def world(level: Level, end: np.ndarray, anchor: np.ndarray) -> np.ndarray:
-    """[L, J, 2] m, where an anchor is in the world."""
-    of = np.arange(len(end))[:, None]
-    angle, position = level.angle[of, end], level.position[of, end]
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = anchor[..., 0], anchor[..., 1]
-    return position + np.stack([cos * x - sin * y, sin * x + cos * y], -1)
-
-
 @pytest.mark.parametrize("name", [*MUTATORS, "any"])
 def test_a_changed_level_is_valid(name: str):
     level, changed = mutated(name)
-    scene, joints, thrusters = level.scene, level.scene.joints, level.scene.thrusters
-    check_scene(scene, CAPACITY, np.dtype(np.float32), batch=(NUM_LEVELS,))
-    for role, most, least in ((Role.GREEN, 1, 1), (Role.BLUE, 1, 1), (Role.RED, 1, 0)):
-        count = (scene.shapes.active & (level.shape_role == role)).sum(axis=1)
-        assert least <= count.min() and count.max() <= most
-    of = np.arange(NUM_LEVELS)[:, None]
-    assert (scene.shapes.active[of, joints.a] | ~joints.active).all()
-    assert (scene.shapes.active[of, joints.b] | ~joints.active).all()
-    assert ((joints.a != joints.b) | ~joints.active).all()
-    assert (scene.shapes.active[of, thrusters.body] | ~thrusters.active).all()
-    assert ((scene.shapes.inverse_mass[of, thrusters.body] > 0) | ~thrusters.active).all()
-    gap = np.linalg.norm(world(level, joints.a, joints.anchor_a) - world(level, joints.b, joints.anchor_b), axis=-1)
-    assert (gap * joints.active).max() < 1e-4
-    fixed = scene.shapes.active & (scene.shapes.inverse_mass == 0)
-    assert (level.velocity[fixed] == 0).all()
-    walls = empty_level(CAPACITY)
-    np.testing.assert_array_equal(level.position[:, :NUM_WALLS], walls.position[None, :NUM_WALLS].repeat(NUM_LEVELS, 0))
-    assert (scene.shapes.active[:, :NUM_WALLS] & fixed[:, :NUM_WALLS]).all()
+    assert_valid(level, CAPACITY)
     assert changed.mean() > (0.05 if name in ("add_shape", "add_joined_shape") else 0.15)
 
 

@@ -1,9 +1,9 @@
 """Plays and learns two updates on several numbers of CPU devices and saves what comes out.
 
-    XLA_FLAGS=--xla_force_host_platform_device_count=7 python tests/runtime/devices_program.py OUT.npz 1 7
+    XLA_FLAGS=--xla_force_host_platform_device_count=7 python tests/runtime/devices_program.py OUT.npz most_failed 1 7
 
-The curriculum is one of a user that sees all worlds of an update. Saved for each number of devices: levels
-and actions of the first update, its sums, and a checkpoint and the metrics after the second.
+The curriculum is one that sees all worlds of an update: that of a user, or "paired". Saved for each number of devices:
+levels and actions of the first update, its sums, and a checkpoint and the metrics after the second.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.config import CurriculumConfig, PairedConfig
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.worker import Worker
@@ -24,23 +24,27 @@ from tests.runtime.runs import tiny_config
 
 NUM_UPDATES = 2
 PLUGINS = ("tests.runtime.fake_curriculum",)
+CURRICULA = {
+    "most_failed": CurriculumConfig(name="most_failed", levels="designed_s"),
+    "paired": CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=16, epochs=2)),
+}
 
 
-def config() -> TrainConfig:
+def config(curriculum: str) -> TrainConfig:
     """Eight groups of two worlds."""
     import_plugins(PLUGINS)
     tiny = tiny_config(num_updates=NUM_UPDATES, plugins=PLUGINS)
     return dataclasses.replace(
         tiny,
         env=dataclasses.replace(tiny.env, max_steps=5),
-        curriculum=CurriculumConfig(name="most_failed", levels="designed_s"),
+        curriculum=CURRICULA[curriculum],
         rollout=dataclasses.replace(tiny.rollout, num_groups=8),
         ppo=dataclasses.replace(tiny.ppo, virtual_shards=8),
     )
 
 
-def play_and_learn(num_devices: int) -> dict[str, np.ndarray]:
-    worker = Worker(config(), data_mesh(jax.devices()[:num_devices]))
+def play_and_learn(curriculum: str, num_devices: int) -> dict[str, np.ndarray]:
+    worker = Worker(config(curriculum), data_mesh(jax.devices()[:num_devices]))
     worker.start(None)
     rollout = worker._rollout
     batch, (proposal, _), sums = rollout.play(worker._learner.params, worker._state.placed, 0)
@@ -54,8 +58,8 @@ def play_and_learn(num_devices: int) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    out, *counts = sys.argv[1:]
-    found = {f"{count}:{name}": x for count in counts for name, x in play_and_learn(int(count)).items()}
+    out, curriculum, *counts = sys.argv[1:]
+    found = {f"{count}:{name}": x for count in counts for name, x in play_and_learn(curriculum, int(count)).items()}
     np.savez(out, **found)
 
 

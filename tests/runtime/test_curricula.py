@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import list_checkpoints
-from kinetix_dist.curator.config import CurriculumConfig, PlrConfig
+from kinetix_dist.curator.config import CurriculumConfig, PairedConfig, PlrConfig
 from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -22,7 +22,9 @@ CURRICULA = {
     "plr": CurriculumConfig(name="plr", buffer_size=12),
     "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=12),
     "accel": CurriculumConfig(name="accel", buffer_size=12),
+    "paired": CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=16, epochs=2)),
 }
+STUDENTS = ("learner/params/", "curriculum/antagonist/params/")
 IN_MAKE_TEST = "plr"  # it keeps as much as any; its learner is compiled for other tests too
 
 
@@ -64,8 +66,14 @@ def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_pat
     for ours, theirs in zip(resumed, rows[SAVED_AT:], strict=True):
         np.testing.assert_equal(_what_was_learned(ours), _what_was_learned(theirs))
     assert_same_bits(final_arrays(tmp_path / "cut"), final_arrays(tmp_path / "unbroken"))
-    if name != "domain_randomization":
-        assert (final_arrays(tmp_path / "cut")["curriculum/born"] > 0).any()  # of updates after the first
+    after = final_arrays(tmp_path / "cut")
+    if name in ("plr", "robust_plr", "accel"):
+        assert (after["curriculum/born"] > 0).any()  # of updates after the first
+    if name == "paired":
+        assert after["curriculum/teacher/num_updates"] == after["curriculum/antagonist/num_updates"] == NUM_UPDATES
+        ours, theirs = ({part: after[part] for part in after if part.startswith(whose)} for whose in STUDENTS)
+        assert len(ours) == len(theirs) > 0
+        assert not any(np.array_equal(a, b) for a, b in zip(ours.values(), theirs.values(), strict=True))
     learned_from, _ = final_arrays(tmp_path / "cut")["learner/env_steps"]
     assert learned_from == NUM_UPDATES * config.rollout.num_steps * config.num_trained_envs
     assert all(np.isfinite(row["learner/policy_loss"]) for row in rows)

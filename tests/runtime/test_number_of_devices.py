@@ -16,13 +16,13 @@ from tests.runtime.runs import tiny_config
 PROGRAM = REPOSITORY / "tests" / "runtime" / "devices_program.py"
 
 
-@pytest.fixture(scope="module")
-def by_count(tmp_path_factory):
+@pytest.fixture(scope="module", params=["most_failed", pytest.param("paired", marks=pytest.mark.slow)])
+def by_count(request, tmp_path_factory):
     """Arrays by number of devices, of one process that has seven."""
     out = tmp_path_factory.mktemp("devices") / "out.npz"
     flags = "--xla_force_host_platform_device_count=7"
     environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
-    command = [sys.executable, str(PROGRAM), str(out), "1", "7"]
+    command = [sys.executable, str(PROGRAM), str(out), request.param, "1", "7"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     arrays = dict(np.load(out))

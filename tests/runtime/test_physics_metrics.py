@@ -67,7 +67,7 @@ def _sums(effects, weights):
     config = dataclasses.replace(config, curriculum=levels)
     env = Environment(config.env, engine=Engine(config.env.capacity, effects=effects))
     policy = make_policy(config.policy, env.action_distribution.head_sizes)
-    curriculum = make_curriculum(config, env, policy)
+    curriculum = make_curriculum(config, env, policy, data_mesh())
     core = RolloutCore(config, env, policy, curriculum, data_mesh(), groups=range(config.rollout.num_groups))
     return jax.device_get(core.play(weights, None, 0)[-1])["physics"]
 

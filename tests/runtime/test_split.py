@@ -111,14 +111,23 @@ def test_learners_and_actors_that_are_lost_change_no_bit_of_what_one_learner_lea
 
 
 @pytest.mark.slow
-def test_learners_see_the_outcomes_of_all_actors_where_a_curriculum_observes(ray_backend, tmp_path):
+@pytest.mark.parametrize(
+    ("curriculum", "is_seen"),
+    [
+        ("plr", lambda arrays: (arrays["curriculum/born"] > 0).any()),  # levels of updates after the first
+        ("paired", lambda arrays: arrays["curriculum/antagonist/num_updates"] == NUM_UPDATES),
+    ],
+)
+def test_learners_see_the_outcomes_of_all_actors_where_a_curriculum_observes(
+    curriculum, is_seen, ray_backend, tmp_path
+):
     """Two actors, since they play as many worlds at a time as each of two devices does: with other numbers at a time,
     values and probabilities of actions differ in their last bit, whatever the curriculum."""
-    config = split_config("plr", num_learners=2, num_rollout_actors=2)
+    config = split_config(curriculum, num_learners=2, num_rollout_actors=2)
     _train(config, tmp_path / "run", ray_backend)
     arrays = final_arrays(tmp_path / "run")
-    assert (arrays["curriculum/born"] > 0).any()  # levels of updates after the first
-    assert_same_bits(arrays, _on_two_devices(tmp_path / "two", "plr"))
+    assert is_seen(arrays)
+    assert_same_bits(arrays, _on_two_devices(tmp_path / "two", curriculum))
 
 
 @pytest.mark.slow

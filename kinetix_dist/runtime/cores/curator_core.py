@@ -8,6 +8,7 @@ from typing import Any
 import jax
 
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.levels import make_environment
@@ -21,7 +22,7 @@ class CuratorCore:
         env = make_environment(config)
         policy = make_policy(config.policy, env.action_distribution.head_sizes)
         self._seed = config.run.seed
-        self._curriculum = make_curriculum(config, env, policy)
+        self._curriculum = make_curriculum(config, env, policy, data_mesh())
 
     def refresh(self, params: Any, policy_version: int) -> tuple[dict[str, float], Any]:
         """({"seconds": how long it took}, what the curriculum adopts, as numpy)."""

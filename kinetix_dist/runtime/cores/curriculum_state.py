@@ -22,11 +22,12 @@ from kinetix_dist.learner.update import advantages_of
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.messages import LevelOutcome, Trajectory
+from kinetix_dist.runtime.cores.agents import PpoAgents
 from kinetix_dist.runtime.cores.stored import CURRICULUM
 
 
-def make_curriculum(config: TrainConfig, env: Environment, policy: Any) -> Curriculum:
-    """The curriculum of a run with what it is built from."""
+def make_curriculum(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> Curriculum:
+    """The curriculum of a run with what it is built from. mesh: on which what it trains of its own learns."""
 
     def play(params: Any, levels: Level, key: Array, num_steps: int) -> LevelOutcome:
         return score(policy, params, env, env.prepare(levels), key, num_steps)
@@ -42,6 +43,7 @@ def make_curriculum(config: TrainConfig, env: Environment, policy: Any) -> Curri
         play=play,
         load_levels=lambda name: load_level_set(name, config.env.size)[0],
         advantages=advantages,
+        agents=PpoAgents(config, env, policy, mesh),
     )
     return config.curriculum_class(tools)
 

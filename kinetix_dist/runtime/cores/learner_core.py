@@ -19,7 +19,8 @@ from kinetix_dist.learner.sharding import local_values, replicate
 from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import make_update
 from kinetix_dist.models.policy import init_params
-from kinetix_dist.runtime.cores.stored import LEARNER, one_level
+from kinetix_dist.runtime.cores.agents import some_observation
+from kinetix_dist.runtime.cores.stored import LEARNER
 from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
 
 
@@ -59,12 +60,7 @@ class LearnerCore:
 def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
     """Parameters drawn from the seed; the observation of any level gives the shapes."""
     key = stream(config.run.seed, INIT)
-    obs = jax.eval_shape(lambda: _some_observation(config, env))
+    obs = jax.eval_shape(lambda: some_observation(config, env))
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), obs)
     params = init_params(policy, zeros, key)
     return init_learner_state(params, config.ppo.optimizer(), stream(config.run.seed, SHUFFLE))
-
-
-def _some_observation(config: TrainConfig, env: Environment) -> Any:
-    prepared = env.prepare(one_level(config))
-    return env.observe(prepared, prepared.initial_obs)

@@ -94,8 +94,9 @@ class RolloutCore:
                 f"of {worlds_per_group} worlds; propose must return {expected}"
             )
         prepared = env.prepare(proposal.levels)
+        policy, params = self._curriculum.players(self._policy, params, state)
         played = unroll(
-            self._policy,
+            policy,
             params,
             env,
             Worlds(prepared, *env.reset(prepared)),

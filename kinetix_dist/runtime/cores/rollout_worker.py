@@ -25,7 +25,7 @@ class RolloutWorker:
         self._mesh = mesh
         env = make_environment(config)
         policy = make_policy(config.policy, env.action_distribution.head_sizes)
-        curriculum = make_curriculum(config, env, policy)
+        curriculum = make_curriculum(config, env, policy, mesh)
         groups = config.groups_of_part(index, num_parts)
         self._num_env_steps = len(groups) * config.rollout.steps_per_group
         self._rollout = RolloutCore(config, env, policy, curriculum, mesh, groups=groups)

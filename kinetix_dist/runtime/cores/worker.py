@@ -36,7 +36,7 @@ class LearnerWorker:
         self._policy = make_policy(config.policy, self._env.action_distribution.head_sizes)
         self._learner = LearnerCore(config, self._env, self._policy, mesh)
         self._evaluator = Evaluator(config, self._env, self._policy)
-        self._curriculum = make_curriculum(config, self._env, self._policy)
+        self._curriculum = make_curriculum(config, self._env, self._policy, mesh)
         self._state = CurriculumState(self._curriculum, mesh)
         self._staging = Staging(config, mesh, self._learner.division)
 
@@ -126,6 +126,7 @@ class Worker(LearnerWorker):
         learner_metrics = local_values(self._learner.learn(*batch))
         if seen is not None:
             self._state.observe(*seen, division=self._rollout.division)
+            jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)
         return metrics, {"rollout": played - began, "learn": learned - played}

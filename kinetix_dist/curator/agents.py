@@ -1,0 +1,42 @@
+"""What learns beside the policy of a run, as curricula see it: another student, a teacher. They learn by the PPO of the
+run, on its devices; their states are part of the state of the curriculum.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from jax2d.scene import Array
+from kinetix_dist.level.level import Level
+from kinetix_dist.messages import Trajectory
+
+
+class Agent(Protocol):
+    """Something that learns by PPO."""
+
+    def init(self) -> Any:
+        """Its first state, a pytree of arrays with `params` among its attributes."""
+
+    def learn(
+        self, state: Any, static_obs: Any, trajectory: Trajectory, last_value: Array
+    ) -> tuple[Any, dict[str, Array]]:
+        """(next state, metrics by the names of the learner's) from T steps of worlds, each once and by groups.
+
+        static_obs [W, ...], trajectory [T, W, ...], last_value [W]; W: as many worlds as the policy learns from.
+        Called where the curriculum observes, inside jit: the work is divided over the devices.
+        """
+
+
+class Agents(Protocol):
+    """What they are made from."""
+
+    def student(self) -> Agent:
+        """One with the network, the observation and the PPO settings of the run's policy, and parameters of its own."""
+
+    def teacher(self, policy: Any, distribution: Any, obs: Any, **ppo: Any) -> Agent:
+        """One that acts in no environment. policy: a flax module; distribution: an `ActionDistribution`; obs: shapes of
+        what the policy takes, [1, ...], and what trajectories keep in `dynamic_obs`; ppo: settings that are not those
+        of the run."""
+
+    def static_obs(self, levels: Level) -> Any:
+        """What levels [W, ...] fix of a student's observation."""
