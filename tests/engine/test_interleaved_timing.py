@@ -15,8 +15,10 @@ def test_all_run_once_before_any_runs_again():
         return float(len(order))
 
     runs = [TimedRun(name, lambda name=name: run(name)) for name in "ab"]
-    time_interleaved(runs, repeats=3, report=lambda line: None)
+    so_far: list[float] = []
+    time_interleaved(runs, repeats=3, report=lambda line: None, after_round=lambda: so_far.append(runs[1].cost))
     assert "".join(order) == "ab" * 4
+    assert so_far == [4.0, 5.0, 6.0]  # what a study that is cut short leaves
     assert runs[0].costs == [3.0, 5.0, 7.0]  # the first round warms up
     assert runs[0].cost == 5.0
 
