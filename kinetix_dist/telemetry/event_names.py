@@ -38,6 +38,7 @@ EVENTS: dict[str, str] = {
     "file_failed": "a file of the run could not be written: why; training goes on",
     "recording_dropped": "rollouts were not recorded, since the disk is slower than they come",
     "recording_failed": "a recording could not be written: why",
+    "pictures_failed": "pictures of the last recording could not be drawn after training: why",
     # Numbers
     "steps_skipped": "some gradient steps of an update were skipped as not finite, for the first time in the session",
     "update_skipped": "no gradient step of an update was finite: nothing was learned in it",

@@ -248,6 +248,17 @@ def test_a_recording_that_cannot_be_written_is_an_event(tmp_path):
     run.close()
 
 
+def test_pictures_that_cannot_be_drawn_are_a_line_and_an_event(tmp_path, monkeypatch):
+    run = RunDirectory.create(tmp_path / "run", numbered=False)
+    recorder = Recorder(run)
+    recorder.last = [type("Played", (), {"policy_version": 3, "solved": True})()]
+    monkeypatch.setitem(sys.modules, "rerun", None)  # as where it is not installed
+    line = recorder.make_pictures()
+    assert line is not None and "rerun" in line and f"kinetix-dist replay {run.path}" in line and "\n" not in line
+    assert "rerun" in _events(run.path, "pictures_failed")[0]["error"]
+    run.close()
+
+
 def test_damaged_evaluations_and_metrics_are_set_aside_on_resume(finished_run, tmp_path, capsys):
     path = tmp_path / "run"
     shutil.copytree(finished_run, path)

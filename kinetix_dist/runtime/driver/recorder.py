@@ -42,20 +42,26 @@ class Recorder:
                 sink.write(rollout)
         self.last_file = path
 
-    def make_pictures(self) -> list[Path]:
-        """`solved.rrd`, `solved.png`, `failed.rrd`, `failed.png` of the last recording, where it has such rollouts."""
+    def make_pictures(self) -> str | None:
+        """`solved.rrd`, `solved.png`, `failed.rrd`, `failed.png` of the last recording, where it has such rollouts. One
+        line where that cannot be: a trained policy is worth more than pictures of it."""
+        try:
+            self._draw()
+        except (ImportError, OSError) as error:
+            self._run.event("pictures_failed", error=one_line(error))
+            return f"no pictures of rollouts: {one_line(error)}; `kinetix-dist replay {self._run.path}` tries again"
+        return None
+
+    def _draw(self) -> None:
         from kinetix_dist.telemetry.pictures import write_rollout_picture
         from kinetix_dist.telemetry.sinks.rerun import rollout_to_rrd
 
-        made = []
         for name, wanted in (("solved", True), ("failed", False)):
             rollout = next((rollout for rollout in self.last if rollout.solved == wanted), None)
             if rollout is None:
                 continue
             rollout_to_rrd(rollout, self._run.recordings / f"{name}.rrd")
             write_rollout_picture(self._run.recordings / f"{name}.png", rollout)
-            made += [self._run.recordings / f"{name}.rrd", self._run.recordings / f"{name}.png"]
-        return made
 
     def _event(self, name: str, fields: dict[str, Any]) -> None:
         self._run.event(name, **fields)

@@ -76,7 +76,8 @@ def train(
         _write_or_fail(run, run.report_path, report)
         # Last, since drawing needs libraries that nothing else of a run does.
         if config.recording.num_rollouts and config.recording.make_pictures:
-            recorder.make_pictures()
+            if failure := recorder.make_pictures():
+                reporter.note(failure)
         reporter.phase("done")
         return report
     except (ProcessFailedError, TooManyLossesError) as error:
