@@ -46,7 +46,7 @@ def _segment(worlds: Worlds, rng: np.random.Generator) -> np.ndarray:
 
 
 class _Archive:
-    """Stored states by cell, each with how it was reached. Full, it takes shorter ways to old cells, and no new ones."""
+    """Stored states by cell, each with how it was reached. Full, it only takes shorter ways to the cells it has."""
 
     def __init__(self, worlds: Worlds) -> None:
         self._worlds = worlds
