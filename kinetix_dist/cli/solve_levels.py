@@ -3,6 +3,7 @@
     kinetix-dist levels solve s/hop_home                  search, store levels/proofs/s/hop_home.json
     kinetix-dist levels solve mine.json --seconds 300     search longer, store mine.proof.json
     kinetix-dist levels solve all_designed_s --check      replay what is stored, search nothing
+    kinetix-dist levels solve s/hop_home --check --picture solved.png
 
 Exit status 1 where a level stays without a proof, or a proof does not solve its level.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import math
 import os
 import time
 from collections.abc import Iterable
@@ -19,15 +21,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.env.environment import Environment
     from kinetix_dist.evaluation.policies import Player
     from kinetix_dist.level.level import Level
     from kinetix_dist.level.proof import Proof
+    from kinetix_dist.telemetry.recording import Rollout
 
 MIN_WORLDS = 32  # fewer leave the searches nothing to choose from
+PIXELS_PER_METRE = 40.0  # of pictures: 40 levels on one are 1,500 pixels wide
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +42,8 @@ class Solve:
     """A level file, a designed level such as s/hop_home, a set or a directory of level files."""
     check: bool = False
     """Replay the stored proofs instead of searching."""
+    picture: Path | None = None
+    """With --check: also draw how the proofs end, all levels on one PNG."""
     again: bool = False
     """Search also where a good proof is stored, and replace it."""
     seconds: float = 60.0
@@ -96,6 +102,8 @@ def _check(args: Solve) -> None:
         raise UserError(f"--method {args.method} plays no policy; leave --checkpoint out")
     if args.check and (args.again or args.method or args.checkpoint):
         raise UserError("--check searches nothing; leave --again, --method and --checkpoint out")
+    if args.picture is not None and not args.check:
+        raise UserError("--picture draws what --check replays; give --check too")
     if args.proofs is not None and args.proofs.exists() and not args.proofs.is_dir():
         raise UserError(f"--proofs {args.proofs} is a file; give a directory")
 
@@ -139,60 +147,75 @@ def _by_size(tasks: Iterable[_Task]) -> dict[str, list[_Task]]:
 
 
 def _check_proofs(args: Solve, tasks: list[_Task]) -> int:
-    faults = _faults(args, tasks)
-    for task, proof, fault in faults:
+    replayed = _replay(args, tasks)
+    for task, proof, _, fault in replayed:
         if fault is None:
             assert proof is not None
             print(f"{task.name}: solved in {proof.num_steps} steps")
         else:
             print(fault if str(task.proof_file) in fault else f"{task.name}: {fault}")
-    num_good = sum(fault is None for _, _, fault in faults)
+    num_good = sum(fault is None for *_, fault in replayed)
     print(f"{num_good} of {len(tasks)} levels have a proof that solves them")
+    if args.picture is not None:
+        _write_picture(args.picture, [rollout for _, _, rollout, _ in replayed if rollout is not None])
     return 0 if num_good == len(tasks) else 1
 
 
-def _faults(args: Solve, tasks: list[_Task]) -> list[tuple[_Task, Proof | None, str | None]]:
-    """Of each level its proof, and what is wrong with it in one line (None: nothing)."""
-    from kinetix_dist.evaluation.proofs import fault_of_replay, replay
-    from kinetix_dist.level.proof import check_proof_is_of, read_proof
+def _write_picture(path: Path, rollouts: list[Rollout]) -> None:
+    """How each rollout ended, in rows that make the whole about square."""
+    from jax2d.images import film_strip, write_png
+    from kinetix_dist.telemetry.pictures import moment_picture
 
-    results: list[tuple[_Task, Proof | None, str | None]] = []
+    if not rollouts:
+        raise UserError("no proof could be replayed: there is nothing to draw")
+    images = [moment_picture(rollout, rollout.num_steps, pixels_per_metre=PIXELS_PER_METRE) for rollout in rollouts]
+    columns = math.ceil(math.sqrt(len(images)))
+    with user_errors(OSError, prefix=f"{path} cannot be written: "):
+        write_png(path, film_strip(images, [rollout.level_name for rollout in rollouts], columns=columns))
+    print(f"wrote {path}")
+
+
+def _replay(args: Solve, tasks: list[_Task]) -> list[tuple[_Task, Proof | None, Rollout | None, str | None]]:
+    """Of each level its proof, how that goes, and what is wrong with it in one line (None: nothing)."""
+    from kinetix_dist.evaluation.proofs import fault_of_replay, replay
+
+    results: list[tuple[_Task, Proof | None, Rollout | None, str | None]] = []
     for size, of_size in _by_size(tasks).items():
         env = _environment(args, size)
-        readable: list[tuple[_Task, Proof]] = []
+        good: list[tuple[_Task, Proof]] = []
         for task in of_size:
             if not task.proof_file.is_file():
-                results.append((task, None, f"there is no proof ({task.proof_file})"))
+                results.append((task, None, None, f"there is no proof ({task.proof_file})"))
                 continue
             try:
-                proof = read_proof(task.proof_file)
-                config = env.config
-                check_proof_is_of(
-                    proof,
-                    task.proof_file,
-                    task.document,
-                    preset=args.preset,
-                    frame_skip=config.frame_skip,
-                    max_steps=config.max_steps,
-                )
+                good.append((task, _proof_of(args, task, env)))
             except (ValueError, OSError) as error:
-                results.append((task, None, " ".join(str(error).split())))
-                continue
-            readable.append((task, proof))
-        if readable:
-            rollouts = replay(env, [task.level for task, _ in readable], [proof for _, proof in readable])
-            results += [
-                (task, proof, fault_of_replay(proof, rollout)) for (task, proof), rollout in zip(readable, rollouts)
-            ]
+                results.append((task, None, None, one_line(error)))
+        if good:
+            rollouts = replay(env, [task.level for task, _ in good], [proof for _, proof in good])
+            for (task, proof), rollout in zip(good, rollouts):
+                results.append((task, proof, rollout, fault_of_replay(proof, rollout)))
     order = {id(task): number for number, task in enumerate(tasks)}
     return sorted(results, key=lambda result: order[id(result[0])])
+
+
+def _proof_of(args: Solve, task: _Task, env: Environment) -> Proof:
+    """The stored proof of a level. Raises `LevelFormatError` where it cannot be read or is of something else."""
+    from kinetix_dist.level.proof import check_proof_is_of, read_proof
+
+    proof = read_proof(task.proof_file)
+    frame_skip, max_steps = env.config.frame_skip, env.config.max_steps
+    check_proof_is_of(
+        proof, task.proof_file, task.document, preset=args.preset, frame_skip=frame_skip, max_steps=max_steps
+    )
+    return proof
 
 
 def _search(args: Solve, tasks: list[_Task]) -> int:
     from kinetix_dist.evaluation.search.solve import solve
     from kinetix_dist.level.proof import write_proof
 
-    good = {} if args.again else {id(task): proof for task, proof, fault in _faults(args, tasks) if fault is None}
+    good = {} if args.again else {id(task): proof for task, proof, _, fault in _replay(args, tasks) if fault is None}
     num_solved = 0
     for size, of_size in _by_size(tasks).items():
         env = _environment(args, size)

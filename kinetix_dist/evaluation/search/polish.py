@@ -1,8 +1,8 @@
 """Of a found solution a shorter one, and one that does not depend on the last digit of the start.
 
-Variants of what was found are played: a stretch left out, held, or replaced. Those that solve the level go on, the
-shorter the better; some of them are played from slightly different starts. A solution that only works from exactly one
-start says little, and may fail on another device, whose float32 rounds otherwise.
+Variants of what was found are played, each from a slightly different start: a stretch left out, held, or replaced.
+Those that solve the level go on, the more starts they solve it from the better, then the shorter the better. A solution
+that only works from exactly one start says little, and may fail on another device, whose float32 rounds otherwise.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds, solutions
 
 ROUNDS = 8
-NUM_PARENTS = 16  # solutions that variants are made of, and that are tried from other starts, a round
+NUM_CANDIDATES = 16  # solutions that are tried from other starts, a round; half as many are changed in the next
 MAX_STRETCH = 32  # environment steps that a variant changes
 ENOUGH = 0.97  # robustness beyond which shorter is better
 
@@ -20,28 +20,44 @@ ENOUGH = 0.97  # robustness beyond which shorter is better
 def polish(
     worlds: Worlds, found: list[np.ndarray], rng: np.random.Generator, budget: Budget
 ) -> tuple[np.ndarray, float]:
-    """The best of `found` and its variants, [t, 6], and its robustness: the share of other starts that it solves."""
+    """The best of `found` and its variants, [t, 6], and its robustness: the share of other starts that it solves.
+
+    `found` are solutions from the start of the level, and so is what is returned.
+    """
     starts = worlds.different_starts(rng)
-    best, best_robustness = found[0], -1.0
-    parents = found[:NUM_PARENTS]
+    candidates = found[:NUM_CANDIDATES]
+    best: list[tuple[np.ndarray, float]] = []
     for _ in range(ROUNDS):
-        for actions, robustness in zip(parents, _robustness(worlds, starts, parents, budget)):
-            if _rank(actions, robustness) > _rank(best, best_robustness):
-                best, best_robustness = actions, robustness
+        best += zip(candidates, _robustness(worlds, starts, candidates, budget))
+        best = sorted(best, key=lambda one: rank(*one), reverse=True)[: NUM_CANDIDATES // 2]
         if budget.is_spent:
             break
-        variants = [best, *parents, *(_variant(rng, parents, worlds.actions) for _ in range(worlds.num_worlds))]
-        padded = _padded(worlds, variants[: worlds.num_worlds])
-        solved = solutions(worlds.episodes(padded, budget), padded)
-        # The shortest, and as many of the others: a longer way may be the more robust one.
-        half = NUM_PARENTS // 2
-        others = rng.permutation(len(solved) - half)[:half] + half if len(solved) > half else []
-        parents = [*solved[:half], *(solved[i] for i in others)]
-    return best, best_robustness
+        candidates = _candidates(worlds, starts, [actions for actions, _ in best], rng, budget)
+        if not candidates:
+            break
+    return best[0]
 
 
-def _rank(actions: np.ndarray, robustness: float) -> tuple[float, int]:
+def rank(actions: np.ndarray, robustness: float) -> tuple[float, int]:
+    """The better one is larger."""
     return min(robustness, ENOUGH), -len(actions)
+
+
+def _candidates(
+    worlds: Worlds, starts: object, parents: list[np.ndarray], rng: np.random.Generator, budget: Budget
+) -> list[np.ndarray]:
+    """Variants that solve the level from another start and from its own: the shortest, and some of the others."""
+    variants = _padded(worlds, [_variant(rng, parents, worlds.actions) for _ in range(worlds.num_worlds)])
+    solved_after = worlds.play(starts, variants, budget).solved_after
+    solved = np.flatnonzero(solved_after)
+    solved = solved[np.argsort(solved_after[solved], kind="stable")]
+    half = NUM_CANDIDATES // 2
+    chosen = np.concatenate([solved[:half], rng.permutation(solved[half:])[:half]])
+    if len(chosen) == 0:
+        return []
+    again = variants[:, np.resize(chosen, worlds.num_worlds)]
+    found = solutions(worlds.episodes(again, budget), again)
+    return list({actions.tobytes(): actions for actions in found}.values())[:NUM_CANDIDATES]
 
 
 def _robustness(worlds: Worlds, starts: object, candidates: list[np.ndarray], budget: Budget) -> list[float]:
