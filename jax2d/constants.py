@@ -138,6 +138,9 @@ class Constants:
         "from this one on nothing is remembered, and velocities are those that the sub-step began with",
         "1: piles forget what they bear; more: time only",
     )
+    forgetting_gain: float = _constant(
+        0.1, "J/kg", "what gains less has no such pass", "0.02: a press lets go; 0.5: jams leave at 4 m/s, not 2"
+    )
     slack_rate: float = _constant(
         5.0, "1/s", "a gain in energy that is left", "0: several times the passes, for nothing that is seen"
     )

@@ -251,20 +251,22 @@ def _relax(
     """Solves without bias. What holds takes energy, or none: where a world has more than `begun`, impulses are not
     solved yet, or those remembered from another place of the bodies are far off; bodies that jam do that."""
     from_nothing = bodies._replace(velocities=begun)
-    slack = params.h * C.slack_power * jnp.sum(vec2.inverse_or_zero(bodies.inverse_mass))
-    max_energy = bodies_of.kinetic_energy(from_nothing) * (1 + params.h * C.slack_rate) + slack
+    mass = jnp.sum(vec2.inverse_or_zero(bodies.inverse_mass))
+    max_energy = bodies_of.kinetic_energy(from_nothing) * (1 + params.h * C.slack_rate)
+    max_energy += params.h * C.slack_power * mass
 
-    def gains_energy(bodies: Bodies, joints: Joints, contacts: Contacts) -> jax.Array:
-        gain = bodies_of.kinetic_energy(bodies) - max_energy
+    def gains_energy(bodies: Bodies, joints: Joints, contacts: Contacts, index: jax.Array) -> jax.Array:
+        would_forget = index + 1 == C.remembered_energy_passes
+        gain = bodies_of.kinetic_energy(bodies) - max_energy - jnp.where(would_forget, C.forgetting_gain * mass, 0)
         work = joints_of.motor_work(bodies, joints) + bounces.carried_work(bodies, joints, contacts, params.h)
-        return (gain > 0) & (gain > work)
+        return jnp.any(contacts.key >= 0) & (gain > 0) & (gain > work)
 
     def solve(now: Relaxed, index: jax.Array) -> Relaxed:
         contacts = contacts_of.forget(now.contacts, jnp.array(True))
         start = now.bodies._replace(velocities=begun), now.joints.with_nothing_remembered(), contacts
         start = choose(index == C.remembered_energy_passes, start, (now.bodies, now.joints, now.contacts))
         end = _solve_passes(*start, params, rules, use_bias=False)
-        return Relaxed(*end, gains_energy(*end))
+        return Relaxed(*end, gains_energy(*end, index))
 
     def one_pass(now: Relaxed, index: jax.Array) -> tuple[Relaxed, None]:
         def solved() -> Relaxed:

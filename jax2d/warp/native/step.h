@@ -148,8 +148,11 @@ struct World {
           continue;
         }
         contacts.active.begin();
-        if (energy_passes < ENERGY_PASSES && gains_energy(h)) {
-          if (++energy_passes == REMEMBERED_ENERGY_PASSES) {
+        bool would_forget = energy_passes + 1 == REMEMBERED_ENERGY_PASSES;
+        real spare = would_forget ? begun.mass * FORGETTING_GAIN : real(0);
+        if (contacts.count > 0 && energy_passes < ENERGY_PASSES && gains_energy(h, spare)) {
+          ++energy_passes;
+          if (would_forget) {
             begun.restore(bodies);
             joints.forget_all();
             contacts.forget_all();
@@ -189,8 +192,9 @@ struct World {
     joints.load_impulses(impulses);
   }
 
-  KFN bool gains_energy(real h) const {
-    real gain = bodies.kinetic_energy() - begun.max_energy;
+  // More than `spare` J.
+  KFN bool gains_energy(real h, real spare) const {
+    real gain = bodies.kinetic_energy() - begun.max_energy - spare;
     return gain > real(0) && gain > joints.motor_work(bodies) + carried_work(h);
   }
 
