@@ -1,4 +1,4 @@
-"""Bodies that start deep inside fixed things and are held there by friction: when they slip free they are not thrown."""
+"""Bodies that start deep inside fixed things, held there by friction: when they slip free they are not thrown."""
 
 from __future__ import annotations
 
