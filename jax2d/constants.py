@@ -126,6 +126,27 @@ class Constants:
         "what comes apart faster is not warm-started",
         "0.1: a house of cards falls; 0.4: what a blow left behind throws piles apart",
     )
+    energy_passes: int = _constant(
+        12,
+        "a sub-step",
+        "relax passes are repeated so often where a world has gained energy",
+        "0: what is jammed in its place and slips free is thrown, at 5 m/s mostly and at 25 at worst",
+    )
+    remembered_energy_passes: int = _constant(
+        8,
+        "a sub-step",
+        "from this one on nothing is remembered, and velocities are those that the sub-step began with",
+        "1: piles forget what they bear; more: time only",
+    )
+    forgetting_gain: float = _constant(
+        0.1, "J/kg", "what gains less has no such pass", "0.02: a press lets go; 0.5: jams leave at 4 m/s, not 2"
+    )
+    slack_rate: float = _constant(
+        5.0, "1/s", "a gain in energy that is left", "0: several times the passes, for nothing that is seen"
+    )
+    slack_power: float = _constant(
+        0.3, "W/kg", "as much again, since what rests has no energy", "0: piles at rest are solved again"
+    )
     # Contacts found ahead of motion
     safe_core_share: float = _constant(
         0.5, "of the smaller core", "a pair that moves farther in a step could pass through", "1: thin pairs tunnel"

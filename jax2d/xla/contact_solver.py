@@ -25,17 +25,12 @@ from jax2d.xla.bodies import (
     scatter_velocities,
 )
 from jax2d.xla.branching import choose, in_any_world
-from jax2d.xla.contacts import Contacts
+from jax2d.xla.contacts import Contacts, forget
 
 
 def warm_start(bodies: Bodies, contacts: Contacts) -> tuple[Bodies, Contacts]:
     """Applies the remembered impulses, all at once: they do not depend on one another. A blow does not last."""
-    contacts = contacts._replace(
-        impulse_normal=jnp.where(contacts.is_blow, 0, contacts.impulse_normal),
-        impulse_tangent=jnp.where(contacts.is_blow, 0, contacts.impulse_tangent),
-    )
-    if contacts.rolling_impulse is not None:
-        contacts = contacts._replace(rolling_impulse=jnp.where(contacts.is_blow, 0, contacts.rolling_impulse))
+    contacts = forget(contacts, contacts.is_blow)
     impulse = (
         contacts.normal * contacts.impulse_normal[:, None]
         + vec2.right(contacts.normal) * contacts.impulse_tangent[:, None]

@@ -75,6 +75,16 @@ def cache_of(contacts: Contacts, transient: jax.Array | bool = False) -> Contact
     return ContactCache(contacts.key, jnp.where(jnp.asarray(transient)[..., None], 0, impulse), rolling)
 
 
+def forget(contacts: Contacts, which: jax.Array) -> Contacts:
+    """Without the impulses of those that `which` [K] bool names."""
+    rolling = contacts.rolling_impulse
+    return contacts._replace(
+        impulse_normal=jnp.where(which, 0, contacts.impulse_normal),
+        impulse_tangent=jnp.where(which, 0, contacts.impulse_tangent),
+        rolling_impulse=None if rolling is None else jnp.where(which, 0, rolling),
+    )
+
+
 class Context(NamedTuple):
     """What does not change in a step."""
 

@@ -98,6 +98,10 @@ class Joints(NamedTuple):
     def remembered(self) -> Remembered:
         return Remembered(self.impulses, self.springs.impulses)
 
+    def with_nothing_remembered(self) -> Joints:
+        nothing = jax.tree.map(jnp.zeros_like, self.remembered())
+        return self._replace(impulses=nothing.joints, springs=self.springs._replace(impulses=nothing.springs))
+
 
 def load(state: State, params: SolverNumbers) -> Remembered:
     impulse = jnp.where(params.warm_start, state.joint_impulse, 0)

@@ -21,6 +21,7 @@ from jax2d.xla import (
     paper_contacts,
     published,
     reports,
+    vec2,
 )
 from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
@@ -99,6 +100,7 @@ class StepState(NamedTuple):
         jax.Array
     )  # [] bool, contacts are found in each sub-step, where a body turns too far for those found once
     interruptions: jax.Array  # [] int32
+    begun: Velocities  # of the sub-step, when forces had acted and nothing had been solved
 
 
 def soft_step(
@@ -114,7 +116,7 @@ def soft_step(
 
     def solve(now: StepState) -> StepState:
         bodies, joints, contacts, cache, touch, overflow, came_with, max_energy, tally = now.progress
-        _, substep, interrupted, is_found, every_substep, interruptions = now
+        _, substep, interrupted, is_found, every_substep, interruptions, begun = now
         left = h * jnp.where(every_substep, 1, rules.substeps - substep)
         found = bodies_of.end_step(bodies)
         found_contacts = find(found, cache, left, ~interrupted)
@@ -136,6 +138,7 @@ def soft_step(
         driven = forces.apply(driven, thrusters, h)
         driven = forces.apply_external(driven, controls, h)
         driven = bodies_of.apply_damping(driven, scene, h)
+        begun = choose(interrupted, begun, driven.velocities)
         driven = joints_of.warm_start(driven, joints)
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
         bodies, contacts = choose(interrupted, (bodies, contacts), (driven, warm_contacts))
@@ -148,7 +151,7 @@ def soft_step(
         bodies = choose(interrupted, bodies, moved)
         substep = jnp.where(interrupted, substep, substep + 1)
         interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
-        bodies, joints, contacts = _solve_passes(bodies, joints, contacts, params, rules, use_bias=False)
+        bodies, joints, contacts = _relax(bodies, joints, contacts, begun, params, rules)
         max_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
         max_energy += forces.external_work(bodies, controls, h)
         carried = bounces.carried_work(bodies, joints, contacts, h)
@@ -165,7 +168,8 @@ def soft_step(
             tally = reports.add_impulse(tally, contacts, jnp.where(is_end, bounce_impulses, 0))
         progress = Progress(bodies, joints, contacts, cache, touch, overflow, came_with, max_energy, tally)
         ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_blow | (leaving > 0))
-        return StepState(choose(is_end, ended, progress), substep, interrupted, is_end, every_substep, interruptions)
+        progress = choose(is_end, ended, progress)
+        return StepState(progress, substep, interrupted, is_end, every_substep, interruptions, begun)
 
     def solve_unless_done(now: StepState, _: None) -> tuple[StepState, None]:
         is_left = now.substep < rules.substeps
@@ -176,7 +180,7 @@ def soft_step(
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
     progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, start[0], rules))
     none, no = jnp.zeros((), jnp.int32), jnp.array(False)
-    step_state = StepState(progress, substep=none, interrupted=no, find=~no, every_substep=no, interruptions=none)
+    step_state = StepState(progress, none, no, ~no, no, none, progress.came_with)
     # One program for sub-steps, those that find contacts every_substep, and those that are stopped.
     step_state, _ = jax.lax.scan(solve_unless_done, step_state, length=rules.substeps + C.max_interruptions)
     return step_state.progress
@@ -229,6 +233,49 @@ def _solve_passes(
     first = Pass(bodies, joints, contacts, everything, follows=jnp.array(True), was_limited=jnp.array(False))
     num_passes = 1 + max(rules.blow_passes, C.limited_passes if use_bias else 0)
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(num_passes))
+    return last.bodies, last.joints, last.contacts
+
+
+class Relaxed(NamedTuple):
+    """A world without bias, and whether it has gained energy by that."""
+
+    bodies: Bodies
+    joints: Joints
+    contacts: Contacts
+    gains: jax.Array  # [] bool
+
+
+def _relax(
+    bodies: Bodies, joints: Joints, contacts: Contacts, begun: Velocities, params: SolverNumbers, rules: Rules
+) -> tuple[Bodies, Joints, Contacts]:
+    """Solves without bias. What holds takes energy, or none: where a world has more than `begun`, impulses are not
+    solved yet, or those remembered from another place of the bodies are far off; bodies that jam do that."""
+    from_nothing = bodies._replace(velocities=begun)
+    mass = jnp.sum(vec2.inverse_or_zero(bodies.inverse_mass))
+    max_energy = bodies_of.kinetic_energy(from_nothing) * (1 + params.h * C.slack_rate)
+    max_energy += params.h * C.slack_power * mass
+
+    def gains_energy(bodies: Bodies, joints: Joints, contacts: Contacts, index: jax.Array) -> jax.Array:
+        would_forget = index + 1 == C.remembered_energy_passes
+        gain = bodies_of.kinetic_energy(bodies) - max_energy - jnp.where(would_forget, C.forgetting_gain * mass, 0)
+        work = joints_of.motor_work(bodies, joints) + bounces.carried_work(bodies, joints, contacts, params.h)
+        return jnp.any(contacts.key >= 0) & (gain > 0) & (gain > work)
+
+    def solve(now: Relaxed, index: jax.Array) -> Relaxed:
+        contacts = contacts_of.forget(now.contacts, jnp.array(True))
+        start = now.bodies._replace(velocities=begun), now.joints.with_nothing_remembered(), contacts
+        start = choose(index == C.remembered_energy_passes, start, (now.bodies, now.joints, now.contacts))
+        end = _solve_passes(*start, params, rules, use_bias=False)
+        return Relaxed(*end, gains_energy(*end, index))
+
+    def one_pass(now: Relaxed, index: jax.Array) -> tuple[Relaxed, None]:
+        def solved() -> Relaxed:
+            return choose(now.gains, solve(now, index), now)
+
+        return jax.lax.cond(in_any_world(now.gains), solved, lambda: now), None
+
+    first = Relaxed(bodies, joints, contacts, gains=jnp.array(True))
+    last, _ = jax.lax.scan(one_pass, first, jnp.arange(1 + C.energy_passes))
     return last.bodies, last.joints, last.contacts
 
 

@@ -1,4 +1,4 @@
-"""`kinetix-dist levels list|show|validate|render|import|export`: look at levels, check them, convert them."""
+"""`kinetix-dist levels list|show|validate|render|import|export|solve`: see, check, convert, solve."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.solve_levels import Solve, run_solve
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 
@@ -35,10 +36,10 @@ class Show:
 
 @dataclasses.dataclass(frozen=True)
 class Validate:
-    """Check level files; exit status 1 when one is wrong, with one line for each."""
+    """Check files of levels and of proofs; exit status 1 when one is wrong, with one line for each."""
 
     files: tyro.conf.Positional[tuple[Path, ...]]
-    """Level files or directories of them."""
+    """Files of levels or proofs, or directories of them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,13 +81,16 @@ Args = (
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Solve, tyro.conf.subcommand("solve")]
 )
 
 
 def run(args: Any) -> int:
-    """Runs the chosen subcommand; 0, or 1 where `validate` found something wrong."""
+    """Runs the chosen subcommand; 0, or 1 where `validate` found something wrong or `solve` no proof."""
     if isinstance(args, Validate):
         return _validate(args)
+    if isinstance(args, Solve):
+        return run_solve(args)
     actions: dict[type, Callable[[Any], None]] = {
         List: _list,
         Show: _show,
@@ -151,7 +155,8 @@ def _show(args: Show) -> None:
     document = json.loads(path.read_text(encoding="utf-8"))
     if is_kinetix_document(document):
         document = level_to_json(level, info)
-    print(f"{info.name}  size {info.size}")
+    about = [info.title, f"size {info.size}", info.difficulty, ", ".join(info.tags)]
+    print("  ".join([info.name, *filter(None, about)]))
     if info.description:
         print(info.description)
     for wall, surface in document.get("walls", {}).items():
@@ -177,6 +182,9 @@ def _text(value: Any) -> str:
 
 
 def _validate(args: Validate) -> int:
+    from kinetix_dist.level.proof import is_proof_document, read_proof
+    from kinetix_dist.level.validate import read_document
+
     files: list[Path] = []
     for given in args.files:
         found = sorted(given.glob("**/*.json")) if given.is_dir() else [given]
@@ -186,12 +194,15 @@ def _validate(args: Validate) -> int:
     num_wrong = 0
     for path in files:
         try:
-            _read(path)
+            if is_proof_document(read_document(path)):
+                read_proof(path)
+            else:
+                _read(path)
         except _EXPECTED as error:
             num_wrong += 1
             text = " ".join(str(error).split())
             print(text if str(path) in text else f"{path}: {text}")
-    print(f"{len(files) - num_wrong} of {len(files)} level files are valid")
+    print(f"{len(files) - num_wrong} of {len(files)} files are valid")
     return 1 if num_wrong else 0
 
 

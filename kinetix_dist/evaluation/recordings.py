@@ -22,7 +22,7 @@ import numpy as np
 from jax2d.scene import Array, index_worlds
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.records import PreparedLevels
+from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.evaluation.policies import Player, Policy
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import LevelInfo, level_from_json, level_to_json
@@ -48,12 +48,42 @@ def record_rollouts(
     `max_steps` states of every world at once: 30 kB a level of size S, 60 kB of L.
     """
     levels = jax.device_get(levels)
+    history = jax.device_get(_play(env, *player, env.prepare(levels), key))
+    return _rollouts(env, levels, names, history, policy_version=policy_version, seed=seed)
+
+
+def record_actions(
+    env: Environment, levels: Level, actions: Array, *, names: Sequence[str] | None = None
+) -> list[Rollout]:
+    """The same for actions that are known beforehand, [max_steps, W, ...] of the environment's action space."""
+    if len(actions) != env.config.max_steps:
+        raise ValueError(f"actions are {len(actions)} steps; an episode has {env.config.max_steps}")
+    for step in actions:
+        env.action_space.check(step, np.shape(levels.angle)[0])
+    levels = jax.device_get(levels)
+    history = jax.device_get(_play_actions(env, env.prepare(levels), jnp.asarray(actions)))
+    return _rollouts(env, levels, names, history, policy_version=RANDOM_POLICY_VERSION, seed=0)
+
+
+def play_policy(env: Environment, player: Player, prepared: PreparedLevels, key: Array) -> np.ndarray:
+    """[max_steps, W, ...]: the actions of `record_rollouts`, for who needs nothing else. The key is consumed."""
+    return np.asarray(_play(env, *player, prepared, key)["actions"])
+
+
+def _rollouts(
+    env: Environment,
+    levels: Level,
+    names: Sequence[str] | None,
+    history: dict[str, np.ndarray],
+    *,
+    policy_version: int,
+    seed: int,
+) -> list[Rollout]:
+    """One rollout a level out of the history of all."""
     num_levels = np.shape(levels.angle)[0]
     names = [f"level_{i}" for i in range(num_levels)] if names is None else list(names)
     if len(names) != num_levels:
         raise ValueError(f"{len(names)} names were given for {num_levels} levels")
-    prepared = env.prepare(levels)
-    history = jax.device_get(_play(env, *player, prepared, key))
     step_seconds = env.engine.settings.dt * env.config.frame_skip
     rollouts = []
     for i, name in enumerate(names):
@@ -103,17 +133,36 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
         env_state, obs = carry
         step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
         actions = policy(params, env.observe(prepared, obs), step_keys)
-        controls, _ = controls_of(
-            env.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
-        )
-        # The environment restarts a finished episode at once: its last state is only seen by stepping beside it.
-        bodies = env.bodies_after(prepared, env_state, controls)
-        env_state, obs, reward, done, info = env.step(prepared, env_state, actions)
-        commands = {"actions": actions, "motor": controls.motor, "thruster": controls.thruster}
-        ended = {"done": done, "solved": info.solved, "failed": info.failed, "unstable": info.unstable}
-        return (env_state, obs), {**bodies, **commands, **ended, "reward": reward}
+        env_state, obs, seen = _step_seen(env, prepared, env_state, actions)
+        return (env_state, obs), seen
 
     return jax.lax.scan(play, (env_state, obs), jnp.arange(env.config.max_steps))[1]
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _play_actions(env: Environment, prepared: PreparedLevels, actions: Array) -> dict[str, Array]:
+    """What `_play` gives, for actions [T, W, ...]."""
+
+    def play(env_state: Any, step_actions: Array) -> tuple[Any, dict[str, Array]]:
+        env_state, _, seen = _step_seen(env, prepared, env_state, step_actions)
+        return env_state, seen
+
+    return jax.lax.scan(play, env.reset(prepared)[0], actions)[1]
+
+
+def _step_seen(
+    env: Environment, prepared: PreparedLevels, env_state: EnvState, actions: Array
+) -> tuple[EnvState, Any, dict[str, Array]]:
+    """One step of every world: (env_state, obs, what is recorded of it)."""
+    controls, _ = controls_of(
+        env.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
+    )
+    # The environment restarts a finished episode at once: its last state is only seen by stepping beside it.
+    bodies = env.bodies_after(prepared, env_state, controls)
+    env_state, obs, reward, done, info = env.step(prepared, env_state, actions)
+    commands = {"actions": actions, "motor": controls.motor, "thruster": controls.thruster}
+    ended = {"done": done, "solved": info.solved, "failed": info.failed, "unstable": info.unstable}
+    return env_state, obs, {**bodies, **commands, **ended, "reward": reward}
 
 
 def _trajectory(level: Level, world: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

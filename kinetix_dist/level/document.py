@@ -27,8 +27,11 @@ class LevelInfo:
 
     name: str
     size: str
+    title: str = ""
     description: str = ""
     source: str = ""
+    tags: tuple[str, ...] = ()
+    difficulty: str = ""  # expected: "easy", "medium" or "hard"
 
 
 def level_to_json(level: Level, info: LevelInfo | None = None) -> dict[str, Any]:
@@ -42,8 +45,11 @@ def level_to_json(level: Level, info: LevelInfo | None = None) -> dict[str, Any]
         "version": FORMAT_VERSION,
         "name": info.name,
         "size": info.size,
+        **({"title": info.title} if info.title else {}),
         **({"description": info.description} if info.description else {}),
         **({"source": info.source} if info.source else {}),
+        **({"tags": list(info.tags)} if info.tags else {}),
+        **({"difficulty": info.difficulty} if info.difficulty else {}),
         "gravity": _numbers(scene.gravity),
     }
     walls = {name: _surface(level, slot) for slot, name in enumerate(WALL_NAMES)}

@@ -10,6 +10,7 @@ A document says what shapes are and where; centres of mass, masses, inertias and
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -63,9 +64,10 @@ def level_from_json(document: Any, size: str | Capacity | None = None) -> Level:
 
 
 def document_info(document: dict[str, Any]) -> LevelInfo:
-    """Name, size, description and source of a valid document."""
-    keys = ("name", "size", "description", "source")
-    return LevelInfo(**{key: document[key] for key in keys if key in document})
+    """What a valid document says of a level besides the level."""
+    names = [field.name for field in dataclasses.fields(LevelInfo)]
+    given = {name: document[name] for name in names if name in document}
+    return LevelInfo(**given | {"tags": tuple(given.get("tags", ()))})
 
 
 def _assemble(document: dict[str, Any], capacity: Capacity) -> Level:

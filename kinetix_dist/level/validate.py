@@ -49,7 +49,7 @@ def validate_document(document: Any, capacity: Capacity, size_name: str | None =
     `size_name` is what messages call the capacity.
     """
     _check_numbers(document, "")
-    _check_structure(document)
+    check_structure(document, levels_root() / "schema.json", see="docs/level_format.md")
     shapes = document["shapes"]
     for i, shape in enumerate(shapes):
         if shape["type"] == "polygon":
@@ -70,11 +70,10 @@ def validate_document(document: Any, capacity: Capacity, size_name: str | None =
 
 
 @functools.cache
-def _structure_validator() -> Any:
+def _structure_validator(schema_file: Path) -> Any:
     import jsonschema
 
-    schema = json.loads((levels_root() / "schema.json").read_text(encoding="utf-8"))
-    return jsonschema.Draft202012Validator(schema)
+    return jsonschema.Draft202012Validator(json.loads(schema_file.read_text(encoding="utf-8")))
 
 
 def _path_text(parts: Any) -> str:
@@ -97,8 +96,10 @@ def _check_numbers(value: Any, path: str) -> None:
             _check_numbers(inner, f"{path}[{i}]")
 
 
-def _check_structure(document: Any) -> None:
-    errors = sorted(_structure_validator().iter_errors(document), key=lambda error: list(map(str, error.absolute_path)))
+def check_structure(document: Any, schema_file: Path, *, see: str) -> None:
+    """Raises `LevelFormatError` for the first thing that a JSON schema does not allow; `see` describes the fields."""
+    errors = _structure_validator(schema_file).iter_errors(document)
+    errors = sorted(errors, key=lambda error: list(map(str, error.absolute_path)))
     if not errors:
         return
     error = errors[0]
@@ -131,7 +132,7 @@ def _check_structure(document: Any) -> None:
     }
     if error.validator in bounds:
         raise LevelFormatError(path, f"is {given}", f"give {bounds[error.validator]} {limit}")
-    raise LevelFormatError(path, " ".join(error.message.split()), "see docs/level_format.md")
+    raise LevelFormatError(path, " ".join(error.message.split()), f"see {see}")
 
 
 def _short(value: Any) -> str:

@@ -45,7 +45,7 @@ def test_a_level_goes_out_to_a_public_file_and_comes_back(tmp_path: Path, capsys
     assert main(["levels", "import", public, ours, "--name", "seesaw"]) == 0
     capsys.readouterr()
     assert main(["levels", "validate", ours, public]) == 0
-    assert "2 of 2 level files are valid" in capsys.readouterr().out
+    assert "2 of 2 files are valid" in capsys.readouterr().out
     assert json.loads(Path(ours).read_text())["name"] == "seesaw"
 
 
@@ -57,7 +57,7 @@ def test_validate_names_each_wrong_file_and_fails(tmp_path: Path, capsys: pytest
     assert main(["levels", "validate", str(tmp_path)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2 and "bad.json: joints[0].a: there is no shape 'nobody'" in lines[0]
-    assert lines[1] == "1 of 2 level files are valid"
+    assert lines[1] == "1 of 2 files are valid"
 
 
 def test_all_shipped_levels_are_valid(capsys: pytest.CaptureFixture[str]) -> None:

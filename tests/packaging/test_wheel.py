@@ -100,7 +100,7 @@ def test_commands_run_in_an_empty_directory(installed: Path, tmp_path: Path) -> 
 
     assert "designed_s" in kinetix_dist("levels", "list")
     levels = next(installed.glob("lib/*/site-packages/kinetix_dist/data/levels"))
-    assert "level files are valid" in kinetix_dist("levels", "validate", str(levels))
+    assert "files are valid" in kinetix_dist("levels", "validate", str(levels))
     rates = kinetix_dist("eval", "--checkpoint", "sfl_s", "--levels", "s/hop_home", "--attempts", "1", "--no-baselines")
     assert "all, trained" in rates and str(installed) in rates
     kinetix_dist("train", "--recipe", "tiny", "--run", "run", "--recording.num_rollouts", "1",

@@ -149,6 +149,17 @@ struct Bodies {
     }
   }
 
+  // J, of all that moves.
+  KFN real kinetic_energy() const {
+    real twice = real(0);
+    for (Each each = Each::of(moving); each.next();) {
+      int i = each.shape;
+      twice += Math::inverse_or_zero(inverse_mass(i)) * velocity(i).dot(velocity(i)) +
+               Math::inverse_or_zero(inverse_inertia(i)) * omega(i) * omega(i);
+    }
+    return real(0.5) * twice;
+  }
+
   // No state that a call returns moves faster than the limits: what the last relax pass and bounces gave counts too.
   KFN void limit_speeds(real max_speed, real max_omega) {
     for (Each each = Each::of(moving); each.next();) limit_speed(each.shape, max_speed, max_omega);

@@ -222,6 +222,10 @@ struct Contacts {
     surfaces.forget(k);
   }
 
+  KFN void forget_all() {
+    for (int k = 0; k < count; ++k) forget(k);
+  }
+
   // Whether the same impulse is to be expected again: not that of a blow or bounce.
   KFN static bool lasts(const Contact& c) { return c.bounce == real(0) && !c.is_blow; }
 

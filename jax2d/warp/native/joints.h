@@ -153,6 +153,14 @@ struct Joints {
     }
   }
 
+  KFN void forget_all() {
+    springs.forget_all();
+    for (int k = 0; k < count; ++k) {
+      list[k].impulse = Vec2{real(0), real(0)};
+      list[k].angular_impulse = list[k].impulse_lower = list[k].impulse_upper = real(0);
+    }
+  }
+
   // All that joint k exerts, with its arms as they are.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
     const Joint& joint = list[k];

@@ -6,6 +6,7 @@ struct Springs {
   KFN void forget_slowed(const Bodies&) {}
   KFN void store(const Column&) const {}
   KFN void prepare(const Bodies&) {}
+  KFN void forget_all() {}
   KFN void warm_start(Bodies&) {}
   KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}
   KFN real kinematic_work(const Bodies&) const { return real(0); }

@@ -124,6 +124,10 @@ struct Springs {
       list[k].centre_gap = bodies.position[list[k].b] - bodies.position[list[k].a];
   }
 
+  KFN void forget_all() {
+    for (int k = 0; k < count; ++k) list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0);
+  }
+
   KFN void warm_start(Bodies& bodies) {
     for (int k = 0; k < count; ++k) {
       Spring& spring = list[k];

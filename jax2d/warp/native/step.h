@@ -14,6 +14,7 @@ struct World {
   Joints joints;
   Thrusters thrusters;
   Bounces bounces;
+  Begun begun;
   Report report;
   Soft soft;
   ARRAY(unsigned int, touching_now, NUM_SHAPES * TOUCH_WORDS);  // a row a shape, a bit a slot
@@ -88,6 +89,7 @@ struct World {
         thrusters.apply(bodies, h);
         ExternalForces::apply(bodies, controls, h);
         bodies.apply_damping(scene, h);
+        begun.begin(bodies, h);
         joints.warm_start(bodies);
         contacts.warm_start(bodies);
         if (reports) report.warm_start(contacts);
@@ -132,7 +134,7 @@ struct World {
   KFN void relax(Vec2 gravity, real h, bool is_last) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
     bool bouncing = false, friction_applied = false;
-    int repeats = 0;
+    int repeats = 0, energy_passes = 0;
     contacts.active.begin();
     real carried = real(0);
     for (int round = 0; round <= rounds; ++round) {
@@ -146,6 +148,18 @@ struct World {
           continue;
         }
         contacts.active.begin();
+        bool would_forget = energy_passes + 1 == REMEMBERED_ENERGY_PASSES;
+        real spare = would_forget ? begun.mass * FORGETTING_GAIN : real(0);
+        if (contacts.count > 0 && energy_passes < ENERGY_PASSES && gains_energy(h, spare)) {
+          ++energy_passes;
+          if (would_forget) {
+            begun.restore(bodies);
+            joints.forget_all();
+            contacts.forget_all();
+          }
+          --round;
+          continue;
+        }
       }
       if (round > 0) {
         if (friction_applied && contacts.converged) break;
@@ -176,6 +190,12 @@ struct World {
     real share = bounces.limit(bodies, gravity, h, carried_work(h) - carried);
     if (reports) report.add(contacts, share);
     joints.load_impulses(impulses);
+  }
+
+  // More than `spare` J.
+  KFN bool gains_energy(real h, real spare) const {
+    real gain = bodies.kinetic_energy() - begun.max_energy - spare;
+    return gain > real(0) && gain > joints.motor_work(bodies) + carried_work(h);
   }
 
   // J, what moving surfaces and kinematic bodies have done in this sub-step.

@@ -1,0 +1,276 @@
+"""`kinetix-dist levels solve`: finds proofs that levels can be solved, stores them, and checks those that there are.
+
+    kinetix-dist levels solve s/hop_home                  search, store levels/proofs/s/hop_home.json
+    kinetix-dist levels solve mine.json --seconds 300     search longer, store mine.proof.json
+    kinetix-dist levels solve all_designed_s --check      replay what is stored, search nothing
+    kinetix-dist levels solve s/hop_home --check --picture solved.png
+
+Exit status 1 where a level stays without a proof, or a proof does not solve its level.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import math
+import os
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from kinetix_dist.cli.errors import UserError, one_line, user_errors
+
+if TYPE_CHECKING:
+    from kinetix_dist.env.environment import Environment
+    from kinetix_dist.evaluation.policies import Player
+    from kinetix_dist.level.level import Level
+    from kinetix_dist.level.proof import Proof
+    from kinetix_dist.telemetry.recording import Rollout
+
+MIN_WORLDS = 32  # fewer leave the searches nothing to choose from
+PIXELS_PER_METRE = 40.0  # of pictures: 40 levels on one are 1,500 pixels wide
+
+
+@dataclasses.dataclass(frozen=True)
+class Solve:
+    """Find actions that solve levels, and store them as proofs; or check the proofs that there are."""
+
+    levels: tyro.conf.Positional[str]
+    """A level file, a designed level such as s/hop_home, a set or a directory of level files."""
+    check: bool = False
+    """Replay the stored proofs instead of searching."""
+    picture: Path | None = None
+    """With --check: also draw how the proofs end, all levels on one PNG."""
+    again: bool = False
+    """Search also where a good proof is stored, and replace it."""
+    seconds: float = 60.0
+    """To search for each level."""
+    method: Literal["random", "best_first", "cem", "policy"] | None = None
+    """The only method to try; left out: all of them, policy only with --checkpoint."""
+    checkpoint: Path | None = None
+    """Whose policy --method policy plays: a checkpoint directory, or a pretrained policy such as sfl_s."""
+    proofs: Path | None = None
+    """The directory of the proofs; left out: levels/proofs for designed levels, else beside each level file."""
+    worlds: int = 512
+    """Worlds played at once."""
+    seed: int = 0
+    """Of the search."""
+    preset: Annotated[str, tyro.conf.arg(name="env.preset")] = "standard"
+    """Solver settings of the physics."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Task:
+    """A level and where its proof is."""
+
+    name: str
+    size: str
+    level: Level
+    document: dict[str, Any]
+    proof_file: Path
+
+
+def run_solve(args: Solve) -> int:
+    """0, or 1 where a level is without a good proof at the end."""
+    _check(args)
+    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+
+    enable_compile_cache("")
+    with user_errors(ValueError, OSError):
+        tasks = _tasks(args)
+    if args.check:
+        return _check_proofs(args, tasks)
+    return _search(args, tasks)
+
+
+def _check(args: Solve) -> None:
+    """Complains before anything slow happens."""
+    from jax2d.settings import preset
+
+    with user_errors(ValueError):
+        preset(args.preset)
+    if args.seconds <= 0 or args.seconds != args.seconds:
+        raise UserError(f"--seconds is {args.seconds}; give more than 0")
+    if args.worlds < MIN_WORLDS:
+        raise UserError(f"--worlds is {args.worlds}; give {MIN_WORLDS} or more")
+    if args.method == "policy" and args.checkpoint is None:
+        raise UserError("--method policy needs --checkpoint: a checkpoint directory, or a pretrained policy (sfl_s)")
+    if args.checkpoint is not None and args.method not in (None, "policy"):
+        raise UserError(f"--method {args.method} plays no policy; leave --checkpoint out")
+    if args.check and (args.again or args.method or args.checkpoint):
+        raise UserError("--check searches nothing; leave --again, --method and --checkpoint out")
+    if args.picture is not None and not args.check:
+        raise UserError("--picture draws what --check replays; give --check too")
+    if args.proofs is not None and args.proofs.exists() and not args.proofs.is_dir():
+        raise UserError(f"--proofs {args.proofs} is a file; give a directory")
+
+
+def _tasks(args: Solve) -> list[_Task]:
+    from kinetix_dist.level.fit import capacity_of_size, fit_level
+    from kinetix_dist.level.proof import proof_path
+    from kinetix_dist.level.sets import RANDOM_SETS, files_of_set, read_level
+    from kinetix_dist.level.validate import read_document
+
+    if args.levels in RANDOM_SETS:
+        raise UserError(f"{args.levels!r} is drawn when it is used; there are no files that proofs could be of")
+    tasks = []
+    for file in files_of_set(args.levels):
+        level, info = read_level(file)
+        tasks.append(
+            _Task(
+                name=info.name,
+                size=info.size,
+                level=fit_level(level, capacity_of_size(info.size)),
+                document=read_document(file),
+                proof_file=proof_path(file, args.proofs),
+            )
+        )
+    return tasks
+
+
+def _environment(args: Solve, size: str) -> Environment:
+    from jax2d.settings import preset
+    from kinetix_dist.env.environment import EnvConfig, Environment
+
+    return Environment(EnvConfig(size=size, physics=preset(args.preset)))
+
+
+def _by_size(tasks: Iterable[_Task]) -> dict[str, list[_Task]]:
+    """Tasks by size: one environment, compiled once, for all of a size."""
+    grouped = collections.defaultdict(list)
+    for task in tasks:
+        grouped[task.size].append(task)
+    return grouped
+
+
+def _check_proofs(args: Solve, tasks: list[_Task]) -> int:
+    replayed = _replay(args, tasks)
+    for task, proof, _, fault in replayed:
+        if fault is None:
+            assert proof is not None
+            print(f"{task.name}: solved in {proof.num_steps} steps")
+        else:
+            print(fault if str(task.proof_file) in fault else f"{task.name}: {fault}")
+    num_good = sum(fault is None for *_, fault in replayed)
+    print(f"{num_good} of {len(tasks)} levels have a proof that solves them")
+    if args.picture is not None:
+        _write_picture(args.picture, [rollout for _, _, rollout, _ in replayed if rollout is not None])
+    return 0 if num_good == len(tasks) else 1
+
+
+def _write_picture(path: Path, rollouts: list[Rollout]) -> None:
+    """How each rollout ended, in rows that make the whole about square."""
+    from jax2d.images import film_strip, write_png
+    from kinetix_dist.telemetry.pictures import moment_picture
+
+    if not rollouts:
+        raise UserError("no proof could be replayed: there is nothing to draw")
+    images = [moment_picture(rollout, rollout.num_steps, pixels_per_metre=PIXELS_PER_METRE) for rollout in rollouts]
+    columns = math.ceil(math.sqrt(len(images)))
+    with user_errors(OSError, prefix=f"{path} cannot be written: "):
+        write_png(path, film_strip(images, [rollout.level_name for rollout in rollouts], columns=columns))
+    print(f"wrote {path}")
+
+
+def _replay(args: Solve, tasks: list[_Task]) -> list[tuple[_Task, Proof | None, Rollout | None, str | None]]:
+    """Of each level its proof, how that goes, and what is wrong with it in one line (None: nothing)."""
+    from kinetix_dist.evaluation.proofs import fault_of_replay, replay
+
+    results: list[tuple[_Task, Proof | None, Rollout | None, str | None]] = []
+    for size, of_size in _by_size(tasks).items():
+        env = _environment(args, size)
+        good: list[tuple[_Task, Proof]] = []
+        for task in of_size:
+            if not task.proof_file.is_file():
+                results.append((task, None, None, f"there is no proof ({task.proof_file})"))
+                continue
+            try:
+                good.append((task, _proof_of(args, task, env)))
+            except (ValueError, OSError) as error:
+                results.append((task, None, None, one_line(error)))
+        if good:
+            rollouts = replay(env, [task.level for task, _ in good], [proof for _, proof in good])
+            for (task, proof), rollout in zip(good, rollouts):
+                results.append((task, proof, rollout, fault_of_replay(proof, rollout)))
+    order = {id(task): number for number, task in enumerate(tasks)}
+    return sorted(results, key=lambda result: order[id(result[0])])
+
+
+def _proof_of(args: Solve, task: _Task, env: Environment) -> Proof:
+    """The stored proof of a level. Raises `LevelFormatError` where it cannot be read or is of something else."""
+    from kinetix_dist.level.proof import check_proof_is_of, read_proof
+
+    proof = read_proof(task.proof_file)
+    frame_skip, max_steps = env.config.frame_skip, env.config.max_steps
+    check_proof_is_of(
+        proof, task.proof_file, task.document, preset=args.preset, frame_skip=frame_skip, max_steps=max_steps
+    )
+    return proof
+
+
+def _search(args: Solve, tasks: list[_Task]) -> int:
+    from kinetix_dist.evaluation.search.solve import solve
+    from kinetix_dist.level.proof import write_proof
+
+    good = {} if args.again else {id(task): proof for task, proof, _, fault in _replay(args, tasks) if fault is None}
+    num_solved = 0
+    for size, of_size in _by_size(tasks).items():
+        env = _environment(args, size)
+        for task in of_size:
+            proof = good.get(id(task))
+            if proof is not None:
+                print(f"{task.name}: has a proof of {proof.num_steps} steps (--again searches for another)")
+                num_solved += 1
+                continue
+            with user_errors(OSError, prefix=f"{task.proof_file} cannot be written: "):
+                task.proof_file.parent.mkdir(parents=True, exist_ok=True)  # before the search, not after it
+                if not os.access(task.proof_file.parent, os.W_OK):
+                    raise UserError(f"{task.proof_file.parent} cannot be written to; give --proofs another directory")
+            begin = time.monotonic()
+            with user_errors(ValueError, prefix=f"{task.name}: "):
+                solved = solve(
+                    env,
+                    task.level,
+                    task.document,
+                    name=task.name,
+                    seconds=args.seconds,
+                    methods=None if args.method is None else [args.method],
+                    player=_player(args, env, task.level),
+                    num_worlds=args.worlds,
+                    seed=args.seed,
+                )
+            seconds = time.monotonic() - begin
+            if solved.proof is None:
+                print(f"{task.name}: not solved in {seconds:.0f} s; tried {'; '.join(solved.tried)}", flush=True)
+                continue
+            with user_errors(OSError, prefix=f"{task.proof_file} cannot be written: "):
+                write_proof(task.proof_file, solved.proof)
+            num_solved += 1
+            proof = solved.proof
+            print(
+                f"{task.name}: solved in {proof.num_steps} steps by {proof.method} after {seconds:.0f} s, "
+                f"also from {proof.robustness:.0%} of slightly different starts; wrote {task.proof_file}",
+                flush=True,
+            )
+    print(f"{num_solved} of {len(tasks)} levels have a proof")
+    return 0 if num_solved == len(tasks) else 1
+
+
+def _player(args: Solve, env: Environment, level: Level) -> Player | None:
+    """The policy of --checkpoint; None without one."""
+    if args.checkpoint is None:
+        return None
+    from jax2d.scene import stack_worlds
+    from kinetix_dist.checkpoint import CheckpointError, load_checkpoint
+    from kinetix_dist.config import from_dict_for_playing
+    from kinetix_dist.evaluation.load_policy import load_policy
+    from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+
+    with user_errors(CheckpointError, ValueError, OSError):
+        checkpoint = load_checkpoint(args.checkpoint)
+        config = from_dict_for_playing(checkpoint.description["config"])
+        module, params = load_policy(checkpoint, config.policy, env, stack_worlds([level]))
+    return Player(NetworkPolicy(module, env.action_distribution), params)

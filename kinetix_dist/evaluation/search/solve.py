@@ -1,0 +1,107 @@
+"""Finds a proof for a level: the methods one after the other, then the environment replays what was found.
+
+outcome = solve(env, level, document, seconds=60)
+outcome.proof, or None and outcome.tried, a line for each method
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.physics import describe
+from kinetix_dist.evaluation.policies import Player
+from kinetix_dist.evaluation.proofs import replay
+from kinetix_dist.evaluation.search.best_first import best_first
+from kinetix_dist.evaluation.search.cross_entropy import cross_entropy
+from kinetix_dist.evaluation.search.policy_search import policy_search
+from kinetix_dist.evaluation.search.polish import polish, rank
+from kinetix_dist.evaluation.search.random_search import random_search
+from kinetix_dist.evaluation.search.worlds import Budget, Worlds
+from kinetix_dist.level.level import Level
+from kinetix_dist.level.proof import Proof, level_hash
+
+POLISH_SHARE = 0.25  # of the seconds, once something was found
+ROBUST = 0.9  # a solution that works from fewer of slightly different starts is kept, but the search goes on
+
+Search = Callable[[Worlds, np.random.Generator, Budget], list[np.ndarray]]
+SEARCHES: dict[str, Search] = {"random": random_search, "cem": cross_entropy, "best_first": best_first}
+METHODS = (*SEARCHES, "policy")
+SHARES = {"random": 0.15, "policy": 0.15, "cem": 0.35, "best_first": 1.0}  # of the seconds that are left, in this order
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Solved:
+    """What came of a search: a proof, or why there is none."""
+
+    proof: Proof | None
+    tried: tuple[str, ...]  # a line for each method, in the order tried
+
+
+def solve(
+    env: Environment,
+    level: Level,
+    document: dict[str, Any],
+    *,
+    name: str,
+    seconds: float,
+    methods: Sequence[str] | None = None,
+    player: Player | None = None,
+    num_worlds: int = 512,
+    seed: int = 0,
+) -> Solved:
+    """Searches for actions that solve a level (numpy, of the environment's size), which `document` describes.
+
+    methods: of METHODS, all but "policy" by default; "policy" needs a `player`. Raises ValueError for a level in which
+    no action does anything and for an environment of other actions than multi-discrete ones.
+    """
+    if env.action_space.name != "multi_discrete":
+        raise ValueError(f"proofs are multi-discrete actions; the environment has {env.action_space.name!r}")
+    worlds = Worlds(env, level, num_worlds)
+    rng = np.random.default_rng(seed)
+    searches = SEARCHES if player is None else SEARCHES | {"policy": functools.partial(_with_policy, player)}
+    methods = [method for method in SHARES if method in (methods or tuple(searches))]
+    whole = Budget(seconds)
+    tried = []
+    best: tuple[np.ndarray, float, str] | None = None  # actions, robustness, method
+    for method in methods:
+        is_last = method == methods[-1]
+        budget = Budget(whole.seconds_left * (1.0 if is_last else SHARES[method]))
+        found = searches[method](worlds, rng, budget)
+        tried.append(f"{method}: {budget.num_steps:,} steps, green came within {budget.min_distance:.2f} m of blue")
+        if found:
+            actions, robustness = polish(worlds, found, rng, Budget(POLISH_SHARE * seconds))
+            if best is None or rank(actions, robustness) > rank(*best[:2]):
+                best = actions, robustness, method
+            if robustness >= ROBUST:
+                break
+    if best is None:
+        return Solved(proof=None, tried=tuple(tried))
+    actions, robustness, method = best
+    proof = Proof(
+        level=name,
+        level_sha256=level_hash(document),
+        preset=describe(env.config.physics),
+        frame_skip=env.config.frame_skip,
+        max_steps=env.config.max_steps,
+        action_space=env.action_space.name,
+        actions=actions,
+        method=method,
+        robustness=round(robustness, 3),
+    )
+    rollout = replay(env, [level], [proof])[0]
+    if not (rollout.solved and rollout.num_steps == proof.num_steps):
+        raise RuntimeError(
+            f"{name}: {method} found {proof.num_steps} steps that the environment does not confirm "
+            f"({rollout.outcome} after {rollout.num_steps}): search and environment disagree, which is a bug"
+        )
+    return Solved(proof=proof, tried=tuple(tried))
+
+
+def _with_policy(player: Player, worlds: Worlds, rng: np.random.Generator, budget: Budget) -> list[np.ndarray]:
+    return policy_search(worlds, player, rng, budget)

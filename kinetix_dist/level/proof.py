@@ -1,0 +1,136 @@
+"""Proofs that levels can be solved: recorded actions as JSON files, tied to one level by its hash.
+
+    proof = read_proof(proof_path(level_file))
+    check_proof_is_of(proof, level_file, preset="standard")
+
+levels/proofs/schema.json is the structure of a file. What a proof claims is checked by replaying it
+(`evaluation/proofs.py`); this file only knows what is written.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.validate import LevelFormatError, check_structure, read_document
+
+FORMAT_NAME = "kinetix-dist-proof"
+FORMAT_VERSION = 1
+PROOF_SUFFIX = ".proof.json"  # of proofs that lie beside a level file of a user
+ABOUT = ("name", "title", "description", "source", "tags", "difficulty")  # what a level says of itself moves nothing
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Proof:
+    """Actions that solve a level from its start, `T` environment steps of `A` numbers."""
+
+    level: str  # name
+    level_sha256: str  # `level_hash` of the document
+    preset: str  # solver settings of the physics
+    frame_skip: int  # physics steps in an environment step
+    max_steps: int  # environment steps of an episode
+    action_space: str
+    actions: np.ndarray  # [T, A] int32
+    method: str = ""  # what found it
+    robustness: float | None = None  # share of slightly different starts that the same actions solve
+
+    @property
+    def num_steps(self) -> int:
+        return len(self.actions)
+
+
+def level_hash(document: dict[str, Any]) -> str:
+    """SHA-256 of what is in a level document of either format; names and descriptions do not count."""
+    content = {key: value for key, value in document.items() if key not in ABOUT}
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def proof_path(level_file: Path, directory: Path | None = None) -> Path:
+    """Where the proof of a level is: in `directory` if given; of a designed level levels/proofs/SIZE/NAME.json; else
+    beside the level file."""
+    if directory is not None:
+        return directory / level_file.name
+    root = levels_root().resolve()
+    file = level_file.resolve()
+    if file.is_relative_to(root):
+        return root / "proofs" / file.relative_to(root)
+    return level_file.with_name(level_file.stem + PROOF_SUFFIX)
+
+
+def is_proof_document(document: Any) -> bool:
+    return isinstance(document, dict) and document.get("format") == FORMAT_NAME
+
+
+def read_proof(path: Path) -> Proof:
+    """The proof of a file. Raises `LevelFormatError` naming file and field, `OSError` where it cannot be read."""
+    document = read_document(path)
+    try:
+        check_structure(document, levels_root() / "proofs" / "schema.json", see="docs/levels.md")
+        fields = {key: value for key, value in document.items() if key not in ("format", "version", "num_steps")}
+        proof = Proof(**fields | {"actions": _decode(document["actions"])})
+        if proof.num_steps != document["num_steps"]:
+            raise LevelFormatError(
+                "actions", f"are {proof.num_steps} steps, num_steps is {document['num_steps']}", "find the proof again"
+            )
+        if proof.num_steps > proof.max_steps:
+            raise LevelFormatError(
+                "num_steps", f"is {proof.num_steps}, an episode has {proof.max_steps}", "find a shorter proof"
+            )
+    except LevelFormatError as error:
+        raise error.in_file(path) from None
+    return proof
+
+
+def write_proof(path: Path, proof: Proof) -> None:
+    """Writes a proof, its directory too; reading it back gives the same actions."""
+    document = {
+        "format": FORMAT_NAME,
+        "version": FORMAT_VERSION,
+        **{field.name: getattr(proof, field.name) for field in dataclasses.fields(proof)},
+        "num_steps": proof.num_steps,
+        "actions": _encode(proof.actions),
+    }
+    document = {key: value for key, value in document.items() if value not in ("", None)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+
+
+def check_proof_is_of(
+    proof: Proof, path: Path, level_document: dict[str, Any], *, preset: str, frame_skip: int, max_steps: int
+) -> None:
+    """Raises `LevelFormatError`, one line, where a proof was found for something else than what it is to prove."""
+    found = level_hash(level_document)
+    if proof.level_sha256 != found:
+        raise LevelFormatError(
+            f"{path}: level_sha256",
+            f"is {proof.level_sha256[:12]}..., the level is {found[:12]}...: the proof is of another level, or of this "
+            "one before a change",
+            "find it again with `kinetix-dist levels solve`",
+        )
+    for name, asked in (("preset", preset), ("frame_skip", frame_skip), ("max_steps", max_steps)):
+        if getattr(proof, name) != asked:
+            raise LevelFormatError(
+                f"{path}: {name}",
+                f"is {getattr(proof, name)!r}, asked for is {asked!r}",
+                f"ask for {getattr(proof, name)!r}, or find a proof of {asked!r} with `kinetix-dist levels solve`",
+            )
+
+
+def _encode(actions: np.ndarray) -> str:
+    """Runs of equal actions: "12*100001 3*000000"."""
+    words = ("".join(map(str, row)) for row in np.asarray(actions).tolist())
+    return " ".join(f"{len(list(run))}*{word}" for word, run in itertools.groupby(words))
+
+
+def _decode(text: str) -> np.ndarray:
+    runs = [run.split("*") for run in text.split(" ")]
+    return np.concatenate([np.tile([int(digit) for digit in word], (int(count), 1)) for count, word in runs]).astype(
+        np.int32
+    )

@@ -1,0 +1,71 @@
+"""Bodies that start deep inside fixed things, held there by friction: when they slip free they are not thrown."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d.fidelity import record_worlds
+
+pytestmark = pytest.mark.also_gpu
+
+CAPACITY = Capacity(polygons=3, circles=2, joints=1, thrusters=0)
+NUM_WORLDS = 64
+SECONDS = 1.5
+
+
+@functools.cache
+def jams(num_worlds: int = NUM_WORLDS) -> list[BuiltWorld]:
+    """A disc deep in a wall and in a fixed disc beside it, hinged at its centre to a box that lies on the latter.
+    Nothing moves and nothing pulls: all that they get is from being pushed out of what they overlap."""
+    rng, worlds = np.random.default_rng(7), []
+    for _ in range(num_worlds):
+        b = SceneBuilder(CAPACITY, gravity=(0, 0))
+        b.add_box(width=5.0, height=10.0, position=(2.5, 0), friction=1.0, fixed=True)
+        radius, fixed_radius = rng.uniform(0.25, 0.4), rng.uniform(0.2, 0.4)
+        centre = np.array([rng.uniform(0.4, 0.8) - radius, 0])
+        away = np.pi + rng.uniform(-1.2, 1.2)
+        gap = radius + fixed_radius - rng.uniform(0.02, 0.2)
+        fixed_at = centre + gap * np.array([np.cos(away), np.sin(away)])
+        b.add_circle(radius=fixed_radius, position=fixed_at, friction=1.0, fixed=True)
+        disc = b.add_circle(radius=radius, position=centre, friction=1.0)
+        box = b.add_box(
+            width=rng.uniform(0.3, 0.8),
+            height=rng.uniform(0.3, 0.8),
+            position=centre + rng.uniform(-0.4, 0.4, 2),
+            angle=rng.uniform(0, 3),
+            friction=1.0,
+        )
+        b.add_revolute_joint(box, disc, at=tuple(centre))
+        worlds.append(b.build())
+    return worlds
+
+
+def most_energy(settings: str, backend: str = "warp", num_worlds: int = NUM_WORLDS) -> np.ndarray:
+    """[W] J/kg, the most kinetic energy that a world had."""
+    worlds = jams(num_worlds)
+    engine = Engine(CAPACITY, settings=preset(settings), backend=backend)
+    most = []
+    for world, t in zip(worlds, record_worlds(engine, worlds, seconds=SECONDS), strict=True):
+        inverses = np.asarray(world.scene.shapes.inverse_mass), np.asarray(world.scene.shapes.inverse_inertia)
+        mass, inertia = (np.divide(1, x, where=x > 0, out=np.zeros_like(x)) for x in inverses)
+        energy = 0.5 * (mass * (t.velocity**2).sum(-1) + inertia * t.angular_velocity**2).sum(-1)
+        most.append(energy.max() / mass.sum())
+    return np.array(most)
+
+
+@pytest.mark.parametrize(
+    ("settings", "backend"),
+    [
+        ("standard", "warp"),
+        ("draft", "warp"),
+        ("fine", "warp"),
+        pytest.param("standard", "xla", marks=pytest.mark.slow),
+    ],
+)
+def test_what_slips_free_is_not_thrown(settings: str, backend: str) -> None:
+    # Without relax passes that are repeated where energy is gained: 370 J/kg, and more than 10 in half of these worlds.
+    assert most_energy(settings, backend).max() < 5  # J/kg
