@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.proofs import replay
+from kinetix_dist.evaluation.search.best_first import Archive
 from kinetix_dist.evaluation.search.polish import polish
 from kinetix_dist.evaluation.search.random_search import MAX_HOLD, held_choices
 from kinetix_dist.evaluation.search.solve import METHODS, Solved, solve
@@ -85,3 +87,23 @@ def test_polish_shortens_what_was_found_and_keeps_it_a_solution(env: Environment
     assert length > 20
     shorter, robustness = polish(worlds, [detour[:length]], rng, Budget(60.0))
     assert len(shorter) < length - 10 and robustness > 0.9
+
+
+def test_stored_states_are_where_their_paths_lead(env: Environment) -> None:
+    """Bit for bit, also of states that replaced others of their cell."""
+    level = level_from_json(document_of("hop_home") | {"walls": {}})
+    worlds = Worlds(env, level, NUM_WORLDS)
+    archive, rng = Archive(worlds), np.random.default_rng(0)
+    for _ in range(30):
+        origin = archive.choose(rng, NUM_WORLDS)
+        actions = worlds.actions[rng.integers(len(worlds.actions), size=(8, NUM_WORLDS))]
+        archive.add(origin, actions, worlds.play(archive.states(origin), actions))
+    assert len(archive) > 200
+    slots = rng.choice(len(archive), NUM_WORLDS, replace=False)
+    stored = jax.tree.leaves(archive.states(slots))
+    for world in range(0, NUM_WORLDS, 8):
+        state, path = worlds.start, archive.path(slots[world])
+        for start in range(0, len(path), 8):
+            state = worlds.play(state, np.repeat(path[start : start + 8, None], NUM_WORLDS, axis=1)).packed_state
+        for leaf, expected in zip(jax.tree.leaves(state), stored):
+            np.testing.assert_array_equal(leaf[:, 0], expected[:, world])
