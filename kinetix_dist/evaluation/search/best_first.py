@@ -81,9 +81,6 @@ class Archive:
         """The packed state of each world."""
         return jax.tree.unflatten(self._tree, [stored[origin].T for stored in self._stored])
 
-    def __len__(self) -> int:
-        return len(self._paths)
-
     def path(self, slot: int) -> np.ndarray:
         """[t, 6]: the actions from the start to a stored state."""
         return np.concatenate([np.zeros((0, self._worlds.actions.shape[1]), np.int32), *self._paths[slot]])
