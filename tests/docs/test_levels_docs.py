@@ -19,7 +19,7 @@ MAX_PICTURE_BYTES = 400_000
 def test_the_gallery_is_the_collection() -> None:
     """A row for each level, in the order of its set, with title, difficulty and length of the proof."""
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in PAGE.splitlines() if line.startswith("|")]
-    shown = [row[:4] for row in rows if row[0].startswith("`") and row[2] in ("easy", "medium", "hard")]
+    shown = [row[:4] for row in rows if len(row) >= 4 and row[2] in ("easy", "medium", "hard")]
     expected = []
     for size in SIZES:
         for file in files_of_set(f"all_designed_{size}"):
