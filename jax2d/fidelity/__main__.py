@@ -70,6 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import jax
     from rich.console import Console
 
+    from jax2d.fidelity.frontier import Record
     from jax2d.fidelity.picture import draw
     from jax2d.fidelity.references import StaleReference, study_scenes
     from jax2d.fidelity.report import print_report, write_csv
@@ -89,6 +90,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except StaleReference as stale:
         print(stale, file=sys.stderr)
         return 1
+
+    def keep(records: list[Record]) -> None:
+        args.json.write_text(json.dumps(records, indent=1, allow_nan=False) + "\n")
+        write_csv(records, args.csv)
+
     records, failures = run_study(
         [references[name] if name in references else CLOSED_FORMS[name] for name in args.scenes],
         sweep(args.presets, args.backends, quick=args.quick),
@@ -96,6 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Measurement(worlds=worlds, steps=STEPS_GPU if on_gpu else STEPS_CPU, repeats=args.repeats),
         quick=args.quick,
         report=lambda line: console.print(line, markup=False, highlight=False),
+        keep=keep,
     )
     if not records:
         print(
@@ -103,8 +110,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 1
-    args.json.write_text(json.dumps(records, indent=1, allow_nan=False) + "\n")
-    write_csv(records, args.csv)
     draw(records, args.picture, title=f"What accuracy costs: {device}, {worlds} worlds, {len(args.scenes)} scenes")
     print_report(records, console)
     seconds = time.perf_counter() - started

@@ -32,9 +32,15 @@ class TimedRun:
         return statistics.median(self.costs)
 
 
-def time_interleaved(runs: Sequence[TimedRun], *, repeats: int, report: Callable[[str], None]) -> None:
+def time_interleaved(
+    runs: Sequence[TimedRun],
+    *,
+    repeats: int,
+    report: Callable[[str], None],
+    after_round: Callable[[], None] = lambda: None,
+) -> None:
     """`repeats` timed rounds after one that is not timed (it compiles). A run that fails is reported and left out of
-    the rounds that follow; its `failure` says why."""
+    the rounds that follow; its `failure` says why. `after_round` is called once every run has one time more."""
     for number in range(repeats + 1):
         report(f"timing: {f'round {number} of {repeats}' if number else 'warming up'}, {len(runs)} batches")
         for one in runs:
@@ -48,6 +54,8 @@ def time_interleaved(runs: Sequence[TimedRun], *, repeats: int, report: Callable
                 continue
             if number > 0:
                 one.costs.append(cost)
+        if number > 0:
+            after_round()
 
 
 def one_line(error: BaseException) -> str:

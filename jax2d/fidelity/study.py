@@ -63,9 +63,11 @@ def run_study(
     *,
     quick: bool,
     report: Callable[[str], None],
+    keep: Callable[[list[Record]], None],
 ) -> tuple[list[Record], list[str]]:
     """All records, and one line for each thing that failed and has none. What cannot run here at all (a preset that a
-    backend does not know, a peer that is not installed) is reported and is no failure."""
+    backend does not know, a peer that is not installed) is reported and is no failure. `keep` gets the records after
+    every timed round, with the costs so far, so that a study that is cut short leaves something."""
     groups = _groups(scenes)
     untimed: list[UntimedRecord] = []
     failures: list[str] = []
@@ -93,11 +95,13 @@ def run_study(
                     failures.append(str(error))
                     report(f"failed: {error}")
         runs = list(dict.fromkeys(one.timed for one in untimed))
-        time_interleaved(runs, repeats=measurement.repeats, report=report)
+        time_interleaved(runs, repeats=measurement.repeats, report=report, after_round=lambda: keep(_timed(untimed)))
     failures += [run.failure for run in runs if run.failure is not None]
-    return [
-        Record(**one.fields, us_per_world_second=one.timed.cost) for one in untimed if one.timed.failure is None
-    ], failures
+    return _timed(untimed), failures
+
+
+def _timed(records: Sequence[UntimedRecord]) -> list[Record]:
+    return [Record(**one.fields, us_per_world_second=one.timed.cost) for one in records if one.timed.failure is None]
 
 
 def _groups(scenes: Sequence[StudyScene]) -> list[SceneGroup]:

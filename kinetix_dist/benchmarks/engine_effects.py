@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import random
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from jax2d import Controls, Engine, preset
 from jax2d.effects import EFFECTS, called_for
-from kinetix_dist.benchmarks.effect_cases import ADDED, AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX, cases_of
+from kinetix_dist.benchmarks.effect_cases import ADDED, AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX, Case, cases_of
 from kinetix_dist.benchmarks.level_files import EngineOptions, check_engine, check_steps, level_files, load_levels
 from kinetix_dist.benchmarks.random_play import EPISODE_STEPS, FRAME_SKIP, random_controls
 from kinetix_dist.benchmarks.results import Record, Results
@@ -65,12 +65,13 @@ def measure(options: Options, results: Results) -> None:
                     f"size {size.upper()}: {len(files)} levels, {source}; {worlds} worlds, preset {options.preset}, "
                     f"{device.device_kind}, jax {jax.__version__}"
                 )
+                records, of_others = [], list(results.records)
                 try:
-                    records = _measure_size(options, size, levels, worlds, device)
+                    for records in _rounds(options, size, levels, worlds, device, results.report):
+                        results.replace(of_others + records)
                 except jax.errors.JaxRuntimeError as error:
                     results.fail(f"{size.upper()}, {worlds} worlds: {one_line(error)[:300]}")
                     continue
-                results.add(*records)
                 for line in table(records, called_for(levels.scene).flags):
                     results.report(line)
 
@@ -105,7 +106,10 @@ def table(records: list[Record], flags: Any) -> list[str]:
     return lines
 
 
-def _measure_size(options: Options, size: str, levels: Level, worlds: int, device: Any) -> list[Record]:
+def _rounds(
+    options: Options, size: str, levels: Level, worlds: int, device: Any, report: Callable[[str], None]
+) -> Iterator[list[Record]]:
+    """Records of a size after every round of timed runs, with the medians so far."""
     capacity = SIZES[size]
     settings = preset(options.preset)
     full = Engine(capacity, settings=settings)
@@ -121,6 +125,7 @@ def _measure_size(options: Options, size: str, levels: Level, worlds: int, devic
     clock = compute_clock(device)
     seconds: list[list[float]] = [[] for _ in cases]
     order = random.Random(options.seed)
+    report(f"  {len(cases)} cases, {len(programs)} engines to compile")
     for repeat in range(1 + options.repeats):
         # In another order each time: caches are warm or cold by what ran before.
         for case, times in order.sample(list(zip(cases, seconds, strict=True)), len(cases)):
@@ -128,6 +133,14 @@ def _measure_size(options: Options, size: str, levels: Level, worlds: int, devic
             jax.block_until_ready(programs[case.capacity, case.effects](case.scene, case.start, controls))
             if repeat:  # the first run compiles
                 times.append(clock() - started)
+        if repeat:
+            yield _records(cases, seconds, size, worlds, options.steps, device)
+
+
+def _records(
+    cases: Sequence[Case], seconds: list[list[float]], size: str, worlds: int, steps: int, device: Any
+) -> list[Record]:
+    """Of the medians of the times so far, [cases][runs]."""
     reference = statistics.median(seconds[0])
     return [
         {
@@ -136,7 +149,7 @@ def _measure_size(options: Options, size: str, levels: Level, worlds: int, devic
             "engine": case.engine,
             "worlds": worlds,
             "device": device.device_kind,
-            "us_per_world_step": round(1e6 * statistics.median(times) / (worlds * options.steps), 5),
+            "us_per_world_step": round(1e6 * statistics.median(times) / (worlds * steps), 5),
             "relative_to_full": round(statistics.median(times) / reference, 4),
         }
         for case, times in zip(cases, seconds, strict=True)
