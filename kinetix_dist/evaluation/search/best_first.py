@@ -23,7 +23,7 @@ MAX_STORED = 40_000  # states, at most 1.7 kB each
 
 def best_first(worlds: Worlds, rng: np.random.Generator, budget: Budget) -> list[np.ndarray]:
     """The solutions [t, 6] of the first segment that has any; none where time ran out first."""
-    archive = _Archive(worlds)
+    archive = Archive(worlds)
     while not budget.is_spent:
         origin = archive.choose(rng, worlds.num_worlds)
         actions = _segment(worlds, rng)
@@ -45,7 +45,7 @@ def _segment(worlds: Worlds, rng: np.random.Generator) -> np.ndarray:
     return worlds.actions[np.where(np.arange(SEGMENT_STEPS)[:, None] < change, choices[0], choices[1])]
 
 
-class _Archive:
+class Archive:
     """Stored states by cell, each with how it was reached. Full, it only takes shorter ways to the cells it has."""
 
     def __init__(self, worlds: Worlds) -> None:
@@ -87,10 +87,11 @@ class _Archive:
 
     def add(self, origin: np.ndarray, actions: np.ndarray, played: Played) -> None:
         leaves = jax.tree.leaves(played.packed_state)
+        ways = [self._paths[slot] for slot in origin]  # before any of these slots gets another state
         for world, cell in enumerate(self._cells(played)):
             if played.is_over[world]:
                 continue
-            path = (*self._paths[origin[world]], actions[:, world])
+            path = (*ways[world], actions[:, world])
             slot = self._slot_of.get(cell, len(self._paths))
             if slot == MAX_STORED or (slot < len(self._paths) and len(self._paths[slot]) <= len(path)):
                 continue

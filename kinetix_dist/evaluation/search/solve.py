@@ -57,19 +57,25 @@ def solve(
 ) -> Solved:
     """Searches for actions that solve a level (numpy, of the environment's size), which `document` describes.
 
-    methods: of METHODS, all but "policy" by default; "policy" needs a `player`. Raises ValueError for a level in which
-    no action does anything and for an environment of other actions than multi-discrete ones.
+    methods: of METHODS, by default all, "policy" where there is a `player`. Raises ValueError for a level in which
+    no action does anything, for an environment of other actions than multi-discrete ones and for unknown methods.
     """
     if env.action_space.name != "multi_discrete":
         raise ValueError(f"proofs are multi-discrete actions; the environment has {env.action_space.name!r}")
+    searches = SEARCHES if player is None else SEARCHES | {"policy": functools.partial(_with_policy, player)}
+    methods = tuple(searches) if methods is None else methods
+    missing = [method for method in methods if method not in searches]
+    if missing or not methods:
+        raise ValueError(f"methods are {list(methods)}; choose of {', '.join(searches)} (policy needs a player)")
     worlds = Worlds(env, level, num_worlds)
     rng = np.random.default_rng(seed)
-    searches = SEARCHES if player is None else SEARCHES | {"policy": functools.partial(_with_policy, player)}
-    methods = [method for method in SHARES if method in (methods or tuple(searches))]
+    methods = [method for method in SHARES if method in methods]
     whole = Budget(seconds)
     tried = []
     best: tuple[np.ndarray, float, str] | None = None  # actions, robustness, method
     for method in methods:
+        if whole.is_spent:
+            break
         is_last = method == methods[-1]
         budget = Budget(whole.seconds_left * (1.0 if is_last else SHARES[method]))
         found = searches[method](worlds, rng, budget)

@@ -144,7 +144,7 @@ def _play(env: Environment, prepared: PreparedLevels, packed_state: Any, actions
         )
         solved_after = jnp.where(outcome.solved & ~is_over, number, solved_after)
         distance = goal_distance(position, prepared.roles)
-        min_distance = jnp.where(is_over, min_distance, jnp.minimum(min_distance, distance))
+        min_distance = jnp.where(is_over, min_distance, jnp.fmin(min_distance, distance))  # NaN is not near
         return (state, solved_after, is_over | outcome.done, min_distance, number + 1), None
 
     nothing = jnp.zeros_like(prepared.initial_distance)
