@@ -19,6 +19,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 import tyro
 
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
@@ -48,8 +49,8 @@ class Solve:
     """Search also where a good proof is stored, and replace it."""
     seconds: float = 60.0
     """To search for each level."""
-    method: Literal["random", "best_first", "cem", "policy"] | None = None
-    """The only method to try; left out: all of them, policy only with --checkpoint."""
+    method: Literal["stored", "random", "best_first", "cem", "policy"] | None = None
+    """The only method to try; left out: all of them, policy only with --checkpoint, stored where there is a proof."""
     checkpoint: Path | None = None
     """Whose policy --method policy plays: a checkpoint directory, or a pretrained policy such as sfl_s."""
     proofs: Path | None = None
@@ -211,6 +212,17 @@ def _proof_of(args: Solve, task: _Task, env: Environment) -> Proof:
     return proof
 
 
+def _stored_actions(args: Solve, task: _Task, env: Environment) -> np.ndarray | None:
+    """[t, 6] of the stored proof, whether it still holds or not; None where there is none, or of something else."""
+    if not task.proof_file.is_file():
+        return None
+    try:
+        return _proof_of(args, task, env).actions
+    except (ValueError, OSError) as error:
+        print(f"{task.name}: the stored proof is of no use: {one_line(error)}", flush=True)
+        return None
+
+
 def _search(args: Solve, tasks: list[_Task]) -> int:
     from kinetix_dist.evaluation.search.solve import solve
     from kinetix_dist.level.proof import write_proof
@@ -239,6 +251,7 @@ def _search(args: Solve, tasks: list[_Task]) -> int:
                     seconds=args.seconds,
                     methods=None if args.method is None else [args.method],
                     player=_player(args, env, task.level),
+                    stored=_stored_actions(args, task, env),
                     num_worlds=args.worlds,
                     seed=args.seed,
                 )

@@ -47,7 +47,7 @@ def _candidates(
     worlds: Worlds, starts: object, parents: list[np.ndarray], rng: np.random.Generator, budget: Budget
 ) -> list[np.ndarray]:
     """Variants that solve the level from another start and from its own: the shortest, and some of the others."""
-    variants = _padded(worlds, [_variant(rng, parents, worlds.actions) for _ in range(worlds.num_worlds)])
+    variants = padded(worlds, [variant(rng, parents, worlds.actions) for _ in range(worlds.num_worlds)])
     solved_after = worlds.play(starts, variants, budget).solved_after
     solved = np.flatnonzero(solved_after)
     solved = solved[np.argsort(solved_after[solved], kind="stable")]
@@ -65,11 +65,11 @@ def _robustness(worlds: Worlds, starts: object, candidates: list[np.ndarray], bu
     tries = worlds.num_worlds // len(candidates)
     repeated = [actions for actions in candidates for _ in range(tries)]
     repeated += [candidates[-1]] * (worlds.num_worlds - len(repeated))
-    solved = worlds.play(starts, _padded(worlds, repeated), budget).solved_after > 0
+    solved = worlds.play(starts, padded(worlds, repeated), budget).solved_after > 0
     return solved[: len(candidates) * tries].reshape(len(candidates), tries).mean(axis=1).tolist()
 
 
-def _padded(worlds: Worlds, sequences: list[np.ndarray]) -> np.ndarray:
+def padded(worlds: Worlds, sequences: list[np.ndarray]) -> np.ndarray:
     """[max_steps, W, 6]: sequences [t, 6], nothing done after their ends."""
     padded = np.zeros((worlds.max_steps, len(sequences), worlds.actions.shape[1]), np.int32)
     for world, actions in enumerate(sequences):
@@ -77,7 +77,7 @@ def _padded(worlds: Worlds, sequences: list[np.ndarray]) -> np.ndarray:
     return padded
 
 
-def _variant(rng: np.random.Generator, parents: list[np.ndarray], actions: np.ndarray) -> np.ndarray:
+def variant(rng: np.random.Generator, parents: list[np.ndarray], actions: np.ndarray) -> np.ndarray:
     """One of the parents with one stretch left out, replaced by one action, or by the action before it."""
     parent = parents[rng.integers(len(parents))]
     start = int(rng.integers(len(parent)))

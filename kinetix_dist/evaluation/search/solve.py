@@ -19,6 +19,7 @@ from kinetix_dist.evaluation.policies import Player
 from kinetix_dist.evaluation.proofs import replay
 from kinetix_dist.evaluation.search.best_first import best_first
 from kinetix_dist.evaluation.search.cross_entropy import cross_entropy
+from kinetix_dist.evaluation.search.from_stored import from_stored
 from kinetix_dist.evaluation.search.policy_search import policy_search
 from kinetix_dist.evaluation.search.polish import polish, rank
 from kinetix_dist.evaluation.search.random_search import random_search
@@ -31,8 +32,14 @@ ROBUST = 0.9  # a solution that works from fewer of slightly different starts is
 
 Search = Callable[[Worlds, np.random.Generator, Budget], list[np.ndarray]]
 SEARCHES: dict[str, Search] = {"random": random_search, "cem": cross_entropy, "best_first": best_first}
-METHODS = (*SEARCHES, "policy")
-SHARES = {"random": 0.15, "policy": 0.15, "cem": 0.35, "best_first": 1.0}  # of the seconds that are left, in this order
+METHODS = (*SEARCHES, "stored", "policy")
+SHARES = {
+    "stored": 0.3,
+    "random": 0.15,
+    "policy": 0.15,
+    "cem": 0.35,
+    "best_first": 1.0,
+}  # of the seconds that are left, in this order
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,21 +59,29 @@ def solve(
     seconds: float,
     methods: Sequence[str] | None = None,
     player: Player | None = None,
+    stored: np.ndarray | None = None,
     num_worlds: int = 512,
     seed: int = 0,
 ) -> Solved:
     """Searches for actions that solve a level (numpy, of the environment's size), which `document` describes.
 
-    methods: of METHODS, by default all, "policy" where there is a `player`. Raises ValueError for a level in which
+    methods: of METHODS, by default all, "policy" where there is a `player` and "stored" where actions [t, 6] are given
+    that solve it or did so once. Raises ValueError for a level in which
     no action does anything, for an environment of other actions than multi-discrete ones and for unknown methods.
     """
     if env.action_space.name != "multi_discrete":
         raise ValueError(f"proofs are multi-discrete actions; the environment has {env.action_space.name!r}")
-    searches = SEARCHES if player is None else SEARCHES | {"policy": functools.partial(_with_policy, player)}
+    searches = dict(SEARCHES)
+    if player is not None:
+        searches["policy"] = functools.partial(_with_policy, player)
+    if stored is not None and len(stored):
+        searches["stored"] = functools.partial(from_stored, stored)
     methods = tuple(searches) if methods is None else methods
     missing = [method for method in methods if method not in searches]
     if missing or not methods:
-        raise ValueError(f"methods are {list(methods)}; choose of {', '.join(searches)} (policy needs a player)")
+        raise ValueError(
+            f"methods are {list(methods)}; choose of {', '.join(searches)} (policy needs a player, stored a proof)"
+        )
     worlds = Worlds(env, level, num_worlds)
     rng = np.random.default_rng(seed)
     methods = [method for method in SHARES if method in methods]
