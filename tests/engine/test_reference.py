@@ -42,8 +42,9 @@ TOLERANCE = {
     "contact_impulse": 5e-6,  # N s
 }
 # A contact within rounding of zero separation is soft for one and speculative for the other, and of two faces that are
-# equally good one may take either (1 world in 1,000 or so). The former must still agree within this many tolerances.
-AT_THRESHOLD, SHARE_AT_THRESHOLD = 1000, 0.006
+# equally good one may take either (1 world in 1,000 or so). Where a world has gained just so much energy one may take a
+# pass more, and up to twelve more passes round (1 in 200). These must still agree within this many tolerances.
+AT_THRESHOLD, SHARE_AT_THRESHOLD = 1000, 0.012
 
 
 @functools.cache
