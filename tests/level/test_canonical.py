@@ -264,7 +264,7 @@ def test_another_order_of_slots_moves_alike(size: str) -> None:
 # Files and sizes
 
 
-LEVEL_FILES = sorted(levels_root().glob("*/*.json"))
+LEVEL_FILES = sorted(file for size in SIZES for file in (levels_root() / size).glob("*.json"))
 
 
 @pytest.mark.parametrize("file", LEVEL_FILES, ids=lambda file: file.stem)
