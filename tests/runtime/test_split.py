@@ -106,9 +106,10 @@ def test_learners_and_actors_that_are_lost_change_no_bit_of_what_one_learner_lea
     batch_mib = rows[-1]["copies/device_to_host_mib"]
     assert rows[-1]["copies/store_put_mib"] == rows[-1]["copies/host_to_device_mib"] == batch_mib > 0
     part = config.rollout.steps_per_update // config.run.num_rollout_actors
-    dropped = rows[-1]["runtime/dropped_steps"]  # of the one or two batches that were being played
-    num_lost = len(events(tmp_path / "run", "process_lost"))  # two that die may be noticed one after the other
-    assert 0 < dropped <= 4 * num_lost * config.rollout.steps_per_update and dropped % part == 0
+    dropped = rows[-1]["runtime/dropped_steps"]  # of the one or two batches that were being played at each loss
+    # Two that die may be noticed as one; on a slow machine the limit of an update may make one more.
+    num_lost = max(len(killed), len(events(tmp_path / "run", "process_lost")))
+    assert 0 < dropped <= 2 * num_lost * config.rollout.steps_per_update and dropped % part == 0
 
 
 @pytest.mark.slow
