@@ -132,10 +132,11 @@ class RunConfig:
     num_learners: int = 1  # split placement: processes that learn together
     num_rollout_actors: int = 1  # split placement: processes that play
     num_cpu_rollout_actors: int = 0  # of these, how many play on CPUs although the run uses GPUs
+    num_curators: int = 1  # that share a refresh of the curriculum, at most one a GPU that plays
     min_workers: int = 1  # or rollout actors, with which to go on while nodes are lost; with fewer it waits
     node_wait_seconds: float = 60.0  # for a lost node to come back, before going on with fewer
     gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
-    curator_memory_gib: float = 0.0  # of that, for the curator; 0: by scoring_batch and size
+    curator_memory_gib: float = 0.0  # of that, for a curator; 0: by scoring_batch and size
     checkpoint_every: int = 50  # updates
     keep_checkpoints: int = 3
     max_restarts: int = 20  # of lost processes within an hour, before the run gives up
@@ -158,6 +159,7 @@ class RunConfig:
             ("num_learners", 1),
             ("num_rollout_actors", 1),
             ("num_cpu_rollout_actors", 0),
+            ("num_curators", 1),
             ("min_workers", 1),
             ("node_wait_seconds", 0),
             ("gpu_memory_gib", 0),
@@ -218,6 +220,17 @@ class TrainConfig:
                 f"curriculum {self.curriculum.name!r} needs the end of an episode in every world of an update, but "
                 f"rollout.num_steps is {self.rollout.num_steps} and env.max_steps {self.env.max_steps}; raise the one "
                 "or lower the other"
+            )
+        if self.run.num_curators > 1 and not self.curriculum_class.shares_refresh:
+            raise ConfigError(
+                f"run.num_curators is {self.run.num_curators}, but nothing of curriculum {self.curriculum.name!r} can "
+                "be shared by several; set it to 1"
+            )
+        num_batches = self.curriculum.num_candidates // self.curriculum.scoring_batch
+        if self.run.num_curators > num_batches:
+            raise ConfigError(
+                f"run.num_curators is {self.run.num_curators}, but candidates are scored in {num_batches} batches: "
+                "some would have none; lower it or curriculum.scoring_batch"
             )
         if self.run.placement == "split" and self.run.num_rollout_actors > self.rollout.num_groups:
             raise ConfigError(

@@ -5,10 +5,12 @@
     where it was played  outcome.summary = summarise(trajectory, last values)               if it `observes`
     after update u       state = observe(state, proposal, outcome)                          if it `observes`
     now and then         refreshed = refresh(params, policy version, key)                   if it `refreshes`
+                         refreshed = join(refresh_part(..., part, num_parts) of each part)  if it `shares_refresh`
                          state = adopt(state, refreshed)
 
 `refresh` runs in a process of its own, the curator, beside training: it is asked for every `refresh_every` updates and
-its result adopted at an update that is fixed beforehand. The state is one pytree of arrays, the same on all devices;
+its result adopted at an update that is fixed beforehand. Several curators work out a part each where the curriculum
+can join them. The state is one pytree of arrays, the same on all devices;
 checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
 
 How others are written: `plr.py` keeps a buffer of levels with scores as its state, proposes some of it and some fresh
@@ -83,6 +85,7 @@ class Curriculum(abc.ABC):
 
     observes: bool = False  # sees outcomes after each update
     refreshes: bool = False  # has a curator
+    shares_refresh: bool = False  # several curators can work it out: it has `refresh_part` and `join`
     takes_levels: bool = False  # needs `curriculum.levels`
     needs_whole_episodes: bool = False  # an episode ends in every world of an update: `num_steps` >= `max_steps`
     sections: tuple[str, ...] = ()  # of `CurriculumConfig` that are its own: the hash of other runs leaves them out
@@ -143,6 +146,16 @@ class Curriculum(abc.ABC):
     def refresh(self, params: Any, policy_version: int, key: Array) -> Any:
         """What the curator works out with the policy's parameters: a pytree for `adopt`. Not inside jit."""
         raise NotImplementedError
+
+    def refresh_part(self, params: Any, policy_version: int, key: Array, part: int, num_parts: int) -> Any:
+        """What curator `part` of `num_parts` works out: a pytree for `join`. Not inside jit."""
+        del part, num_parts
+        return self.refresh(params, policy_version, key)
+
+    def join(self, parts: Sequence[Any]) -> Any:
+        """What `adopt` is given, of all parts in order, as numpy. It must not depend on how many these are."""
+        (refreshed,) = parts
+        return refreshed
 
     def adopt(self, state: Any, refreshed: Any) -> Any:
         """The next state; by default what was worked out replaces it. state: None at the first time."""

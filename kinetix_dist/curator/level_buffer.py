@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist.curator.scores import learnability, solve_rate
@@ -28,29 +29,73 @@ class LevelBuffer:
     learnable_share: Array  # [] float32, candidates with a score above zero / all candidates
 
 
-def keep_best(
-    levels: Level, num_solved: Array, num_finished: Array, *, size: int, policy_version: Array | int
-) -> LevelBuffer:
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Scored:
+    """What one process scored of the candidates of a refresh: the counts of all, the levels of those it would keep."""
+
+    candidate: Array  # [n] int32, number of each among the candidates of the refresh
+    num_solved: Array  # [n] int32
+    num_finished: Array  # [n] int32
+    best: Array  # [k] int32, the numbers of its best ones, best first
+    levels: Level  # [k, ...] of these
+    policy_version: Array  # [] int32, that scored them
+
+
+def scored(
+    pick: Callable[[np.ndarray], Level],
+    candidate: np.ndarray,
+    num_solved: np.ndarray,
+    num_finished: np.ndarray,
+    *,
+    size: int,
+    policy_version: int,
+) -> Scored:
+    """Of n candidates, for a buffer of `size`. pick: the levels of some of them, by their places in `candidate`."""
+    places = _best_first(candidate, num_solved, num_finished)[:size]
+    return Scored(
+        candidate=np.asarray(candidate, np.int32),
+        num_solved=np.asarray(num_solved, np.int32),
+        num_finished=np.asarray(num_finished, np.int32),
+        best=np.asarray(candidate, np.int32)[places],
+        levels=jax.device_get(pick(places)),
+        policy_version=np.int32(policy_version),
+    )
+
+
+def keep_best(parts: Sequence[Scored], size: int) -> LevelBuffer:
     """The `size` candidates of highest learnability; ties prefer the higher solve rate, then the lower number.
 
-    The order is total, so it does not depend on how scoring was split over batches or devices.
+    The order is total and worked out on the host, so that the buffer is the same to the bit however candidates were
+    shared out. Raises ValueError where there are fewer than `size`.
     """
-    num_candidates = num_solved.shape[0]
-    if size > num_candidates:
-        raise ValueError(f"a buffer of {size} levels cannot be filled from {num_candidates} candidates")
-    score = learnability(num_solved, num_finished).astype(jnp.float32)
-    candidate = jnp.arange(num_candidates, dtype=jnp.int32)
-    best = jnp.lexsort((candidate, -solve_rate(num_solved, num_finished), -score))[:size]
-    return LevelBuffer(
-        levels=jax.tree.map(lambda x: x[best], levels),
-        candidate=candidate[best],
-        score=score[best],
-        num_solved=num_solved[best].astype(jnp.int32),
-        num_finished=num_finished[best].astype(jnp.int32),
-        policy_version=jnp.asarray(policy_version, jnp.int32),
-        mean_candidate_score=score.mean(),
-        learnable_share=(score > 0).mean(dtype=jnp.float32),
+    candidate, num_solved, num_finished, best = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("candidate", "num_solved", "num_finished", "best")
     )
+    if size > len(candidate):
+        raise ValueError(f"a buffer of {size} levels cannot be filled from {len(candidate)} candidates")
+    order = np.argsort(candidate)
+    candidate, num_solved, num_finished = candidate[order], num_solved[order], num_finished[order]
+    score = learnability(num_solved.astype(np.float32), num_finished.astype(np.float32))
+    kept = _best_first(candidate, num_solved, num_finished)[:size]
+    place_of = {number: place for place, number in enumerate(best.tolist())}  # among the levels that were sent
+    places = [place_of[number] for number in candidate[kept].tolist()]
+    return LevelBuffer(
+        levels=jax.tree.map(lambda *xs: np.concatenate(xs)[places], *(part.levels for part in parts)),
+        candidate=candidate[kept],
+        score=score[kept],
+        num_solved=num_solved[kept],
+        num_finished=num_finished[kept],
+        policy_version=parts[0].policy_version,
+        mean_candidate_score=np.float32(score.mean(dtype=np.float64)),
+        learnable_share=np.float32((score > 0).mean()),
+    )
+
+
+def _best_first(candidate: np.ndarray, num_solved: np.ndarray, num_finished: np.ndarray) -> np.ndarray:
+    solved, finished = num_solved.astype(np.float32), num_finished.astype(np.float32)
+    return np.lexsort((candidate, -solve_rate(solved, finished), -learnability(solved, finished)))
 
 
 def draw(key: Array, buffer: LevelBuffer, num_levels: int) -> Level:

@@ -6,14 +6,14 @@ outcome: zero for a level that is always or never solved, 1/4 for one that is so
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-
 from jax2d.scene import Array
 
 
 def solve_rate(num_solved: Array, num_finished: Array) -> Array:
-    """Solved / finished, elementwise; 0 where no episode finished (nothing is known, so nothing is claimed)."""
-    return num_solved / jnp.maximum(num_finished, 1)
+    """Solved / finished, elementwise; 0 where no episode finished (nothing is known, so nothing is claimed).
+
+    Of arrays of JAX or NumPy."""
+    return num_solved / (num_finished + (num_finished == 0))
 
 
 def learnability(num_solved: Array, num_finished: Array) -> Array:

@@ -2,22 +2,25 @@
 
 Every `refresh_every` updates: N fresh candidates, `scoring_steps` environment steps of the policy on each, score
 p(1-p), keep the best K. A share of the worlds plays levels of this buffer, the rest fresh ones. What is kept depends on
-the key and the parameters alone. Candidates are scored in batches of `scoring_batch`, each with a key of its own, and
-batches in turn on the devices of the process: the buffer is the same to the bit however many these are.
+the key and the parameters alone. Candidates are scored in batches of `scoring_batch`, each with a key of its own;
+batches go in turn to the processes that share a refresh, and there in turn to the devices: the buffer is the same to
+the bit however many these are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
-from kinetix_dist.curator.level_buffer import LevelBuffer, buffer_metrics, draw, keep_best
+from kinetix_dist.curator.level_buffer import LevelBuffer, Scored, buffer_metrics, draw, keep_best, scored
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
 
@@ -26,11 +29,12 @@ class Sfl(Curriculum):
     """Its state is the `LevelBuffer`. Each of the two programs of a refresh is compiled once."""
 
     refreshes = True
+    shares_refresh = True
 
     def __init__(self, tools: CurriculumTools) -> None:
         super().__init__(tools)
         self._score_batch = jax.jit(self._score)
-        self._keep_best = jax.jit(self._keep)
+        self._pick = jax.jit(_pick)
 
     @classmethod
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
@@ -40,8 +44,17 @@ class Sfl(Curriculum):
         config = self.tools.config
         level = generate_level(jax.random.key(0), self.tools.capacity, config.generator)
         levels = jax.tree.map(lambda x: jnp.broadcast_to(x, (config.buffer_size, *jnp.shape(x))), level)
-        count = jnp.zeros(config.buffer_size, jnp.int32)
-        return keep_best(levels, count, count, size=config.buffer_size, policy_version=0)
+        count, number = jnp.zeros(config.buffer_size, jnp.int32), jnp.float32(0)
+        return LevelBuffer(
+            levels=levels,
+            candidate=count,
+            score=count.astype(jnp.float32),
+            num_solved=count,
+            num_finished=count,
+            policy_version=jnp.int32(0),
+            mean_candidate_score=number,
+            learnable_share=number,
+        )
 
     def propose(self, state: LevelBuffer | None, group_keys: Array, groups: Array) -> Proposal:
         """A group's worlds are those of the buffer first, then the fresh ones."""
@@ -59,19 +72,33 @@ class Sfl(Curriculum):
             parts.append(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups))
         return Proposal(levels=join_by_group(*parts))
 
-    def refresh(self, params: Any, policy_version: int, key: Array) -> LevelBuffer:
-        """A new buffer of candidates scored by `params`; the whole previous one is replaced."""
+    def refresh_part(self, params: Any, policy_version: int, key: Array, part: int, num_parts: int) -> Scored:
+        """Every `num_parts`-th batch of the candidates, scored by `params`."""
         config = self.tools.config
-        num_batches = config.num_candidates // config.scoring_batch
-        devices = self.tools.devices[:num_batches]
+        batches = range(part, config.num_candidates // config.scoring_batch, num_parts)
+        devices = self.tools.devices[: len(batches)]
         placed = [jax.device_put((params, key), device) for device in devices]
 
-        def score(index: int) -> Any:
+        def score(index: int, batch: int) -> Any:
             params, key = placed[index % len(devices)]
-            return self._score_batch(params, jax.random.fold_in(key, index))
+            return self._score_batch(params, jax.random.fold_in(key, batch))
 
-        parts = [score(index) for index in range(num_batches)]  # asked of all devices before any is waited for
-        return self._keep_best(jax.device_put(parts, devices[0]), jnp.int32(policy_version))
+        # Asked of all devices before any is waited for.
+        levels, *counts = zip(*(score(index, batch) for index, batch in enumerate(batches)), strict=True)
+        num_solved, num_finished = (np.concatenate(jax.device_get(count)) for count in counts)
+        one_batch = np.arange(config.scoring_batch)
+        return scored(
+            lambda places: self._pick(jax.device_put(levels, devices[0]), places),
+            np.concatenate([batch * config.scoring_batch + one_batch for batch in batches]),
+            num_solved,
+            num_finished,
+            size=config.buffer_size,
+            policy_version=policy_version,
+        )
+
+    def join(self, parts: Sequence[Scored]) -> LevelBuffer:
+        """A new buffer; the whole previous one is replaced."""
+        return keep_best(parts, self.tools.config.buffer_size)
 
     def metrics(self, state: LevelBuffer | None, num_updates: int) -> dict[str, Any]:
         return {} if state is None else buffer_metrics(state, num_updates)
@@ -82,7 +109,6 @@ class Sfl(Curriculum):
         outcome = self.tools.play(params, levels, play_key, self.tools.config.scoring_steps)
         return levels, outcome.num_solved, outcome.num_finished
 
-    def _keep(self, parts: list[tuple[Level, Array, Array]], policy_version: Array) -> LevelBuffer:
-        levels, num_solved, num_finished = jax.tree.map(lambda *xs: jnp.concatenate(xs), *parts)
-        size = self.tools.config.buffer_size
-        return keep_best(levels, num_solved, num_finished, size=size, policy_version=policy_version)
+
+def _pick(batches: tuple[Level, ...], places: Array) -> Level:
+    return jax.tree.map(lambda *xs: jnp.concatenate(xs)[places], *batches)

@@ -1,6 +1,6 @@
-"""Scores candidates on one, two and three CPU devices and saves the buffers.
+"""Scores candidates in some number of parts, each on some number of CPU devices, and saves the buffers.
 
-XLA_FLAGS=--xla_force_host_platform_device_count=3 python tests/curator/scoring_program.py OUT.npz
+XLA_FLAGS=--xla_force_host_platform_device_count=3 python tests/curator/scoring_program.py OUT.npz 1x1 1x3 3x2
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def main() -> None:
     params = jax.device_get(jax.jit(lambda: _initial_state(config, env, policy))().params)
     curriculum, buffers = make_curriculum(config, env, policy, data_mesh()), {}
     for count in counts:
-        curriculum.tools = dataclasses.replace(curriculum.tools, devices=jax.devices()[: int(count)])
-        buffer = curriculum.refresh(params, 5, jax.random.key(3))
-        assert buffer.score.devices() == {jax.devices()[0]}
-        buffers[count] = jax.device_get(buffer)
+        num_parts, num_devices = map(int, count.split("x"))
+        curriculum.tools = dataclasses.replace(curriculum.tools, devices=jax.devices()[:num_devices])
+        parts = [curriculum.refresh_part(params, 5, jax.random.key(3), part, num_parts) for part in range(num_parts)]
+        buffers[count] = curriculum.join(parts)
     np.savez(out, **flatten_arrays(buffers))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
-from kinetix_dist.curator.level_buffer import keep_best
+from kinetix_dist.curator.level_buffer import keep_best, scored
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import SIZES
 from tests.curator.made import curriculum_of
@@ -31,7 +31,12 @@ def _propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fi
 @pytest.fixture(scope="module")
 def buffer():
     levels = generate_levels(jax.random.key(0), 6, CAPACITY, CurriculumConfig().generator)
-    return keep_best(levels, np.full(6, 1), np.full(6, 2), size=6, policy_version=0)
+    counts = np.full(6, 1), np.full(6, 2)
+
+    def pick(places):
+        return jax.tree.map(lambda x: x[places], levels)
+
+    return keep_best([scored(pick, np.arange(6), *counts, size=6, policy_version=0)], 6)
 
 
 def _is_in(level_positions, positions):

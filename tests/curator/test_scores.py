@@ -1,10 +1,12 @@
 """Learnability p (1 - p) and the order in which levels are kept, by hand-worked cases."""
 
-import jax.numpy as jnp
+from fractions import Fraction
+
+import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.curator.level_buffer import buffer_metrics, keep_best
+from kinetix_dist.curator.level_buffer import buffer_metrics, keep_best, scored
 from kinetix_dist.curator.scores import learnability, solve_rate
 
 
@@ -21,13 +23,14 @@ def test_nothing_is_claimed_of_a_level_without_a_finished_episode():
     assert float(learnability(np.array(0), np.array(0))) == 0.0
 
 
-def _levels(count):
-    return {"number": jnp.arange(count)}
+def _scored(candidate, solved, finished, size=4):
+    """A level is its number."""
+    counts = np.asarray(solved)[candidate], np.asarray(finished)[candidate]
+    return scored(lambda places: {"number": candidate[places]}, candidate, *counts, size=size, policy_version=7)
 
 
 def test_the_most_learnable_are_kept_and_ties_prefer_the_higher_solve_rate():
-    solved, finished = np.array([0, 1, 3, 2, 4, 1]), np.array([4, 4, 4, 4, 4, 4])
-    buffer = keep_best(_levels(6), solved, finished, size=4, policy_version=7)
+    buffer = keep_best([_scored(np.arange(6), [0, 1, 3, 2, 4, 1], [4, 4, 4, 4, 4, 4])], 4)
     # scores 0, 3/16, 3/16, 4/16, 0, 3/16: first the half-solved, then 3 of 4 before 1 of 4, then the lower number
     np.testing.assert_array_equal(buffer.candidate, [3, 2, 1, 5])
     np.testing.assert_array_equal(buffer.levels["number"], [3, 2, 1, 5])
@@ -39,6 +42,22 @@ def test_the_most_learnable_are_kept_and_ties_prefer_the_higher_solve_rate():
     assert float(metrics["curriculum/learnable_share"]) == pytest.approx(4 / 6)
 
 
+@pytest.mark.parametrize("num_parts", [2, 3, 7])
+def test_the_same_are_kept_however_candidates_are_shared_out(num_parts):
+    rng = np.random.default_rng(3)
+    finished = rng.integers(0, 5, 40)
+    solved = rng.integers(0, finished + 1)
+    parts = [_scored(np.arange(part, 40, num_parts), solved, finished, size=12) for part in range(num_parts)]
+    assert all(len(part.best) == min(12, len(part.candidate)) for part in parts)
+    one, several = keep_best([_scored(np.arange(40), solved, finished, size=12)], 12), keep_best(parts, 12)
+    jax.tree.map(np.testing.assert_array_equal, several, one)
+    np.testing.assert_array_equal(one.levels["number"], one.candidate)
+    # By exact fractions, sorted by Python.
+    p = [Fraction(int(s), max(int(f), 1)) for s, f in zip(solved, finished, strict=True)]
+    order = sorted(range(40), key=lambda number: (-p[number] * (1 - p[number]), -p[number], number))
+    assert one.candidate.tolist() == order[:12]
+
+
 def test_a_buffer_larger_than_its_candidates_is_refused():
     with pytest.raises(ValueError, match="8 levels cannot be filled from 6"):
-        keep_best(_levels(6), np.zeros(6), np.ones(6), size=8, policy_version=0)
+        keep_best([_scored(np.arange(6), np.zeros(6), np.ones(6), size=8)], 8)

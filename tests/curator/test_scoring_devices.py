@@ -1,4 +1,4 @@
-"""Candidates scored on one, two or three devices make the same buffer, bit for bit."""
+"""Candidates scored in some number of parts, each on some number of devices, make the same buffer, bit for bit."""
 
 import os
 import subprocess
@@ -13,21 +13,23 @@ from tests.helpers import REPOSITORY, python_path
 PROGRAM = REPOSITORY / "tests" / "curator" / "scoring_program.py"
 
 
-@pytest.mark.parametrize("counts", [(1, 2), pytest.param((1, 2, 3), marks=pytest.mark.slow)])
-def test_the_buffer_is_the_same_however_many_devices_score(tmp_path, counts):
-    """Four batches of candidates; three devices cannot share them evenly."""
-    out, flags = tmp_path / "out.npz", f"--xla_force_host_platform_device_count={max(counts)}"
+@pytest.mark.parametrize("counts", ["1x1 3x1 1x2", pytest.param("1x1 2x2 4x1 1x3", marks=pytest.mark.slow)])
+def test_the_buffer_is_the_same_however_many_processes_and_devices_score(tmp_path, counts):
+    """Four batches of candidates; three parts or devices cannot share them evenly. counts: parts x devices."""
+    counts = counts.split()
+    num_devices = max(int(count.split("x")[1]) for count in counts)
+    out, flags = tmp_path / "out.npz", f"--xla_force_host_platform_device_count={num_devices}"
     environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
-    command = [sys.executable, str(PROGRAM), str(out), *map(str, counts)]
+    command = [sys.executable, str(PROGRAM), str(out), *counts]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     arrays = dict(np.load(out))
-    names = [name.removeprefix("1/") for name in arrays if name.startswith("1/")]
+    names = [name.removeprefix("1x1/") for name in arrays if name.startswith("1x1/")]
     assert len(names) > 10
     for count in counts[1:]:
         for name in names:
-            np.testing.assert_array_equal(arrays[f"{count}/{name}"], arrays[f"1/{name}"], err_msg=name)
+            np.testing.assert_array_equal(arrays[f"{count}/{name}"], arrays[f"1x1/{name}"], err_msg=name)
     # There was something to choose, in batches of several devices.
-    chosen, score = arrays["1/candidate"], arrays["1/score"]
+    chosen, score = arrays["1x1/candidate"], arrays["1x1/score"]
     assert len(set(chosen)) == KEPT and np.all(np.diff(score) <= 0)
     assert len(set(chosen[score > 0] // BATCH)) > 1

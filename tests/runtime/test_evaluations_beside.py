@@ -40,7 +40,7 @@ def _train(config, path, backend, *, is_beside=True, resume=False):
         trainer = SplitTrainer(config, backend, placement)
     else:
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
-    curator = CuratorClient(config, backend, placement.of("curator")[0])
+    curator = CuratorClient(config, backend, placement.of("curator"))
 
     def record(rollouts):
         recorded.extend(rollout.policy_version for rollout in rollouts)

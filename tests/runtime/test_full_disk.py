@@ -110,7 +110,7 @@ def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(
     with full, log:
         backend = LocalBackend()
         trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-        curator = CuratorClient(config, backend, ProcessPlan(role="curator", index=0))
+        curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])
         controller = Controller(config, run, trainer, curator, reporter)
         controller.restore(resume=False)
         controller.train()

@@ -29,7 +29,7 @@ CURATOR = ProcessPlan(role="curator", index=0)
 
 def _run_local(config, path, reporter=None, *, resume=False):
     backend = LocalBackend()
-    trainer, curator = ColocatedTrainer(config, backend, [WORKER]), CuratorClient(config, backend, CURATOR)
+    trainer, curator = ColocatedTrainer(config, backend, [WORKER]), CuratorClient(config, backend, [CURATOR])
     return run_updates(config, path, trainer, curator, reporter=reporter, resume=resume)
 
 
@@ -125,7 +125,7 @@ def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
         longer,
         run,
         ColocatedTrainer(longer, backend, [WORKER]),
-        CuratorClient(longer, backend, CURATOR),
+        CuratorClient(longer, backend, [CURATOR]),
         QuietReporter(),
     )
     controller.restore(resume=True)
@@ -167,7 +167,7 @@ def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_p
     reporter = QuietReporter()
     trainer = SplitTrainer(config, backend, placement)
     run_updates(
-        config, tmp_path / "run", trainer, CuratorClient(config, backend, placement.of("curator")[0]), reporter=reporter
+        config, tmp_path / "run", trainer, CuratorClient(config, backend, placement.of("curator")), reporter=reporter
     )
     assert [row["runtime/policy_lag"] for row in reporter.rows] == [0, 1, 1, 1, 1, 1]
     assert reporter.rows[-1]["runtime/dropped_steps"] == 0
@@ -182,7 +182,7 @@ def test_a_resumed_split_run_plays_the_batch_that_was_in_flight_again(tmp_path):
         backend, placement = LocalBackend(), plan(config, num_gpus=0)
         directory = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
         directory.write_json(directory.config_path, {})
-        curator = CuratorClient(config, backend, placement.of("curator")[0])
+        curator = CuratorClient(config, backend, placement.of("curator"))
         controller = Controller(config, directory, SplitTrainer(config, backend, placement), curator, QuietReporter())
         controller.restore(resume=resume)
         controller.train()

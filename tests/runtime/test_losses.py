@@ -190,7 +190,7 @@ class BusyProcess(LocalBackend):
     def spawn_beside(self, plan, build, *arguments):
         return self
 
-    def call_stamped(self, method, weights, policy_version):
+    def call_stamped(self, method, weights, policy_version, part, num_parts):
         number = len(self.asked)
         self.asked.append(policy_version)
         return LaterTicket({"seconds": 1.0}, lambda: self.done > number), LocalTicket(policy_version)
@@ -198,7 +198,7 @@ class BusyProcess(LocalBackend):
 
 def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
     process = BusyProcess()
-    curator = CuratorClient(tiny_config(num_updates=1), process, ProcessPlan(role="curator", index=0))
+    curator = CuratorClient(tiny_config(num_updates=1), process, [ProcessPlan(role="curator", index=0)])
     for version in (0, 3, 6, 9):
         curator.request(LocalTicket(None), version)
         assert curator.take(patience_s=-1.0) is None
@@ -210,14 +210,14 @@ def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
     assert process.asked == [0, 12]
     # It is at work again, so it is waited for: else one that is slower than its orders come would never be in time.
     threading.Timer(0.1, setattr, (process, "done", 2)).start()
-    assert curator.take(patience_s=1.0).refreshed.fetch() == 12
+    assert curator.take(patience_s=1.0).parts[0].fetch() == 12
 
 
 def _train_beside(config, backend, path, at_update=None):
     """(controller, rows). at_update(number, curator) is called after every update."""
     placement = plan(config, num_gpus=0)
     trainer = ColocatedTrainer(config, backend, placement.of("worker"))
-    curator = CuratorClient(config, backend, placement.of("curator")[0])
+    curator = CuratorClient(config, backend, placement.of("curator"))
     reporter = QuietReporter(lambda number: at_update(number, curator) if at_update else None)
     try:
         run_updates(config, path, trainer, curator, reporter=reporter)
@@ -239,7 +239,7 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
     def stop_it(number, curator):
         times[number] = time.monotonic()
         if number == 3:
-            stopped.append(curator._handle.pid)
+            stopped.append(curator.processes[0]._handle.pid)
             os.kill(stopped[0], number_of_signal)
         if number == 8 and number_of_signal == signal.SIGSTOP:
             os.kill(stopped[0], signal.SIGCONT)

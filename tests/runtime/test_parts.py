@@ -94,6 +94,24 @@ def test_split_has_its_curator_beside_the_first_rollout_actor():
     ]
 
 
+def test_curators_are_spread_over_the_gpus_that_play():
+    def placed(num_gpus, **run):
+        config = recipe("sfl_s")
+        placement = plan(dataclasses.replace(config, run=dataclasses.replace(config.run, **run)), num_gpus=num_gpus)
+        return [(p.name, p.gpu) for p in placement.of("curator")]
+
+    assert placed(4, num_curators=3) == [("curator 0", 0), ("curator 1", 1), ("curator 2", 2)]
+    assert placed(2, num_curators=3) == [("curator 0", 0), ("curator 1", 1)]
+    assert placed(3, placement="split", num_rollout_actors=2, num_curators=2) == [("curator 0", 1), ("curator 1", 2)]
+    assert placed(0, device="cpu", num_curators=2) == [("curator 0", None), ("curator 1", None)]
+    assert tiny_config(num_updates=1, num_curators=2).hash == tiny_config(num_updates=1).hash
+    with pytest.raises(ConfigError, match="num_curators is 3, but candidates are scored in 2 batches: some would"):
+        tiny_config(num_updates=1, num_curators=3)
+    with pytest.raises(ConfigError, match="num_curators is 2, but nothing of curriculum 'plr' can be shared"):
+        config = recipe("plr_s")
+        dataclasses.replace(config, run=dataclasses.replace(config.run, num_curators=2))
+
+
 def test_any_numbers_of_learners_and_actors_have_one_config_hash():
     config = tiny_config(num_updates=1, placement="split")
     for learners, actors in ((1, 3), (2, 1), (3, 4), (4, 4)):

@@ -28,10 +28,10 @@ NUM_WORLDS, NUM_STEPS, FRAME_SKIP = 16, 8, 2  # of the recipe `tiny`; half of th
 PHYSICS_STEPS = NUM_WORLDS * NUM_STEPS * FRAME_SKIP
 
 
-def _with_nan(buffer):
+def _with_nan(scored):
     """The same levels, but none of their shapes is anywhere."""
-    levels = dataclasses.replace(buffer.levels, position=np.full_like(buffer.levels.position, np.nan))
-    return dataclasses.replace(buffer, levels=levels)
+    levels = dataclasses.replace(scored.levels, position=np.full_like(scored.levels.position, np.nan))
+    return dataclasses.replace(scored, levels=levels)
 
 
 @pytest.fixture(scope="module")
@@ -39,20 +39,20 @@ def worker():
     config = tiny_config(num_updates=1)
     worker = Worker(config, data_mesh())
     worker.start(None)
-    seconds, worker.buffer = CuratorCore(config).refresh(worker.weights(), 0)
+    seconds, worker.scored = CuratorCore(config).refresh(worker.weights(), 0, 0, 1)
     assert seconds["seconds"] > 0
     return worker
 
 
 def test_a_healthy_rollout_counts_nothing_that_should_be_zero(worker):
-    worker.adopt(worker.buffer)
+    worker.adopt(worker.scored)
     metrics, _ = worker.run_update(0)
     assert {name for name in METRICS if name.startswith("physics/")} <= metrics.keys()
     assert all(metrics[f"physics/{kind}"] == 0 for kind in WARNINGS)
 
 
 def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
-    worker.adopt(_with_nan(worker.buffer))
+    worker.adopt(_with_nan(worker.scored))
     metrics, _ = worker.run_update(0)
     times = NUM_WORLDS // 2 * NUM_STEPS
     assert metrics["physics/unstable_worlds"] == times
@@ -89,7 +89,8 @@ class _PoisonedCurator(CuratorClient):
         refresh = super().take(patience_s=patience_s)
         assert refresh is not None
         if self.num_taken:
-            refresh = Refresh(refreshed=LocalTicket(_with_nan(refresh.refreshed.fetch())), seconds=refresh.seconds)
+            parts = [LocalTicket(_with_nan(part.fetch())) for part in refresh.parts]
+            refresh = Refresh(parts=parts, seconds=refresh.seconds)
         self.num_taken += 1
         return refresh
 
@@ -102,7 +103,7 @@ def test_a_run_warns_once_of_each_kind_and_says_how_often_at_its_end(tmp_path):
     reporter.note = (notes := []).append
     backend = LocalBackend()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    curator = _PoisonedCurator(config, backend, ProcessPlan(role="curator", index=0))
+    curator = _PoisonedCurator(config, backend, [ProcessPlan(role="curator", index=0)])
     controller = run_updates(config, tmp_path / "run", trainer, curator, reporter=reporter)
     (skipped, note) = notes
     assert skipped == "update 6 was skipped: no gradient was finite"  # half of the levels are nan themselves

@@ -32,7 +32,7 @@ def test_parameters_that_a_fault_made_nan_go_back_to_the_checkpoint_and_the_run_
     config = tiny_config(num_updates=NUM_UPDATES, max_skipped_updates=1)
     backend = LocalBackend()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    curator = CuratorClient(config, backend, ProcessPlan(role="curator", index=0))
+    curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])
 
     def poison(number):
         if number == 3 and not poisoned:
@@ -65,7 +65,7 @@ def test_where_going_back_does_not_help_the_run_ends(tmp_path):
     config = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, value_coefficient=1e38))
     backend = LocalBackend()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    curator = CuratorClient(config, backend, ProcessPlan(role="curator", index=0))
+    curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])
     with pytest.raises(NotFiniteError, match="updates 1 to 2 were skipped, also after going back to the last"):
         run_updates(config, tmp_path / "run", trainer, curator)
     assert [row["update"] for row in _events(tmp_path / "run", "update_skipped")] == [1, 2, 1, 2]

@@ -59,7 +59,7 @@ def test_a_run_that_was_stopped_goes_on_bit_for_bit(finished_run, tmp_path):
     config = tiny_config(num_updates=1000, checkpoint_every=1000)
     backend = LocalBackend()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    curator = CuratorClient(config, backend, ProcessPlan(role="curator", index=0))
+    curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])
     reporter = QuietReporter(lambda number: os.kill(os.getpid(), signal.SIGTERM) if number == 3 else None)
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     run.write_json(run.config_path, {"config": to_dict(config)})

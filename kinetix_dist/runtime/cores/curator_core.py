@@ -1,4 +1,4 @@
-"""What a curator holds: a curriculum that refreshes, from parameters and a key. Plain JAX on one device."""
+"""What a curator holds: a curriculum that refreshes, from parameters and a key. Plain JAX on the devices it has."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ class CuratorCore:
         self._seed = config.run.seed
         self._curriculum = make_curriculum(config, env, policy, data_mesh())
 
-    def refresh(self, params: Any, policy_version: int) -> tuple[dict[str, float], Any]:
-        """({"seconds": how long it took}, what the curriculum adopts, as numpy)."""
+    def refresh(self, params: Any, policy_version: int, part: int, num_parts: int) -> tuple[dict[str, float], Any]:
+        """({"seconds": how long it took}, this part of what the curriculum joins and adopts, as numpy)."""
         began = time.monotonic()
         key = jax.random.fold_in(stream(self._seed, CURATE), policy_version)
-        refreshed = jax.device_get(self._curriculum.refresh(jax.device_put(params), policy_version, key))
+        refreshed = self._curriculum.refresh_part(jax.device_put(params), policy_version, key, part, num_parts)
+        refreshed = jax.device_get(refreshed)
         return {"seconds": time.monotonic() - began}, refreshed

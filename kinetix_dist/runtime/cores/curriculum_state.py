@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -72,8 +72,9 @@ class CurriculumState:
         """A state from arrays of a checkpoint, as numpy."""
         return unflatten_arrays(jax.eval_shape(self._curriculum.init), arrays)
 
-    def adopt(self, refreshed: Any) -> None:
-        self._place(jax.device_get(self._curriculum.adopt(self.values, refreshed)))
+    def adopt(self, parts: Sequence[Any]) -> None:
+        """parts: of a refresh, in order."""
+        self._place(jax.device_get(self._curriculum.adopt(self.values, self._curriculum.join(parts))))
 
     def observe(self, proposal: Proposal, outcome: LevelOutcome, *, division: Division | None = None) -> None:
         """proposal, outcome: replicated, each world once, or sharded over the mesh, in all places of `division`."""

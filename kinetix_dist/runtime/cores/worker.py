@@ -56,9 +56,9 @@ class LearnerWorker:
         """A state of the curriculum from arrays of a checkpoint; not the one in use."""
         return self._state.restored(arrays)
 
-    def adopt(self, refreshed: Any) -> None:
-        """What a curator worked out."""
-        self._state.adopt(refreshed)
+    def adopt(self, *parts: Any) -> None:
+        """What curators worked out, in order."""
+        self._state.adopt(parts)
 
     def stage(self, update: int, part: int, num_parts: int, content: Stored) -> dict[str, tuple[int, float]]:
         """A part of a batch on its way to the devices, while another batch is learned from: see `Staging.add`."""

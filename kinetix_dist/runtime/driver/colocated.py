@@ -49,8 +49,8 @@ class ColocatedTrainer:
     def weights(self) -> Ticket:
         return self._handles[0].call("weights")
 
-    def adopt(self, refreshed: Any) -> None:
-        self._all("adopt", refreshed)
+    def adopt(self, parts: Sequence[Any]) -> None:
+        self._all("adopt", *parts)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         answers = self._all("run_update", num_updates)

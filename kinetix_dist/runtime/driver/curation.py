@@ -1,127 +1,78 @@
-"""The controller's side of the curator: asks for refreshes, takes them, replaces a curator that was lost.
+"""The controller's side of the curators: asks for refreshes and takes them.
 
-A refresh that was lost with its curator is asked for again with the same weights and key and gives the identical
-answer, later. Training waits for a curator that is at work, and not for one that died or is silent.
+Where the curriculum can join parts of a refresh, `run.num_curators` processes work one out each. Training waits for a
+curator that is at work, and not for one that died or is silent.
 
 consumes      weights of a version
-produces      a buffer, or whatever else the curriculum adopts
-bound         one call at a time: what is asked for while another refresh, given up by now, is worked out comes after
-              it, and replaces what was asked for before. Else calls would pile up at a curator that is late.
+produces      a buffer, or whatever else the curriculum adopts, in as many parts as there are curators
+bound         one refresh at a time; of one that is given up nothing is kept
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.runtime.cores.build import build_curator
-from kinetix_dist.runtime.driver.process_beside import ProcessBeside
+from kinetix_dist.runtime.driver.curator_process import CuratorProcess
 from kinetix_dist.runtime.driver.roles import Refresh
-from kinetix_dist.runtime.driver.weight_sync import resolve
 from kinetix_dist.runtime.processes.backend import Backend, Ticket
-from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
-from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 POLL_S = 0.02
 
 
-class CuratorClient(ProcessBeside):
+class CuratorClient:
     """A `roles.Curator`."""
 
-    def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan) -> None:
-        super().__init__(config, backend, plan)
-        self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh that is wanted
-        self._is_wanted = False  # whether what the process is at is the refresh that is wanted
-        self._is_late = False  # it was lost or waited for in vain, and has not answered since
+    def __init__(self, config: TrainConfig, backend: Backend, plans: Sequence[ProcessPlan]) -> None:
+        self._config = config
+        self._backend = backend
+        self.place(plans)
+
+    def place(self, plans: Sequence[ProcessPlan]) -> None:
+        self.processes = [
+            CuratorProcess(self._config, self._backend, plan, part=part, num_parts=len(plans))
+            for part, plan in enumerate(plans)
+        ]
+        self.cancel()
 
     def request(self, weights: Any, policy_version: int) -> None:
-        self.cancel()
         stored = weights if hasattr(weights, "fetch") else self._backend.put(weights)
-        self._asked = (stored, policy_version)
-        if self._call is None:
-            self._ask()
-        else:
-            self._look()
+        for process in self.processes:
+            process.request(stored, policy_version)
+        self._missing, self._parts = set(self.processes), {}
 
     def watch(self) -> None:
-        if self._call is not None:
-            self._look()
+        for process in self.processes:
+            process.watch()
 
     def take(self, *, patience_s: float | None) -> Refresh | None:
-        while self._asked is not None:
-            assert self._call is not None
-            stamp, refreshed = self._call
-            is_ready = self._is_wanted and stamp.is_ready()
-            silence = self._look()
-            if is_ready and silence is not None:
-                return self._taken(stamp, refreshed)
-            must_wait = patience_s is None
-            if not must_wait and (self._is_late or silence is None or silence > patience_s):
-                self._is_late = True
+        while self._missing:
+            for process in [*self._missing]:
+                if part := process.poll(patience_s):
+                    self._parts[process] = part
+                    self._missing.remove(process)
+            if patience_s is not None and any(process.is_late for process in self._missing):
                 return None
-            time.sleep(POLL_S)
-        return None
+            if self._missing:
+                time.sleep(POLL_S)
+        if not self._parts:
+            return None
+        parts, seconds = zip(*(self._parts[process] for process in self.processes), strict=True)
+        self._parts = {}
+        return Refresh(parts=parts, seconds=max(seconds))
 
     def cancel(self) -> None:
-        self._asked, self._is_wanted = None, False
+        for process in self.processes:
+            process.cancel()
+        self._missing: set[CuratorProcess] = set()  # of what was asked for last, those that have not answered
+        self._parts: dict[CuratorProcess, tuple[Ticket, float]] = {}  # those that have: parts, seconds
 
     def facts(self) -> list[dict[str, Any]]:
-        """Of its process; that it was lost is a fact too, since training does not depend on it."""
-        if self._handle is None or isinstance(self._backend, LocalBackend):
-            return []
-        try:
-            return self._backend.facts([self._handle])
-        except WorkerLostError as error:
-            return [{"process": self._plan.name, "lost": str(error)}]
+        return [fact for process in self.processes for fact in process.facts()]
 
-    def _look(self) -> float | None:
-        """For how long (s) the curator has been silent; None where it is lost, and replaced by now."""
-        assert self._call is not None
-        try:
-            silence = self._silence("curate", is_waited_for=True)
-            is_answered = self._call[0].is_ready()
-        except InputLostError:
-            if self._is_wanted:
-                raise
-            silence, is_answered = 0.0, True
-        except WorkerLostError as error:
-            self._replace(error)
-            return None
-        if is_answered and not self._is_wanted:
-            self._call = None
-            self._is_late = False  # it is at work again, and waited for
-            if self._asked is not None:
-                self._ask()
-        return silence
-
-    def _taken(self, stamp: Ticket, refreshed: Ticket) -> Refresh:
-        seconds = self._backend.gather([stamp])[0]["seconds"]
-        self._call = self._asked = None
-        self._is_wanted = self._is_late = False
-        self._note_recovery()
-        return Refresh(refreshed=refreshed, seconds=seconds)
-
-    def _ask(self) -> None:
-        assert self._asked is not None
-        weights, policy_version = self._asked
-        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version)
-        self._is_wanted = True
-
-    def _replace(self, error: WorkerLostError) -> None:
-        """Starts another process and asks again, without waiting for either."""
-        error.process, error.section = self._plan.name, "curate"
-        if self._backend.has_lost_room:  # it went with its node: the whole run is placed anew
-            self.stop()
-            raise error
-        loss = self._backend.losses.lost(error)
-        self._loss = self._loss or loss
-        self._is_late = True
-        self.stop()
-        if self._asked is None:  # the next request starts it
-            return
-        weights, policy_version = self._asked
-        self._asked = (self._backend.put(resolve(weights)), policy_version)  # its first copy may be gone
-        self._backend.sections.begin_again()
-        self._ask()
+    def stop(self) -> None:
+        for process in self.processes:
+            process.stop()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from kinetix_dist.config import TrainConfig
@@ -23,9 +23,9 @@ class ProcessBeside:
         self._call: tuple[Ticket, Ticket] | None = None  # what the process is at: its seconds, what it gives
         self._loss: Loss | None = None  # the first one since something was taken
 
-    def place(self, plan: ProcessPlan) -> None:
+    def place(self, plans: Sequence[ProcessPlan]) -> None:
         """Another process from the next request on; the one there is has been stopped."""
-        self._plan = plan
+        (self._plan,) = plans
 
     def stop(self) -> None:
         if self._handle is not None:

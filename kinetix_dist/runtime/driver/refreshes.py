@@ -134,7 +134,7 @@ class Refreshes:
             self._note_late(version, num_updates)
             return
         with self._section("curate"):
-            self._trainer.adopt(refresh.refreshed)
+            self._trainer.adopt(refresh.parts)
         self._is_stale, self._pending = False, None
         self._scoring_seconds = refresh.seconds
         self._adoptions.record(version, drawn_next)

@@ -98,7 +98,7 @@ class Resizing:
         self._placed = placement
         self._trainer.place(placement)
         for role, part in self._beside.items():
-            part.place(placement.of(role)[0])
+            part.place(placement.of(role))
         for role in self._roles:
             was, now = len(before.of(role)), len(placement.of(role))
             if was != now:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,8 +28,8 @@ class Trainer(Protocol):
     def weights(self) -> Any:
         """The parameters now, or a reference to them: what a curator is given."""
 
-    def adopt(self, refreshed: Any) -> None:
-        """Uses what a curator worked out for every batch drawn from now on."""
+    def adopt(self, parts: Sequence[Any]) -> None:
+        """Uses what curators worked out, `Refresh.parts`, for every batch drawn from now on."""
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
         """One rollout and one policy update: (metrics, seconds by role). Raises WorkerLostError."""
@@ -54,32 +54,32 @@ class Trainer(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Refresh:
-    """What a curator worked out."""
+    """What curators worked out."""
 
-    refreshed: Any  # for the curriculum to adopt, or a reference to it
-    seconds: float  # that it took
+    parts: Sequence[Any]  # for the curriculum to join and adopt, of each curator: a reference to it
+    seconds: float  # that the slowest took
 
 
 class Curator(Protocol):
-    """Whatever refreshes the curriculum."""
+    """Whatever refreshes the curriculum: one process or several, each with a part of it."""
 
     def request(self, weights: Any, policy_version: int) -> None:
         """Starts a refresh; does not wait where there is a process to do it."""
 
     def watch(self) -> None:
-        """Replaces a curator that died, without waiting; the refresh is asked for again."""
+        """Replaces processes that died, without waiting; their parts are asked for again."""
 
     def take(self, *, patience_s: float | None) -> Refresh | None:
-        """What was asked for last; waits for it. None where the curator was lost, or is silent for `patience_s`:
+        """What was asked for last; waits for it. None where a process was lost, or is silent for `patience_s`:
         whoever asks again later does not wait. patience_s None: waits as long as it takes, over losses too."""
 
     def cancel(self) -> None: ...
 
-    def place(self, plan: ProcessPlan) -> None:
-        """Another process from the next request on; the one there is has been stopped."""
+    def place(self, plans: Sequence[ProcessPlan]) -> None:
+        """Other processes from the next request on; those there are have been stopped."""
 
     def facts(self) -> list[dict[str, Any]]:
-        """For the report, of its process; nothing where it shares that of the trainer."""
+        """For the report, of its processes; nothing where it shares that of the trainer."""
 
     def stop(self) -> None: ...
 

@@ -98,8 +98,8 @@ class SplitTrainer:
     def weights(self) -> Ticket:
         return self._weights.newest
 
-    def adopt(self, refreshed: Any) -> None:
-        self._ask_learners("adopt", refreshed)
+    def adopt(self, parts: Sequence[Any]) -> None:
+        self._ask_learners("adopt", *parts)
         self._state = self._learners[0].call("curriculum_state")
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:

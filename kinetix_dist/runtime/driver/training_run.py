@@ -182,8 +182,8 @@ def _start_roles(
         worker = ProcessPlan(role="worker", index=0)
         local = LocalBackend()
         trainer: Trainer = ColocatedTrainer(config, local, [worker])
-        curator_plan = ProcessPlan(role="curator", index=0)
-        curator = CuratorClient(config, local, curator_plan) if config.has_curator else None
+        curators = [ProcessPlan(role="curator", index=0)]
+        curator = CuratorClient(config, local, curators) if config.has_curator else None
         return local, trainer, curator, None, None
     if "RAY_ADDRESS" in os.environ:
         use_token()
@@ -206,7 +206,7 @@ def _start_roles(
     else:
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
     curators = placement.of("curator")
-    curator = CuratorClient(config, backend, curators[0]) if curators else None
+    curator = CuratorClient(config, backend, curators) if curators else None
     evaluators = placement.of("evaluator")
     told = {"on_event": run.event, "on_rollouts": recorder}
     evaluations = Evaluations(config, trainer, evaluators[0], **told) if evaluators else None

@@ -2,8 +2,9 @@
 
 colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
 split       N learners that form one JAX world, and rollout actors on devices of their own; lag 1
-both        one curator, and an evaluator where evaluations or recordings are asked for during training, on the GPU of
-            the first worker (or rollout actor; where these play on CPUs: learner), whose memory they share
+both        curators, at most one a GPU, and an evaluator where evaluations or recordings are asked for during training,
+            on the GPUs of the first workers (or rollout actors; where these play on CPUs: learners), whose memory they
+            share
 """
 
 from __future__ import annotations
@@ -64,13 +65,14 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
     devices, on_cpu = devices[: len(devices) - num_on_cpu], devices[len(devices) - num_on_cpu :]
     if on_gpus and len(devices) > num_gpus:
         raise PlacementError(_too_few_gpus(config, len(devices), num_gpus))
-    # Beside the first that plays, which has least to do of all that have a GPU; where none of these has, a learner.
+    # Beside those that play, which have least to do of all that have a GPU; where none of these has, beside learners.
     first = config.run.num_learners if is_split else 0
-    beside = devices[first if first < len(devices) else 0]
+    beside = devices[first:] or devices
     if config.has_curator:
-        beside.append(("curator", 0))
+        for index in range(min(config.run.num_curators, len(beside)) if on_gpus else config.run.num_curators):
+            beside[index % len(beside)].append(("curator", index))
     if config.evaluates_beside:
-        beside.append(("evaluator", 0))
+        beside[0].append(("evaluator", 0))
     if not on_gpus:
         devices, on_cpu = [], devices
     return Placement(

@@ -1,0 +1,124 @@
+"""One process that works on refreshes, or on its part of each: asked, watched, and replaced where it was lost.
+
+What was lost with it is asked for again with the same weights and key and gives the identical answer, later.
+
+bound         one call at a time: what is asked for while another refresh, given up by now, is worked out comes after
+              it, and replaces what was asked for before. Else calls would pile up at a curator that is late.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.cores.build import build_curator
+from kinetix_dist.runtime.driver.process_beside import ProcessBeside
+from kinetix_dist.runtime.driver.weight_sync import resolve
+from kinetix_dist.runtime.processes.backend import Backend, Ticket
+from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
+from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+
+class CuratorProcess(ProcessBeside):
+    """Part `part` of `num_parts` of every refresh."""
+
+    def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan, *, part: int, num_parts: int) -> None:
+        super().__init__(config, backend, plan)
+        self._part, self._num_parts = part, num_parts
+        self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh that is wanted
+        self._is_wanted = False  # whether what the process is at is the refresh that is wanted
+        self.is_late = False  # it was lost or waited for in vain, and has not answered since
+
+    def request(self, weights: Ticket, policy_version: int) -> None:
+        """Starts a refresh; does not wait where there is a process to do it."""
+        self.cancel()
+        self._asked = (weights, policy_version)
+        if self._call is None:
+            self._ask()
+        else:
+            self._look()
+
+    def watch(self) -> None:
+        """Replaces a process that died, without waiting; what it was asked for is asked for again."""
+        if self._call is not None:
+            self._look()
+
+    def poll(self, patience_s: float | None) -> tuple[Ticket, float] | None:
+        """What was asked for and the seconds that it took; None where it is not there yet. Does not wait.
+
+        The process `is_late` where it was lost, or is silent for more than `patience_s`.
+        """
+        assert self._call is not None
+        stamp, refreshed = self._call
+        is_ready = self._is_wanted and stamp.is_ready()
+        silence = self._look()
+        if is_ready and silence is not None:
+            return refreshed, self._seconds_of(stamp)
+        if patience_s is not None and (silence is None or silence > patience_s):
+            self.is_late = True
+        return None
+
+    def cancel(self) -> None:
+        """What was asked for is not wanted any more."""
+        self._asked, self._is_wanted = None, False
+
+    def facts(self) -> list[dict[str, Any]]:
+        """Of its process; that it was lost is a fact too, since training does not depend on it."""
+        if self._handle is None or isinstance(self._backend, LocalBackend):
+            return []
+        try:
+            return self._backend.facts([self._handle])
+        except WorkerLostError as error:
+            return [{"process": self._plan.name, "lost": str(error)}]
+
+    def _look(self) -> float | None:
+        """For how long (s) the process has been silent; None where it is lost, and replaced by now."""
+        assert self._call is not None
+        try:
+            silence = self._silence("curate", is_waited_for=True)
+            is_answered = self._call[0].is_ready()
+        except InputLostError:
+            if self._is_wanted:
+                raise
+            silence, is_answered = 0.0, True
+        except WorkerLostError as error:
+            self._replace(error)
+            return None
+        if is_answered and not self._is_wanted:
+            self._call = None
+            self.is_late = False  # it is at work again, and waited for
+            if self._asked is not None:
+                self._ask()
+        return silence
+
+    def _seconds_of(self, stamp: Ticket) -> float:
+        seconds = self._backend.gather([stamp])[0]["seconds"]
+        self._call = self._asked = None
+        self._is_wanted = self.is_late = False
+        self._note_recovery()
+        return seconds
+
+    def _ask(self) -> None:
+        assert self._asked is not None
+        weights, policy_version = self._asked
+        part = (self._part, self._num_parts)
+        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version, *part)
+        self._is_wanted = True
+
+    def _replace(self, error: WorkerLostError) -> None:
+        """Starts another process and asks again, without waiting for either."""
+        error.process, error.section = self._plan.name, "curate"
+        if self._backend.has_lost_room:  # it went with its node: the whole run is placed anew
+            self.stop()
+            raise error
+        loss = self._backend.losses.lost(error)
+        self._loss = self._loss or loss
+        self.is_late = True
+        self.stop()
+        if self._asked is None:  # the next request starts it
+            return
+        weights, policy_version = self._asked
+        self._asked = (self._backend.put(resolve(weights)), policy_version)  # its first copy may be gone
+        self._backend.sections.begin_again()
+        self._ask()
