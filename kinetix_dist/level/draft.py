@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, Joints, Thrusters
+from jax2d.scene import Capacity, JointDrive, JointKind, Joints, Thrusters
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.walls import empty_level
 
@@ -44,6 +44,45 @@ class DrivenJoints:
 
     joints: Joints
     colour: Array  # [J] int32
+
+
+def hinge_or_weld(
+    *,
+    is_weld: Array,
+    rest_angle: Array,
+    motor_on: Array,
+    motor_speed: Array,
+    motor_power: Array,
+    has_limits: Array,
+    lower_limit: Array,
+    upper_limit: Array,
+    colour: Array,
+    a: Array | int = 0,
+    b: Array | int = 0,
+    anchor_a: Array | None = None,
+    anchor_b: Array | None = None,
+) -> DrivenJoints:
+    """One active joint, without the leading axis. A weld has neither motor nor limits, whatever is asked for; a hinge
+    without limits has zeros there."""
+    has_limits = has_limits & ~is_weld
+    joint = Joints(
+        active=jnp.array(True),
+        kind=jnp.where(is_weld, JointKind.FIXED, JointKind.REVOLUTE),
+        a=jnp.asarray(a),
+        b=jnp.asarray(b),
+        anchor_a=jnp.zeros(2) if anchor_a is None else anchor_a,
+        anchor_b=jnp.zeros(2) if anchor_b is None else anchor_b,
+        rest_angle=rest_angle,
+        axis_angle=jnp.zeros(()),
+        motor_on=motor_on & ~is_weld,
+        drive=jnp.array(JointDrive.VELOCITY),
+        motor_speed=jnp.where(is_weld, 0.0, motor_speed),
+        motor_power=jnp.where(is_weld, 0.0, motor_power),
+        has_limits=has_limits,
+        lower_limit=jnp.where(has_limits, lower_limit, 0.0),
+        upper_limit=jnp.where(has_limits, upper_limit, 0.0),
+    )
+    return DrivenJoints(joints=joint, colour=colour)
 
 
 @jax.tree_util.register_dataclass

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array, replace
-from jax2d.scene import JointDrive, JointKind, Joints
-from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, read_slot, write_slot
+from jax2d.scene import JointKind
+from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, hinge_or_weld, read_slot, write_slot
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M
 from kinetix_dist.level.overlap import contact_points, inset, reach, separation, world_corners
@@ -303,23 +303,15 @@ def _sample_joint(
         rest_angle = jnp.where(is_fixed, angle_between, 0.0)
     speed = config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min)
     strongest = jnp.where(both_polygons, config.motor_power_max, config.wheel_power_max)
-    has_limits = (draw[4] < config.limits_chance) & both_polygons & ~is_fixed
     power = config.motor_power_min + draw[3] * (strongest - config.motor_power_min)
-    joint = Joints(
-        active=jnp.array(True),
-        kind=jnp.where(is_fixed, JointKind.FIXED, JointKind.REVOLUTE),
-        a=jnp.array(0),
-        b=jnp.array(0),
-        anchor_a=jnp.zeros(2),
-        anchor_b=jnp.zeros(2),
+    return hinge_or_weld(
+        is_weld=is_fixed,
         rest_angle=rest_angle,
-        axis_angle=jnp.zeros(()),
-        motor_on=(draw[1] < motor_on_chance) & ~is_fixed,
-        drive=jnp.array(JointDrive.VELOCITY),
-        motor_speed=jnp.where(is_fixed, 0.0, speed),
-        motor_power=jnp.where(is_fixed, 0.0, power),
-        has_limits=has_limits,
-        lower_limit=jnp.where(has_limits, -config.limit_max * draw[5], 0.0),
-        upper_limit=jnp.where(has_limits, config.limit_max * draw[6], 0.0),
+        motor_on=draw[1] < motor_on_chance,
+        motor_speed=speed,
+        motor_power=power,
+        has_limits=(draw[4] < config.limits_chance) & both_polygons,
+        lower_limit=-config.limit_max * draw[5],
+        upper_limit=config.limit_max * draw[6],
+        colour=jnp.floor(draw[7] * NUM_MOTOR_COLOURS).astype(jnp.int32),
     )
-    return DrivenJoints(joints=joint, colour=jnp.floor(draw[7] * NUM_MOTOR_COLOURS).astype(jnp.int32))

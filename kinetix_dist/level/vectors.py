@@ -20,16 +20,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointDrive, JointKind, Joints, Thrusters
+from jax2d.scene import Capacity, JointKind, Thrusters
 from kinetix_dist.level.canonical import in_order
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
-    DrivenJoints,
     DrivenThrusters,
     Shapes,
     draft_to_level,
     empty_draft,
+    hinge_or_weld,
     read_slot,
     write_slot,
 )
@@ -270,28 +270,24 @@ def _with_joint(draft: Draft, slot: Array, row: Array, capacity: Capacity, confi
         num_joints=shapes.num_joints + (do & ((jnp.arange(capacity.shapes) == a) | (jnp.arange(capacity.shapes) == b))),
     )
     is_weld, both_boxes = _is_on(rest[0]), (one.radius == 0) & (other.radius == 0)
-    has_limits = _is_on(rest[4]) & both_boxes & ~is_weld
     strongest = jnp.where(both_boxes, config.motor_power_max, config.wheel_power_max)
     speed = jnp.clip(jnp.abs(rest[2]) * config.motor_speed_max, config.motor_speed_min, config.motor_speed_max)
     power = jnp.clip(rest[3] * config.motor_power_max, jnp.minimum(config.motor_power_min, strongest), strongest)
-    joint = Joints(
-        active=jnp.array(True),
-        kind=jnp.where(is_weld, JointKind.FIXED, JointKind.REVOLUTE),
+    driven = hinge_or_weld(
+        is_weld=is_weld,
+        rest_angle=other.angle - one.angle,
+        motor_on=_is_on(rest[1]),
+        motor_speed=jnp.where(rest[2] < 0, -speed, speed),
+        motor_power=power,
+        has_limits=_is_on(rest[4]) & both_boxes,
+        lower_limit=config.limit_max * jnp.clip(rest[5], -1.0, 0.0),
+        upper_limit=config.limit_max * jnp.clip(rest[6], 0.0, 1.0),
+        colour=jnp.argmax(rest[7:]),
         a=a,
         b=b,
         anchor_a=anchor_a,
         anchor_b=anchor_b,
-        rest_angle=other.angle - one.angle,
-        axis_angle=jnp.zeros(()),
-        motor_on=_is_on(rest[1]) & ~is_weld,
-        drive=jnp.array(JointDrive.VELOCITY),
-        motor_speed=jnp.where(is_weld, 0.0, jnp.where(rest[2] < 0, -speed, speed)),
-        motor_power=jnp.where(is_weld, 0.0, power),
-        has_limits=has_limits,
-        lower_limit=jnp.where(has_limits, config.limit_max * jnp.clip(rest[5], -1.0, 0.0), 0.0),
-        upper_limit=jnp.where(has_limits, config.limit_max * jnp.clip(rest[6], 0.0, 1.0), 0.0),
     )
-    driven = DrivenJoints(joints=joint, colour=jnp.argmax(rest[7:]))
     return dataclasses.replace(draft, shapes=shapes, driven_joints=write_slot(draft.driven_joints, slot, driven, do))
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointDrive, JointKind, Joints, Thrusters
+from jax2d.scene import Capacity, Thrusters
 from kinetix_dist.level.construction.places import (
     anchor_point,
     attachment,
@@ -37,7 +37,16 @@ from kinetix_dist.level.construction.records import (
     is_placing,
     largest_radius,
 )
-from kinetix_dist.level.draft import Draft, DrivenJoints, DrivenThrusters, Shapes, first_free, read_slot, write_slot
+from kinetix_dist.level.draft import (
+    Draft,
+    DrivenJoints,
+    DrivenThrusters,
+    Shapes,
+    first_free,
+    hinge_or_weld,
+    read_slot,
+    write_slot,
+)
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.proposals import box_or_triangle, shape_mass
 from kinetix_dist.level.roles import Role
@@ -156,29 +165,26 @@ def _joint(
 ) -> DrivenJoints:
     """From the partner to the new shape; `derive` puts the ends into their order."""
     is_weld, is_driven = choice["motor"] == Motor.WELD, choice["motor"] == Motor.DRIVEN
-    limit = jnp.where(both_boxes & ~is_weld, jnp.array(LIMITS_RAD)[choice["limits"]], 0.0)
+    limit = jnp.where(both_boxes, jnp.array(LIMITS_RAD)[choice["limits"]], 0.0)
     strongest = jnp.where(both_boxes, config.motor_power_max, config.wheel_power_max)
     weakest = jnp.minimum(config.motor_power_min, strongest)
     speed = _within(choice["speed"], draws[5], NUM_SPEEDS, config.motor_speed_min, config.motor_speed_max)
     power = _within(choice["strength"], draws[6], NUM_STRENGTHS, weakest, strongest)
-    joint = Joints(
-        active=jnp.array(True),
-        kind=jnp.where(is_weld, JointKind.FIXED, JointKind.REVOLUTE),
+    return hinge_or_weld(
+        is_weld=is_weld,
+        rest_angle=building.shape.angle - partner.angle,
+        motor_on=is_driven,
+        motor_speed=speed,
+        motor_power=power,
+        has_limits=limit > 0,
+        lower_limit=-limit,
+        upper_limit=limit,
+        colour=choice["colour"],
         a=target,
         b=slot,
         anchor_a=anchor_partner,
         anchor_b=building.own_anchor,
-        rest_angle=building.shape.angle - partner.angle,
-        axis_angle=jnp.zeros(()),
-        motor_on=is_driven,
-        drive=jnp.array(JointDrive.VELOCITY),
-        motor_speed=jnp.where(is_weld, 0.0, speed),
-        motor_power=jnp.where(is_weld, 0.0, power),
-        has_limits=limit > 0,
-        lower_limit=-limit,
-        upper_limit=limit,
     )
-    return DrivenJoints(joints=joint, colour=choice["colour"])
 
 
 def _with_thruster(draft: Draft, choice: dict[str, Array], draws: Array, do: Array, config: GeneratorConfig) -> Draft:
