@@ -14,6 +14,12 @@ def python_path() -> str:
     return os.pathsep.join([str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
+def environment_of_cpus(number: int) -> dict[str, str]:
+    """The environment of a test's own process in which JAX has so many devices, all of them this CPU."""
+    devices = {"JAX_PLATFORMS": "cpu", "JAX_NUM_CPU_DEVICES": str(number)}
+    return os.environ | {"PYTHONPATH": python_path()} | devices
+
+
 def public_levels_directory() -> Path | None:
     """The public Kinetix levels (s/, m/, l/ of JSON files) where they are: $KINETIX_LEVELS or beside the checkout."""
     candidates = [os.environ.get("KINETIX_LEVELS"), REPOSITORY.parent / "shared" / "kinetix_levels"]

@@ -1,6 +1,6 @@
 """Scores candidates in some number of parts, each on some number of CPU devices, and saves the buffers.
 
-XLA_FLAGS=--xla_force_host_platform_device_count=3 python tests/curator/scoring_program.py OUT.npz 1x1 1x3 3x2
+JAX_NUM_CPU_DEVICES=3 python tests/curator/scoring_program.py OUT.npz 1x1 1x3 3x2
 """
 
 from __future__ import annotations

@@ -1,6 +1,5 @@
 """Candidates scored in some number of parts, each on some number of devices, make the same buffer, bit for bit."""
 
-import os
 import subprocess
 import sys
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.curator.scoring_program import BATCH, KEPT
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import REPOSITORY, environment_of_cpus
 
 PROGRAM = REPOSITORY / "tests" / "curator" / "scoring_program.py"
 
@@ -18,10 +17,9 @@ def test_the_buffer_is_the_same_however_many_processes_and_devices_score(tmp_pat
     """Four batches of candidates; three parts or devices cannot share them evenly. counts: parts x devices."""
     counts = counts.split()
     num_devices = max(int(count.split("x")[1]) for count in counts)
-    out, flags = tmp_path / "out.npz", f"--xla_force_host_platform_device_count={num_devices}"
-    environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
+    out = tmp_path / "out.npz"
     command = [sys.executable, str(PROGRAM), str(out), *counts]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, env=environment_of_cpus(num_devices), capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     arrays = dict(np.load(out))
     names = [name.removeprefix("1x1/") for name in arrays if name.startswith("1x1/")]

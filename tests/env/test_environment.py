@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import subprocess
 import sys
 
@@ -22,7 +21,7 @@ from kinetix_dist.level.noop import NOOP_STEPS
 from kinetix_dist.level.noop import noop_solved as noop_solved_of_levels
 from kinetix_dist.level.roles import Role
 from tests.env.worlds import BOX, DISC_1, DISC_2, HALF_BOX_M, RADIUS_M, THRUSTER, batch, small_level
-from tests.helpers import REPOSITORY
+from tests.helpers import REPOSITORY, environment_of_cpus
 
 MAX_STEPS = 12
 STEP_S = 2 / 60  # frame skip 2, dt 1/60
@@ -234,8 +233,6 @@ def test_noop_filter_of_the_levels_judges_as_the_environment_does() -> None:
 
 
 SHARDED = """
-import os
-os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
 import jax, numpy as np, jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from kinetix_dist.env.environment import EnvConfig, Environment
@@ -269,7 +266,7 @@ def test_two_devices_give_the_same_bits_as_one() -> None:
     result = subprocess.run(
         [sys.executable, "-c", SHARDED],
         cwd=REPOSITORY,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY), "JAX_PLATFORMS": "cpu"},
+        env=environment_of_cpus(2),
         capture_output=True,
         text=True,
         timeout=300,

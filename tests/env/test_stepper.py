@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 
@@ -19,7 +18,7 @@ from kinetix_dist.env.records import EnvState
 from kinetix_dist.env.stepper import GroupedScene
 from kinetix_dist.level.level import SIZES, Level
 from tests.env.worlds import BOX, MOTOR_JOINT, THRUSTER, batch, small_level
-from tests.helpers import REPOSITORY
+from tests.helpers import REPOSITORY, environment_of_cpus
 
 MAX_STEPS = 12
 FULL = Effects.full(SIZES["s"])
@@ -148,11 +147,10 @@ print("same")
 
 
 def test_groups_on_each_of_two_devices_give_the_same_bits() -> None:
-    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
     result = subprocess.run(
         [sys.executable, "-c", SHARDED],
         cwd=REPOSITORY,
-        env={**os.environ, **flags, "PYTHONPATH": str(REPOSITORY)},
+        env=environment_of_cpus(2),
         capture_output=True,
         text=True,
         timeout=300,

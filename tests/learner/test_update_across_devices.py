@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.learner.update import METRICS
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import REPOSITORY, environment_of_cpus, python_path
 from tests.learner.update_program import PPO
 
 PROGRAM = REPOSITORY / "tests" / "learner" / "update_program.py"
@@ -21,8 +21,7 @@ TIMEOUT_S = 240
 
 
 def _start(out: Path, *arguments: str, fake_devices: int = 1) -> subprocess.Popen:
-    flags = f"--xla_force_host_platform_device_count={fake_devices}"
-    return _start_with(out, *arguments, JAX_PLATFORMS="cpu", XLA_FLAGS=flags)
+    return _start_with(out, *arguments, **environment_of_cpus(fake_devices))
 
 
 def _start_with(out: Path, *arguments: str, **variables: str) -> subprocess.Popen:

@@ -1,6 +1,6 @@
 """Plays and learns two updates on several numbers of CPU devices and saves what comes out.
 
-    XLA_FLAGS=--xla_force_host_platform_device_count=7 python tests/runtime/devices_program.py OUT.npz most_failed 1 7
+    JAX_NUM_CPU_DEVICES=7 python tests/runtime/devices_program.py OUT.npz most_failed 1 7
 
 The curriculum is one that sees all worlds of an update: that of a user, or "paired". Saved for each number of devices:
 levels and actions of the first update, its sums, and a checkpoint and the metrics after the second.

@@ -1,6 +1,6 @@
 """Trains in the split placement in this process, on as many devices as JAX has here, and leaves a run directory.
 
-    XLA_FLAGS=--xla_force_host_platform_device_count=2 python tests/runtime/split_program.py RUN domain_randomization
+    JAX_NUM_CPU_DEVICES=2 python tests/runtime/split_program.py RUN domain_randomization
 
 The one learner of this process uses all of its devices: what several learners of one device each have to reproduce.
 """

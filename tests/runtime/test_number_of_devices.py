@@ -1,7 +1,6 @@
 """Any number of devices plays the same worlds and makes the same update, evenly divided or not."""
 
 import dataclasses
-import os
 import subprocess
 import sys
 
@@ -10,7 +9,7 @@ import pytest
 
 from kinetix_dist.recipes import RECIPES, recipe
 from kinetix_dist.runtime.processes.placement import PlacementError, plan
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import REPOSITORY, environment_of_cpus
 from tests.runtime.runs import tiny_config
 
 PROGRAM = REPOSITORY / "tests" / "runtime" / "devices_program.py"
@@ -20,10 +19,8 @@ PROGRAM = REPOSITORY / "tests" / "runtime" / "devices_program.py"
 def by_count(request, tmp_path_factory):
     """Arrays by number of devices, of one process that has seven."""
     out = tmp_path_factory.mktemp("devices") / "out.npz"
-    flags = "--xla_force_host_platform_device_count=7"
-    environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
     command = [sys.executable, str(PROGRAM), str(out), request.param, "1", "7"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, env=environment_of_cpus(7), capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     arrays = dict(np.load(out))
     return {

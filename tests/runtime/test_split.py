@@ -17,7 +17,7 @@ from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stragglers import TIMES_THE_OTHERS
 from kinetix_dist.runtime.processes.placement import plan
 from kinetix_dist.telemetry.names import COPIES
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import REPOSITORY, environment_of_cpus
 from tests.runtime.runs import NotingReporter, QuietReporter, assert_same_bits, final_arrays, run_updates
 from tests.runtime.split_program import NUM_UPDATES, split_config
 from tests.runtime.train_process import STEPS_PER_UPDATE, TINY, events, rows, start, wait_for
@@ -27,10 +27,8 @@ PROGRAM = REPOSITORY / "tests" / "runtime" / "split_program.py"
 
 def _on_two_devices(path, curriculum):
     """Arrays of one learner with two devices, in a process of its own."""
-    flags = "--xla_force_host_platform_device_count=2"
-    environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
     command = [sys.executable, str(PROGRAM), str(path), curriculum]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, env=environment_of_cpus(2), capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     return final_arrays(path)
 
