@@ -22,6 +22,10 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 os.environ.setdefault("WARP_CACHE_PATH", str(_CACHE / "warp"))
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 
+# Most of the time of the suite is XLA's, which compiles for a CPU in half of the time without these two steps: the same
+# programs in slower machine code. Set XLA_FLAGS, to "" for instance, to test with what users run.
+FAST_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
@@ -36,6 +40,7 @@ def _asks_for_gpu_tests(config: pytest.Config) -> bool:
 def pytest_configure(config: pytest.Config) -> None:
     if not _asks_for_gpu_tests(config) or config.option.gpu_tests_on_cpu:
         os.environ.setdefault("JAX_PLATFORMS", "cpu")
+        os.environ.setdefault("XLA_FLAGS", FAST_TO_COMPILE)
     else:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # test processes share the GPU
 

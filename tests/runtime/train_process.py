@@ -25,7 +25,8 @@ LIMIT_S = 280.0
 def start(run: Path, *options: str, device: str = "cpu", new_session: bool = False) -> subprocess.Popen[str]:
     """Starts training in `run`. On a GPU it computes the same bits every time, at some cost of speed. new_session: as
     a terminal would, in a process group that signals can be sent to."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_PLATFORMS", "XLA_"))}
+    left_out = ("JAX_PLATFORMS", "XLA_") if device == "gpu" else ("JAX_PLATFORMS", "XLA_PYTHON")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(left_out)}
     command = [sys.executable, "-m", "kinetix_dist.cli.main", "train", "--run", str(run), "--run.device", device]
     if device == "gpu":
         environment["XLA_FLAGS"] = "--xla_gpu_deterministic_ops=true"
