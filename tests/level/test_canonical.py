@@ -36,7 +36,10 @@ def observe_start(levels: Level) -> EntityObs:
     n = levels.angle.shape[1]
     untouched = jnp.zeros((levels.angle.shape[0], n, (n + 31) // 32), jnp.uint32)
     fields = {name: getattr(levels, name) for name in ("position", "angle", "velocity", "angular_velocity")}
-    return observe(static_obs(levels), dynamic_obs(Moving(**fields, touching=untouched)))
+    return observe(
+        static_obs(levels),
+        dynamic_obs(Moving(**fields, touching=untouched, has_stepped=jnp.zeros(len(untouched), bool))),
+    )
 
 
 # Corners and ends
