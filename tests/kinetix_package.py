@@ -7,10 +7,12 @@ tests/env/kinetix_policy.npz; `python -m tests.kinetix_package` writes that file
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import subprocess
 import tempfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +23,13 @@ import pytest
 from jax2d.scene import Array, pack_bits, stack_worlds
 from kinetix_dist.env.observations import OBSERVATIONS, Moving
 from kinetix_dist.env.observations.entities import EntityObs
+from kinetix_dist.env.observations.kinetix_entities import NUM_FEATURES
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
 from kinetix_dist.level.schema import load_level
+from kinetix_dist.models.kinetix_parameters import FeatureCounts, layout
+from kinetix_dist.models.policy import PolicyConfig
 from tests.helpers import REPOSITORY
 
 PROGRAM = REPOSITORY / "bench" / "peers" / "kinetix_policy.py"
@@ -48,6 +53,19 @@ def run_package(folder: Path, request: dict[str, Any]) -> dict[str, np.ndarray]:
     assert ended.returncode == 0, ended.stderr[-2000:]
     with np.load(folder / "answer.npz") as archive:
         return {name: archive[name] for name in archive.files}
+
+
+STORED_POLICIES = {"policy": {}, "paper": {"legacy_entity_id": True}}  # by `write_formula_policy`
+# Option of the package's network: field of PolicyConfig.
+PACKAGE_SIZES = {
+    "transformer_encoder_size": "encoder_size",
+    "transformer_size": "attention_features",
+    "num_heads": "num_heads",
+    "transformer_depth": "num_layers",
+    "actor_width": "hidden_size",
+    "actor_depth": "hidden_layers",
+}
+HEAD_SIZES = (3, 3, 3, 3, 2, 2)
 
 
 def stored_answer() -> dict[str, np.ndarray]:
@@ -74,8 +92,42 @@ def write_stored() -> None:
             files.append(folder / f"{title}.json")
             files[-1].write_text(json.dumps(document))
         request = {"levels": [str(file) for file in files], "moments": [40, 160], "seed": 7, "recalculate": True}
-        run_package(folder, request)
+        checkpoints = [write_formula_policy(folder / name, **options) for name, options in STORED_POLICIES.items()]
+        run_package(folder, request | {"checkpoints": [str(checkpoint) for checkpoint in checkpoints]})
         shutil.copy(folder / "answer.npz", STORED)
+
+
+def write_formula_policy(folder: Path, **model: Any) -> Path:
+    """A policy as the package saves it, whose parameters follow from names and indices; model: options of it."""
+    model = {"legacy_entity_id": False} | model
+    sizes = {field: model[name] for name, field in PACKAGE_SIZES.items() if name in model}
+    places = layout(PolicyConfig(**sizes), FeatureCounts(**NUM_FEATURES), HEAD_SIZES)
+    leaves = {leaf.name: formula(leaf.name, leaf.shape) for place in places for leaf in place.parts}
+    write_policy(folder, leaves, model)
+    return folder
+
+
+def formula(name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Numbers that look random, so large that activations keep their size from layer to layer."""
+    x = np.sin(12.9898 * np.arange(math.prod(shape)) + zlib.crc32(name.encode()) % 1000) * 43758.5453
+    noise = (2.0 * (x - np.floor(x)) - 1.0).reshape(shape)  # from -1 to 1
+    if name.endswith("kernel"):
+        num_inputs = shape[0] if name.split("/")[-2] in ("query", "key", "value") else math.prod(shape[:-1])
+        return (noise * math.sqrt(3.0 / num_inputs)).astype(np.float32)
+    return (float(name.endswith("scale")) + 0.1 * noise).astype(np.float32)
+
+
+def write_policy(folder: Path, leaves: dict[str, np.ndarray], model: dict[str, Any]) -> None:
+    """params.safetensors and config.json, which leaves out the options that are the paper's."""
+    folder.mkdir(exist_ok=True)
+    header, data = {}, b""
+    for name, leaf in leaves.items():
+        dtype = {"float32": "F32", "float16": "F16"}[leaf.dtype.name]
+        header[name] = {"dtype": dtype, "shape": leaf.shape, "data_offsets": [len(data), len(data) + leaf.nbytes]}
+        data += leaf.tobytes()
+    text = json.dumps(header).encode()
+    (folder / "params.safetensors").write_bytes(len(text).to_bytes(8, "little") + text + data)
+    (folder / "config.json").write_text(json.dumps({"model": model}))
 
 
 def observed(levels: list[Level], answer: dict[str, np.ndarray]) -> EntityObs:

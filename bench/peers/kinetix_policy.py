@@ -8,12 +8,12 @@ of each level, those reached by random actions at the moments, and the latter st
 jax2d_published_steps.py. Contacts are computed anew where the shapes stand, and there are none at the start.
 "recalculate" replaces masses and inertias of movable shapes by the package's own. "create" initialises the paper's
 network, moves all parameters by noise (its last layer starts near zero) and saves it; "checkpoints" are applied to all
-states. OUT.npz:
+states; options that their config.json leaves out are the paper's. OUT.npz:
 
     level, has_stepped                       [S] which file, and whether a physics step was made
     position, angle, velocity, angular_velocity [S, n, ...]
     obs.*                                    fields of the package's EntityObservation
-    logits.K, value.K                        [S, 16] and [S], of checkpoint K
+    log_probs.K, value.K                     [S, 16] of all choices of all heads and [S], of checkpoint K
 
 This file uses nothing of the project.
 """
@@ -142,15 +142,16 @@ def create(env: Any, params: EnvParams, static: Any, obs: Any, folder: str, *, s
 
 def play(env: Any, params: EnvParams, static: Any, obs: Any, folder: str) -> dict[str, Any]:
     tree, config = load_pretrained_checkpoint(folder)
-    network = network_of(env, params, static, config["model"])
+    network = network_of(env, params, static, PAPER | config["model"])
 
     @jax.jit
     def apply(tree: Any, obs: Any) -> tuple[Any, Any]:
         _, pi, value = network.apply(tree, None, with_time(obs))
-        return [d.logits for d in pi.distributions], value
+        return [jax.nn.log_softmax(d.logits) for d in pi.distributions], value
 
-    logits, value = apply(tree, obs)
-    return {"logits": np.concatenate([np.asarray(x) for x in logits], axis=-1)[0], "value": np.asarray(value)[0]}
+    log_probs, value = apply(tree, obs)
+    log_probs = np.concatenate([np.asarray(x) for x in log_probs], axis=-1)
+    return {"log_probs": log_probs[0], "value": np.asarray(value)[0]}
 
 
 if __name__ == "__main__":

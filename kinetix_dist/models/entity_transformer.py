@@ -1,7 +1,8 @@
 """The paper's network: a gated transformer over shapes, with messages along joints and from thrusters.
 
     encoders    polygons, circles, joints, thrusters: Dense + tanh each to [B, count, encoder_size]; one constant token
-                more ("dummy") that sees every shape
+                more ("dummy") that sees every shape. With `shape_ids`, as in the public package, polygons and circles
+                are encoded one narrower, and the last number of a token is that of its kind
     layer       x = gate1(x, relu(attention(norm(x))))         a quarter of the heads for each of the four masks
                 x = gate2(x, relu(Dense(norm(x))))
                 x[from] += Dense([x_from, x_to, joint])        for each joint and direction
@@ -52,12 +53,14 @@ class EntityTransformer(nn.Module):
     hidden_layers: int
     head_sizes: tuple[int, ...]
     dtype: Any
+    shape_ids: tuple[float, float] | None = None  # of polygons and of circles
 
     @nn.compact
     def __call__(self, obs: EntityObs) -> tuple[tuple[Array, ...], Array]:
         # Encode: shapes become tokens, the dummy token is the last.
-        polygons = self._encode("polygon_encoder", obs.polygons)
-        circles = self._encode("circle_encoder", obs.circles)
+        polygon_id, circle_id = self.shape_ids or (None, None)
+        polygons = self._encode("polygon_encoder", obs.polygons, polygon_id)
+        circles = self._encode("circle_encoder", obs.circles, circle_id)
         joints = self._encode("joint_encoder", obs.joints)
         thrusters = self._encode("thruster_encoder", obs.thrusters)
         dummy = jnp.ones((polygons.shape[0], 1, self.encoder_size), self.dtype)
@@ -80,9 +83,13 @@ class EntityTransformer(nn.Module):
         embedding = _masked_mean(x, token_mask).astype(self.dtype)
         return Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")(embedding)
 
-    def _encode(self, name: str, features: Array) -> Array:
-        dense = nn.Dense(self.encoder_size, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name=name)
-        return jnp.tanh(dense(features)).astype(self.dtype)
+    def _encode(self, name: str, features: Array, kind_id: float | None = None) -> Array:
+        width = self.encoder_size if kind_id is None else self.encoder_size - 1
+        dense = nn.Dense(width, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name=name)
+        tokens = jnp.tanh(dense(features)).astype(self.dtype)
+        if kind_id is None:
+            return tokens
+        return jnp.concatenate([tokens, jnp.full_like(tokens[..., :1], kind_id)], axis=-1)
 
     def _attention(self, layer: int, x: Array, mask_words: Array) -> Array:
         size, features = self.encoder_size, self.attention_features

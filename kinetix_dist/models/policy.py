@@ -8,6 +8,7 @@ logits, value = policy.apply(params, obs)          # a tuple of [B, choices] a h
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -28,7 +29,7 @@ DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 class PolicyConfig:
     """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
 
-    network: str = "transformer"  # of entities, or "flat", of a vector; env.observation has to give it
+    network: str = "transformer"  # of entities, or "flat", of a vector, ...: NETWORKS; env.observation has to give it
     encoder_size: int = 128  # width of tokens
     attention_features: int = 16  # of all heads together
     num_heads: int = 8  # a quarter of them for each attention mask
@@ -78,12 +79,15 @@ def _common(config: PolicyConfig, head_sizes: tuple[int, ...]) -> dict[str, Any]
     }
 
 
-def _transformer(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
+def _transformer(
+    config: PolicyConfig, head_sizes: tuple[int, ...], *, shape_ids: tuple[float, float] | None = None
+) -> nn.Module:
     return EntityTransformer(
         encoder_size=config.encoder_size,
         attention_features=config.attention_features,
         num_heads=config.num_heads,
         num_layers=config.num_layers,
+        shape_ids=shape_ids,
         **_common(config, head_sizes),
     )
 
@@ -95,6 +99,13 @@ def _flat(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
 NETWORKS: Registry[Network] = Registry("network")
 NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer))
 NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
+# Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.
+NETWORKS.register(
+    "transformer_kinetix", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(1.0, 0.0)))
+)
+NETWORKS.register(
+    "transformer_kinetix_paper", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(0.0, 0.0)))
+)
 
 
 def init_params(policy: nn.Module, obs: Any, key: Array) -> Any:

@@ -28,6 +28,8 @@ import numpy as np
 
 from jax2d.scene import Array, JointKind, pack_bits, touch_matrix
 from kinetix_dist.env.observations.entities import (
+    NUM_CIRCLE_FEATURES,
+    NUM_THRUSTER_FEATURES,
     DynamicObs,
     EntityObs,
     StaticObs,
@@ -41,7 +43,7 @@ from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, Level
 from kinetix_dist.level.overlap import separation, world_corners
 from kinetix_dist.level.walls import COLLIDES_WITH_ALL
 
-NUM_KINETIX_JOINT_FEATURES = 22
+NUM_FEATURES = {"polygon": 27, "circle": NUM_CIRCLE_FEATURES, "joint": 22, "thruster": NUM_THRUSTER_FEATURES}
 DISC_INERTIA_RATIO = 2.0  # inverse inertia of a disc in the package / ours
 SIDE_WALLS = (1, 2)  # polygon slots
 _CORNERS_OF_SIDE_WALLS = (1, 0, 3, 2)  # of ours, which run counter-clockwise from (+, +): clockwise from (-, +)
