@@ -269,6 +269,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     """What the parameters after k updates depend on."""
     sections = to_dict(config)
     kept = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
+    if config.policy.recurrent == "none":  # hashes are those of versions without memory
+        del kept["policy"]["recurrent"], kept["policy"]["memory_size"]
     del kept["env"]["effect_groups"]  # a matter of time: engines agree bit for bit within their effects
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:

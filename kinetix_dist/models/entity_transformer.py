@@ -8,7 +8,7 @@
                 x[from] += Dense([x_from, x_to, joint])        for each joint and direction
                 x[owner] += Dense([x_owner, thruster])         for each thruster, from the same x
     pooling     mean over the tokens that exist, the dummy included
-    towers      actor and critic, see towers.py
+    towers      actor and critic, see towers.py; a memory before them, see gru.py
 
 What bounds it on a GPU is memory traffic between small operations, not arithmetic. So products of one input are
 one product (queries, keys and values; the gates, see gate.py), the scale and offset of a norm are folded into the
@@ -29,6 +29,7 @@ from jax2d.scene import Array
 from kinetix_dist.models.attention import attend, pack_mask
 from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
+from kinetix_dist.models.gru import apply_towers
 from kinetix_dist.models.rows import add_rows, take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
@@ -54,9 +55,10 @@ class EntityTransformer(nn.Module):
     head_sizes: tuple[int, ...]
     dtype: Any
     shape_ids: tuple[float, float] | None = None  # of polygons and of circles
+    memory_size: int = 0  # see gru.py; 0: none
 
     @nn.compact
-    def __call__(self, obs: EntityObs) -> tuple[tuple[Array, ...], Array]:
+    def __call__(self, obs: EntityObs, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
         # Encode: shapes become tokens, the dummy token is the last.
         polygon_id, circle_id = self.shape_ids or (None, None)
         polygons = self._encode("polygon_encoder", obs.polygons, polygon_id)
@@ -81,7 +83,8 @@ class EntityTransformer(nn.Module):
             x = add_rows(x, obs.joint_from, from_joints)
             x = add_rows(x, obs.thruster_owner, from_thrusters)
         embedding = _masked_mean(x, token_mask).astype(self.dtype)
-        return Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")(embedding)
+        towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
+        return apply_towers(towers, embedding, memory, is_first, self.memory_size)
 
     def _encode(self, name: str, features: Array, kind_id: float | None = None) -> Array:
         width = self.encoder_size if kind_id is None else self.encoder_size - 1

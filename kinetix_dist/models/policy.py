@@ -22,6 +22,7 @@ from kinetix_dist.models.entity_transformer import NUM_MASKS, EntityTransformer
 from kinetix_dist.models.flat_mlp import FlatMlp
 from kinetix_dist.registry import Registry
 
+RECURRENT = ("none", "gru")
 DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 
@@ -37,6 +38,8 @@ class PolicyConfig:
     hidden_size: int = 128  # of actor and critic
     hidden_layers: int = 5  # before the output layer
     flat_size: int = 512  # encoder of the flat network
+    recurrent: str = "none"  # or "gru": a memory between the embedding and actor and critic
+    memory_size: int = 256  # of it
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
 
     def __post_init__(self) -> None:
@@ -44,7 +47,10 @@ class PolicyConfig:
             raise ValueError(f"PolicyConfig.network is {self.network!r}; choose one of {', '.join(NETWORKS)}")
         if self.dtype not in DTYPES:
             raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
-        at_least_one = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
+        if self.recurrent not in RECURRENT:
+            raise ValueError(f"PolicyConfig.recurrent is {self.recurrent!r}; choose one of {', '.join(RECURRENT)}")
+        sizes = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
+        at_least_one = (*sizes, "memory_size")
         for name, least in (*((name, 1) for name in at_least_one), ("hidden_layers", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be {least} or more")
@@ -75,6 +81,7 @@ def _common(config: PolicyConfig, head_sizes: tuple[int, ...]) -> dict[str, Any]
         "hidden_size": config.hidden_size,
         "hidden_layers": config.hidden_layers,
         "head_sizes": head_sizes,
+        "memory_size": config.memory_size if config.recurrent == "gru" else 0,
         "dtype": DTYPES[config.dtype],
     }
 

@@ -19,6 +19,7 @@ from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values, replicate
 from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import make_update
+from kinetix_dist.models.gru import has_memory
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.agents import some_observation
 from kinetix_dist.runtime.cores.stored import LEARNER, START
@@ -29,7 +30,9 @@ class LearnerCore:
     """Parameters and optimiser, replicated over a mesh, and the update of them."""
 
     def __init__(self, config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> None:
-        config.ppo.check_batch(num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs)
+        config.ppo.check_batch(
+            num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs, whole_worlds=has_memory(policy)
+        )
         self._config = config
         self._mesh = mesh
         self.division = Division(config.num_blocks, mesh.devices.size)
