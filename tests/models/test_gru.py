@@ -18,6 +18,7 @@ from kinetix_dist.evaluation.policies import NetworkPolicy, act, first_memory
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.update import PpoConfig, _Program, _shuffled
 from kinetix_dist.level.schema import load_level
+from kinetix_dist.models import gru
 from kinetix_dist.models.gru import Gru, forget, initial_memory
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.helpers import REPOSITORY
@@ -123,7 +124,7 @@ def test_two_students_remember_each_for_itself(problem: Problem) -> None:
     memory = jax.random.normal(jax.random.key(0), (4, both.memory_size))
     _, value, after = both.apply((problem.params, other), obs, memory)
     for params, worlds in ((problem.params, slice(0, 2)), (other, slice(2, 4))):
-        _, alone, remembered = problem.policy.apply(params, obs[worlds], memory[worlds])
+        _, alone, remembered = gru.act(problem.policy, params, obs[worlds], memory[worlds])
         np.testing.assert_allclose(value[worlds], alone, atol=1e-6)
         np.testing.assert_allclose(after[worlds], remembered, atol=1e-6)
 
