@@ -13,8 +13,7 @@ import sys
 from pathlib import Path
 
 from bench.program import exit_code, parser_of
-from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from kinetix_dist.checkpoint.manifest import write_manifest
+from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, save_alone
 from kinetix_dist.errors import user_errors
 
 PARAMS_PREFIX = "learner/params"
@@ -36,15 +35,8 @@ def export(source: Path, to: Path) -> int:
     description = {name: checkpoint.description[name] for name in KEPT}
     evaluation = description["config"]["evaluation"]
     evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name]
-    draft = to.parent / f".{to.name}-draft"
-    written = save_checkpoint(draft, checkpoint.description["num_updates"], arrays, description, keep=1)
-    # Orbax notes the absolute path it wrote to, which means nothing elsewhere.
-    for note in written.rglob("commit_success.txt"):
-        note.write_text("Checkpoint commit was successful\n")
-    write_manifest(written)
     shutil.rmtree(to, ignore_errors=True)
-    written.rename(to)
-    draft.rmdir()
+    save_alone(to, checkpoint.description["num_updates"], arrays, description)
     return 0
 
 

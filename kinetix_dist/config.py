@@ -124,6 +124,7 @@ class RunConfig:
 
     name: str = "run"  # directory below runs/ when --run is not given
     seed: int = 0
+    start_from: str = ""  # checkpoint or pretrained policy whose parameters training starts from; "": from the seed
     total_env_steps: int = 0  # training ends at the first update that reaches it; 0: no such end
     max_seconds: float = 0.0  # training ends at the first update after so much training time; 0: no such end
     placement: str = "colocated"  # "local" (no ray), "colocated" or "split"
@@ -281,11 +282,14 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     """What the parameters after k updates depend on."""
     sections = to_dict(config)
     kept = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
+    if config.policy.recurrent == "none":  # hashes are those of versions without memory
+        del kept["policy"]["recurrent"], kept["policy"]["memory_size"]
     del kept["env"]["effect_groups"]  # a matter of time: engines agree bit for bit within their effects
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:
             del kept["curriculum"][section]
-    return kept | {"run": {"seed": config.run.seed, "policy_lag": config.run.policy_lag}}
+    start = {"start_from": config.run.start_from} if config.run.start_from else {}
+    return kept | {"run": {"seed": config.run.seed, "policy_lag": config.run.policy_lag} | start}
 
 
 def differences(ours: TrainConfig, theirs: TrainConfig) -> list[str]:

@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.fields import SLOTS, Array, Field, make
+from jax2d.scene import Capacity
+from kinetix_dist.level.level import NUM_WALLS
 
 Record = TypeVar("Record")
 
@@ -22,6 +25,19 @@ def is_active(field: Field, of: Any) -> Array:
     if field.dims[0] == "E":
         return active[..., : field.get(of).shape[-1]]
     return {"n": active, "J": of.joints.active, "T": of.thrusters.active, "S": of.springs.active}[field.dims[0]]
+
+
+def shuffled_slots(capacity: Capacity, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """What `take_slots` takes, for a level: walls stay where they are."""
+    polygons = np.concatenate([np.arange(NUM_WALLS), NUM_WALLS + rng.permutation(capacity.polygons - NUM_WALLS)])
+    circles = rng.permutation(capacity.circles)
+    return {
+        "n": np.concatenate([polygons, capacity.polygons + circles]),
+        "P": polygons,
+        "C": circles,
+        "J": rng.permutation(capacity.joints),
+        "T": rng.permutation(capacity.thrusters),
+    }
 
 
 def take_slots(record: Record, source: Mapping[str, Array]) -> Record:

@@ -20,6 +20,7 @@ from kinetix_dist.actors.outcomes import add_step, no_outcomes
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.messages import LevelOutcome, Trajectory
+from kinetix_dist.models.gru import act, forget, initial_memory
 
 
 class Worlds(NamedTuple):
@@ -50,7 +51,7 @@ def unroll(
     *,
     numbers: Array | None = None,
 ) -> Played:
-    """`num_steps` steps of W worlds.
+    """`num_steps` steps of W worlds, each at the start of an episode: what a policy remembers begins with them.
 
     key: a typed key, used up by this call (fold in a counter for the next). numbers: [W] of these worlds in the
     whole batch; None: from 0 on.
@@ -60,9 +61,9 @@ def unroll(
     num_worlds = _num_worlds(worlds.obs)
     world_keys = _world_keys(key, jnp.arange(num_worlds) if numbers is None else numbers)
 
-    def step(carry: tuple[Any, Any, LevelOutcome], number: Array) -> tuple[tuple[Any, Any, LevelOutcome], Trajectory]:
-        env_state, obs, outcome = carry
-        outputs, value = policy.apply(params, env.observe(prepared, obs))
+    def step(carry: tuple, number: Array) -> tuple[tuple, Trajectory]:
+        env_state, obs, memory, outcome = carry
+        outputs, value, memory = act(policy, params, env.observe(prepared, obs), memory)
         actions, log_prob = distribution.sample(outputs, _uniforms(world_keys, number, distribution.num_uniforms))
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
         taken = Trajectory(
@@ -73,11 +74,11 @@ def unroll(
             rewards=reward,
             done_after=done,
         )
-        return (env_state, next_obs, add_step(outcome, done, info)), taken
+        return (env_state, next_obs, forget(memory, done), add_step(outcome, done, info)), taken
 
-    carry = (worlds.env_state, worlds.obs, no_outcomes(num_worlds))
-    (env_state, obs, outcome), trajectory = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
-    _, last_value = policy.apply(params, env.observe(prepared, obs))
+    carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
+    (env_state, obs, memory, outcome), trajectory = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
+    _, last_value, _ = act(policy, params, env.observe(prepared, obs), memory)
     return Played(trajectory, env_state, obs, last_value, outcome)
 
 
@@ -95,15 +96,15 @@ def score(
     num_worlds = _num_worlds(obs)
     world_keys = _world_keys(key, jnp.arange(num_worlds))
 
-    def step(carry: tuple[Any, Any, LevelOutcome], number: Array) -> tuple[tuple[Any, Any, LevelOutcome], None]:
-        env_state, obs, outcome = carry
-        outputs, _ = policy.apply(params, env.observe(prepared, obs))
+    def step(carry: tuple, number: Array) -> tuple[tuple, None]:
+        env_state, obs, memory, outcome = carry
+        outputs, _, memory = act(policy, params, env.observe(prepared, obs), memory)
         actions, _ = distribution.sample(outputs, _uniforms(world_keys, number, distribution.num_uniforms))
         env_state, obs, _, done, info = env.step(prepared, env_state, actions)
-        return (env_state, obs, add_step(outcome, done, info)), None
+        return (env_state, obs, forget(memory, done), add_step(outcome, done, info)), None
 
-    carry = (env_state, obs, no_outcomes(num_worlds))
-    (_, _, outcome), _ = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
+    carry = (env_state, obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
+    (_, _, _, outcome), _ = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
     return outcome
 
 

@@ -9,6 +9,7 @@ from kinetix_dist.checkpoint.store import (
     load_checkpoint,
     newest_good,
     remove_dead_drafts,
+    save_alone,
     save_checkpoint,
 )
 
@@ -22,6 +23,7 @@ __all__ = [
     "load_checkpoint",
     "newest_good",
     "remove_dead_drafts",
+    "save_alone",
     "save_checkpoint",
     "select_arrays",
     "unflatten_arrays",

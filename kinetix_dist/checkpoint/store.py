@@ -92,6 +92,25 @@ def save_checkpoint(
     return final
 
 
+def save_alone(to: Path, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any]) -> None:
+    """One checkpoint at `to` itself, which must not exist, to be kept or sent elsewhere. Raises as `save_checkpoint`.
+
+    Its files hold no path of this machine.
+    """
+    if to.exists():
+        raise CheckpointError(f"{to} exists; choose another place")
+    folder = to.parent / f".{to.name}-draft"
+    try:
+        written = save_checkpoint(folder, num_updates, arrays, description, keep=1)
+        # Orbax notes the absolute path it wrote to, which means nothing elsewhere.
+        for note in written.rglob("commit_success.txt"):
+            note.write_text("Checkpoint commit was successful\n")
+        write_manifest(written)
+        os.replace(written, to)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def load_checkpoint(path: Path) -> Checkpoint:
     """Verifies a checkpoint directory against its manifest and reads it; raises CheckpointError otherwise.
 

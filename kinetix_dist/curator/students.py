@@ -16,9 +16,16 @@ class TwoStudents:
     policy: Any  # a flax module
     worlds_per_group: int
 
-    def apply(self, params: tuple[Any, Any], obs: Any) -> Any:
-        """Outputs and values, [W, ...]. params: of both students; obs [W, ...]."""
-        outputs = [self.policy.apply(own, worlds_of(obs, i, self.worlds_per_group)) for i, own in enumerate(params)]
+    @property
+    def memory_size(self) -> int:
+        return self.policy.memory_size
+
+    def apply(self, params: tuple[Any, Any], *seen: Any) -> Any:
+        """Outputs, values and next memory if one is given, [W, ...]. params: of both students; seen: obs, memory."""
+        outputs = [
+            self.policy.apply(own, *(worlds_of(x, i, self.worlds_per_group) for x in seen))
+            for i, own in enumerate(params)
+        ]
         return in_groups(*outputs, self.worlds_per_group)
 
 

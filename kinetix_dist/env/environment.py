@@ -171,7 +171,7 @@ class Environment:
         roles = role_masks(levels.shape_role, levels.scene.shapes.active)
         num_worlds, num_shapes = levels.shape_role.shape
         untouched = jnp.zeros((num_worlds, num_shapes, self.capacity.touch_words), jnp.uint32)
-        moving = self._moving(packed_scene, packed_state, untouched)
+        moving = self._moving(packed_scene, packed_state, untouched, has_stepped=False)
         return PreparedLevels(
             packed_scene=packed_scene,
             initial_packed_state=packed_state,
@@ -194,7 +194,7 @@ class Environment:
         # Physics.
         packed_state, touching = self._physics(prepared, env_state, controls)
         # Outcome and reward, from the state the step led to.
-        moving = self._moving(prepared.packed_scene, packed_state, touching.at_end)
+        moving = self._moving(prepared.packed_scene, packed_state, touching.at_end, has_stepped=True)
         num_steps = env_state.num_steps + 1
         outcome = judge(
             touching.during,
@@ -213,10 +213,15 @@ class Environment:
         next_state, obs = self._auto_reset(prepared, outcome.done, next_state, self.observation.dynamic(moving))
         return next_state, obs, reward, outcome.done, info
 
-    def _moving(self, packed_scene: Any, packed_state: Any, touching: Array) -> Moving:
+    def _moving(self, packed_scene: Any, packed_state: Any, touching: Array, *, has_stepped: bool) -> Moving:
         position, angle, velocity, angular_velocity = self.stepper.bodies(packed_scene, packed_state)
         return Moving(
-            position=position, angle=angle, velocity=velocity, angular_velocity=angular_velocity, touching=touching
+            position=position,
+            angle=angle,
+            velocity=velocity,
+            angular_velocity=angular_velocity,
+            touching=touching,
+            has_stepped=jnp.full(position.shape[0], has_stepped),
         )
 
     def _auto_reset(self, prepared: PreparedLevels, done: Array, env_state: EnvState, obs: Any) -> tuple[EnvState, Any]:

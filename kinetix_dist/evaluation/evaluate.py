@@ -23,7 +23,7 @@ from jax2d.scene import Array, index_worlds
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.evaluation.intervals import wilson_interval
-from kinetix_dist.evaluation.policies import Player, Policy
+from kinetix_dist.evaluation.policies import Player, Policy, act, first_memory
 from kinetix_dist.level.level import Level
 
 MAX_WORLDS = 4096  # worlds at once: enough to fill a GPU, and under 1 GB of memory at size L
@@ -146,18 +146,19 @@ def first_episodes(env: Environment, policy: Policy, params: Any, prepared: Prep
         episode_length=zeros.astype(jnp.int32),
     )
 
-    def some_play_on(carry: tuple[Array, EnvState, Any, Episodes]) -> Array:
-        return ~carry[3].finished.all()
+    def some_play_on(carry: tuple[Array, EnvState, Any, Array | None, Episodes]) -> Array:
+        return ~carry[4].finished.all()
 
-    def play(carry: tuple[Array, EnvState, Any, Episodes]) -> tuple[Array, EnvState, Any, Episodes]:
-        step, env_state, obs, episodes = carry
+    def play(carry: tuple[Array, EnvState, Any, Array | None, Episodes]) -> tuple:
+        step, env_state, obs, memory, episodes = carry
         step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
-        actions = policy(params, env.observe(prepared, obs), step_keys)
+        actions, memory = act(policy, params, env.observe(prepared, obs), step_keys, memory)
         env_state, obs, _, done, info = env.step(prepared, env_state, actions)
-        return step + 1, env_state, obs, _record_first(episodes, done, info)
+        return step + 1, env_state, obs, memory, _record_first(episodes, done, info)
 
     # Ends after `max_steps` at the latest: a time limit finishes whatever is left.
-    return jax.lax.while_loop(some_play_on, play, (jnp.int32(0), env_state, obs, episodes))[3]
+    carry = (jnp.int32(0), env_state, obs, first_memory(policy, keys.shape[0]), episodes)
+    return jax.lax.while_loop(some_play_on, play, carry)[4]
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

@@ -14,6 +14,7 @@ import jax
 
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces import ActionDistribution, ActionSpace
+from kinetix_dist.models.gru import initial_memory
 
 Policy = Callable[[Any, Any, Array], Array]
 
@@ -55,7 +56,28 @@ class NetworkPolicy:
 
     def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
         outputs, _ = self.module.apply(params, obs)
+        return self._choose(outputs, keys)
+
+    def remember(self, params: Any, obs: Any, keys: Array, memory: Array) -> tuple[Array, Array]:
+        """(actions, next memory [W, size]) of a recurrent network."""
+        outputs, _, memory = self.module.apply(params, obs, memory)
+        return self._choose(outputs, keys), memory
+
+    def _choose(self, outputs: Any, keys: Array) -> Array:
         if self.greedy:
             return self.distribution.mode(outputs)
         uniforms = jax.vmap(lambda key: jax.random.uniform(key, (self.distribution.num_uniforms,)))(keys)
         return self.distribution.sample(outputs, uniforms)[0]
+
+
+def first_memory(policy: Policy, num_worlds: int) -> Array | None:
+    """What a policy remembers at the start of episodes; None for one without memory."""
+    return initial_memory(policy.module, num_worlds) if isinstance(policy, NetworkPolicy) else None
+
+
+def act(policy: Policy, params: Any, obs: Any, keys: Array, memory: Array | None) -> tuple[Array, Array | None]:
+    """(actions, next memory). What follows an episode's end is of no evaluation, so that nothing is forgotten here."""
+    if memory is None:
+        return policy(params, obs, keys), None
+    assert isinstance(policy, NetworkPolicy)  # no other has a memory
+    return policy.remember(params, obs, keys, memory)

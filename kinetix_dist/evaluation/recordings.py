@@ -23,7 +23,7 @@ from jax2d.scene import Array, index_worlds
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
-from kinetix_dist.evaluation.policies import Player, Policy
+from kinetix_dist.evaluation.policies import Player, Policy, act, first_memory
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import LevelInfo, level_from_json, level_to_json
 from kinetix_dist.telemetry.mcap_reader import read_recording
@@ -130,13 +130,13 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
     keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, jnp.arange(num_worlds))
 
     def play(carry: tuple, step: Array) -> tuple[tuple, dict[str, Array]]:
-        env_state, obs = carry
+        env_state, obs, memory = carry
         step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
-        actions = policy(params, env.observe(prepared, obs), step_keys)
+        actions, memory = act(policy, params, env.observe(prepared, obs), step_keys, memory)
         env_state, obs, seen = _step_seen(env, prepared, env_state, actions)
-        return (env_state, obs), seen
+        return (env_state, obs, memory), seen
 
-    return jax.lax.scan(play, (env_state, obs), jnp.arange(env.config.max_steps))[1]
+    return jax.lax.scan(play, (env_state, obs, first_memory(policy, num_worlds)), jnp.arange(env.config.max_steps))[1]
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -36,6 +36,7 @@ from kinetix_dist.learner.ppo_loss import LOSS_METRICS, Samples, ppo_terms, tota
 from kinetix_dist.learner.sharding import DATA_AXIS
 from kinetix_dist.learner.state import LearnerState, adam, add_env_steps
 from kinetix_dist.messages import Trajectory
+from kinetix_dist.models.gru import has_memory
 
 METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps")
 
@@ -71,13 +72,22 @@ class PpoConfig:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be from 0 to 1")
 
-    def check_batch(self, *, num_steps: int, num_worlds: int) -> None:
-        """Raises ValueError, with the numbers, if T steps of W worlds (all devices) cannot be divided as asked."""
+    def check_batch(self, *, num_steps: int, num_worlds: int, whole_worlds: bool = False) -> None:
+        """Raises ValueError, with the numbers, if T steps of W worlds (all devices) cannot be divided as asked.
+
+        whole_worlds: minibatches are of all steps of some worlds, as for recurrent policies.
+        """
         shards = self.virtual_shards
         if num_worlds % shards:
             raise ValueError(
                 f"{num_worlds} worlds cannot be divided into {shards} virtual shards; "
                 "change the number of worlds or PpoConfig.virtual_shards"
+            )
+        if whole_worlds and num_worlds // shards % self.minibatches:
+            raise ValueError(
+                f"a recurrent policy learns from whole worlds: {num_worlds} worlds give {num_worlds // shards} to each "
+                f"of {shards} virtual shards, which cannot be divided into {self.minibatches} minibatches; raise "
+                "rollout.num_envs, or lower ppo.virtual_shards or ppo.minibatches"
             )
         samples = num_steps * num_worlds // shards
         if samples % self.minibatches:
@@ -103,6 +113,11 @@ class _Program:
     @property
     def shards_a_place(self) -> int:
         return self.config.virtual_shards // self.division.num_parts
+
+    @property
+    def is_recurrent(self) -> bool:
+        """Then minibatches are of whole worlds, [T, worlds] samples step by step, and memory runs through them."""
+        return has_memory(self.policy)
 
 
 def make_update(
@@ -145,7 +160,8 @@ def make_update(
         state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
     ) -> tuple[LearnerState, dict[str, Array]]:
         num_steps, num_rows = trajectory.rewards.shape
-        config.check_batch(num_steps=num_steps, num_worlds=_num_worlds(division, num_rows))
+        num_worlds = _num_worlds(division, num_rows)
+        config.check_batch(num_steps=num_steps, num_worlds=num_worlds, whole_worlds=program.is_recurrent)
         return on_devices(state, static_obs, trajectory, last_value)
 
     return jax.jit(update)
@@ -169,7 +185,9 @@ def _update(
     # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
     flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))
     minibatch_size = num_samples // config.minibatches  # of all devices
-    is_counted = _counted(program, num_samples_here=num_steps * num_worlds // config.minibatches)
+    is_counted = _counted_of_minibatch(program, num_steps, num_worlds)
+    # Worlds begin an update with an episode.
+    is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(True).reshape(-1)
     flat_params, unravel = ravel_pytree(state.params)
     key = jax.random.fold_in(jax.random.wrap_key_data(state.key), state.num_updates)
 
@@ -191,7 +209,8 @@ def _update(
             is_counted=is_counted,
         )
         obs = program.observation.join(jax.tree.map(lambda x: x[index % num_worlds], static_obs), steps.dynamic_obs)
-        grads, terms = _gradient(program, unravel(flat_params), obs, samples, minibatch_size)
+        memory = {"is_first": is_first[index].reshape(num_steps, -1)} if program.is_recurrent else {}
+        grads, terms = _gradient(program, unravel(flat_params), obs, samples, minibatch_size, memory)
         # The only communication of a gradient step: gradient and metrics of all devices in one vector.
         summed = jax.lax.psum(jnp.concatenate([ravel_pytree(grads)[0], terms]), DATA_AXIS)
         grad, terms = jnp.split(summed, [flat_params.size])
@@ -232,18 +251,40 @@ def _counted(program: _Program, *, num_samples_here: int) -> Array | None:
     return jnp.repeat(places, num_samples_here // division.places)
 
 
+def _counted_of_minibatch(program: _Program, num_steps: int, num_worlds: int) -> Array | None:
+    """The same for the samples of a minibatch, in the order of `_shuffled`."""
+    minibatches = program.config.minibatches
+    if not program.is_recurrent:
+        return _counted(program, num_samples_here=num_steps * num_worlds // minibatches)
+    of_step = _counted(program, num_samples_here=num_worlds // minibatches)
+    return None if of_step is None else jnp.tile(of_step, num_steps)
+
+
 def _sum(x: Array, is_counted: Array | None, axis: int | None = None) -> Array:
     """Over all devices, of what counts."""
     return jax.lax.psum(jnp.sum(x if is_counted is None else jnp.where(is_counted, x, 0.0), axis=axis), DATA_AXIS)
 
 
 def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) -> Array:
-    """Sample numbers of this device's part of each minibatch of an epoch: [minibatches, samples] int32."""
+    """Sample numbers of this device's part of each minibatch of an epoch: [minibatches, samples] int32.
+
+    Of a recurrent policy, whole worlds are shuffled: samples [T, worlds], step by step.
+    """
     config, block = program.config, program.shards_a_place
     blocks = jnp.asarray(program.division.parts)[jax.lax.axis_index(DATA_AXIS)]
     numbers = (blocks[:, None] * block + jnp.arange(block)).reshape(-1)  # of the shards on this device
     num_shards = numbers.size
     worlds_a_shard = num_worlds // num_shards
+
+    def shard_worlds(shard: Array, number: Array) -> Array:
+        bits = jax.random.bits(jax.random.fold_in(key, number), (worlds_a_shard,))
+        return shard * worlds_a_shard + jnp.argsort(bits).astype(jnp.int32)
+
+    if program.is_recurrent:
+        worlds = jax.vmap(shard_worlds)(jnp.arange(num_shards), numbers)
+        worlds = jnp.moveaxis(worlds.reshape(num_shards, config.minibatches, -1), 1, 0)
+        steps = num_worlds * jnp.arange(num_steps, dtype=jnp.int32)
+        return (steps[:, None] + worlds.reshape(config.minibatches, 1, -1)).reshape(config.minibatches, -1)
 
     def shard_samples(shard: Array, number: Array) -> Array:
         bits = jax.random.bits(jax.random.fold_in(key, number), (num_steps * worlds_a_shard,))
@@ -268,12 +309,17 @@ def _advantage_statistics(
     return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
 
 
-def _gradient(program: _Program, params: Any, obs: Any, samples: Samples, minibatch_size: int) -> tuple[Any, Array]:
-    """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS."""
+def _gradient(
+    program: _Program, params: Any, obs: Any, samples: Samples, minibatch_size: int, memory: dict[str, Array]
+) -> tuple[Any, Array]:
+    """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS.
+
+    memory: what a recurrent policy is told beside `obs`, see models/gru.py.
+    """
     config = program.config
 
     def loss(params: Any) -> tuple[Array, Array]:
-        outputs, values = program.policy.apply(params, obs)
+        outputs, values = program.policy.apply(params, obs, **memory)
         log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions)
         value_clip = config.clip if config.value_clip else None
         terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=value_clip)

@@ -274,6 +274,8 @@ def _shape_document(level: Level, slot: int, capacity: Capacity) -> dict[str, An
 def _joint_document(level: Level, slot: int) -> dict[str, Any]:
     scene = level.scene
     a = int(scene.joints.a[slot])
+    # kinetix-env 3.0.2 refuses a file with this key, so that it is written only where it says something.
+    always_runs = {"motor_auto": True} if level.motor_auto[slot] else {}
     return {
         "a_index": a,
         "b_index": int(scene.joints.b[slot]),
@@ -292,7 +294,7 @@ def _joint_document(level: Level, slot: int) -> dict[str, Any]:
         "is_fixed_joint": bool(scene.joints.is_kind(JointKind.FIXED)[slot]),
         "rotation": float(scene.joints.rest_angle[slot]),
         "motor_binding": int(level.motor_colour[slot]),
-        "motor_auto": bool(level.motor_auto[slot]),
+        **always_runs,
     }
 
 

@@ -1,13 +1,14 @@
 """The paper's network: a gated transformer over shapes, with messages along joints and from thrusters.
 
     encoders    polygons, circles, joints, thrusters: Dense + tanh each to [B, count, encoder_size]; one constant token
-                more ("dummy") that sees every shape
+                more ("dummy") that sees every shape. With `shape_ids`, as in the public package, polygons and circles
+                are encoded one narrower, and the last number of a token is that of its kind
     layer       x = gate1(x, relu(attention(norm(x))))         a quarter of the heads for each of the four masks
                 x = gate2(x, relu(Dense(norm(x))))
                 x[from] += Dense([x_from, x_to, joint])        for each joint and direction
                 x[owner] += Dense([x_owner, thruster])         for each thruster, from the same x
     pooling     mean over the tokens that exist, the dummy included
-    towers      actor and critic, see towers.py
+    towers      actor and critic, see towers.py; a memory before them, see gru.py
 
 What bounds it on a GPU is memory traffic between small operations, not arithmetic. So products of one input are
 one product (queries, keys and values; the gates, see gate.py), the scale and offset of a norm are folded into the
@@ -28,6 +29,7 @@ from jax2d.scene import Array
 from kinetix_dist.models.attention import attend, pack_mask
 from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
+from kinetix_dist.models.gru import apply_towers
 from kinetix_dist.models.rows import add_rows, take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
@@ -52,12 +54,15 @@ class EntityTransformer(nn.Module):
     hidden_layers: int
     head_sizes: tuple[int, ...]
     dtype: Any
+    shape_ids: tuple[float, float] | None = None  # of polygons and of circles
+    memory_size: int = 0  # see gru.py; 0: none
 
     @nn.compact
-    def __call__(self, obs: EntityObs) -> tuple[tuple[Array, ...], Array]:
+    def __call__(self, obs: EntityObs, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
         # Encode: shapes become tokens, the dummy token is the last.
-        polygons = self._encode("polygon_encoder", obs.polygons)
-        circles = self._encode("circle_encoder", obs.circles)
+        polygon_id, circle_id = self.shape_ids or (None, None)
+        polygons = self._encode("polygon_encoder", obs.polygons, polygon_id)
+        circles = self._encode("circle_encoder", obs.circles, circle_id)
         joints = self._encode("joint_encoder", obs.joints)
         thrusters = self._encode("thruster_encoder", obs.thrusters)
         dummy = jnp.ones((polygons.shape[0], 1, self.encoder_size), self.dtype)
@@ -78,11 +83,16 @@ class EntityTransformer(nn.Module):
             x = add_rows(x, obs.joint_from, from_joints)
             x = add_rows(x, obs.thruster_owner, from_thrusters)
         embedding = _masked_mean(x, token_mask).astype(self.dtype)
-        return Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")(embedding)
+        towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
+        return apply_towers(towers, embedding, memory, is_first, self.memory_size)
 
-    def _encode(self, name: str, features: Array) -> Array:
-        dense = nn.Dense(self.encoder_size, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name=name)
-        return jnp.tanh(dense(features)).astype(self.dtype)
+    def _encode(self, name: str, features: Array, kind_id: float | None = None) -> Array:
+        width = self.encoder_size if kind_id is None else self.encoder_size - 1
+        dense = nn.Dense(width, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name=name)
+        tokens = jnp.tanh(dense(features)).astype(self.dtype)
+        if kind_id is None:
+            return tokens
+        return jnp.concatenate([tokens, jnp.full_like(tokens[..., :1], kind_id)], axis=-1)
 
     def _attention(self, layer: int, x: Array, mask_words: Array) -> Array:
         size, features = self.encoder_size, self.attention_features

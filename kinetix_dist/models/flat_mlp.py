@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
+from kinetix_dist.models.gru import apply_towers
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
 
@@ -22,9 +23,11 @@ class FlatMlp(nn.Module):
     hidden_layers: int
     head_sizes: tuple[int, ...]
     dtype: Any
+    memory_size: int = 0  # see gru.py; 0: none
 
     @nn.compact
-    def __call__(self, obs: Array) -> tuple[tuple[Array, ...], Array]:
+    def __call__(self, obs: Array, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
         dense = nn.Dense(self.flat_size, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name="encoder")
         embedding = jnp.tanh(dense(obs)).astype(self.dtype)
-        return Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")(embedding)
+        towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
+        return apply_towers(towers, embedding, memory, is_first, self.memory_size)

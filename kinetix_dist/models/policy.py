@@ -8,6 +8,7 @@ logits, value = policy.apply(params, obs)          # a tuple of [B, choices] a h
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,7 @@ from kinetix_dist.models.entity_transformer import NUM_MASKS, EntityTransformer
 from kinetix_dist.models.flat_mlp import FlatMlp
 from kinetix_dist.registry import Registry
 
+RECURRENT = ("none", "gru")
 DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 
@@ -28,7 +30,7 @@ DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 class PolicyConfig:
     """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
 
-    network: str = "transformer"  # of entities, or "flat", of a vector; env.observation has to give it
+    network: str = "transformer"  # of entities, or "flat", of a vector, ...: NETWORKS; env.observation has to give it
     encoder_size: int = 128  # width of tokens
     attention_features: int = 16  # of all heads together
     num_heads: int = 8  # a quarter of them for each attention mask
@@ -36,6 +38,8 @@ class PolicyConfig:
     hidden_size: int = 128  # of actor and critic
     hidden_layers: int = 5  # before the output layer
     flat_size: int = 512  # encoder of the flat network
+    recurrent: str = "none"  # or "gru": a memory between the embedding and actor and critic
+    memory_size: int = 256  # of it
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
 
     def __post_init__(self) -> None:
@@ -43,7 +47,10 @@ class PolicyConfig:
             raise ValueError(f"PolicyConfig.network is {self.network!r}; choose one of {', '.join(NETWORKS)}")
         if self.dtype not in DTYPES:
             raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
-        at_least_one = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
+        if self.recurrent not in RECURRENT:
+            raise ValueError(f"PolicyConfig.recurrent is {self.recurrent!r}; choose one of {', '.join(RECURRENT)}")
+        sizes = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
+        at_least_one = (*sizes, "memory_size")
         for name, least in (*((name, 1) for name in at_least_one), ("hidden_layers", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be {least} or more")
@@ -74,16 +81,20 @@ def _common(config: PolicyConfig, head_sizes: tuple[int, ...]) -> dict[str, Any]
         "hidden_size": config.hidden_size,
         "hidden_layers": config.hidden_layers,
         "head_sizes": head_sizes,
+        "memory_size": config.memory_size if config.recurrent == "gru" else 0,
         "dtype": DTYPES[config.dtype],
     }
 
 
-def _transformer(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
+def _transformer(
+    config: PolicyConfig, head_sizes: tuple[int, ...], *, shape_ids: tuple[float, float] | None = None
+) -> nn.Module:
     return EntityTransformer(
         encoder_size=config.encoder_size,
         attention_features=config.attention_features,
         num_heads=config.num_heads,
         num_layers=config.num_layers,
+        shape_ids=shape_ids,
         **_common(config, head_sizes),
     )
 
@@ -95,6 +106,13 @@ def _flat(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
 NETWORKS: Registry[Network] = Registry("network")
 NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer))
 NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
+# Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.
+NETWORKS.register(
+    "transformer_kinetix", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(1.0, 0.0)))
+)
+NETWORKS.register(
+    "transformer_kinetix_paper", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(0.0, 0.0)))
+)
 
 
 def init_params(policy: nn.Module, obs: Any, key: Array) -> Any:

@@ -34,7 +34,7 @@ def observe_start(levels: Level, touching: np.ndarray | None = None) -> EntityOb
 
 def moving_of(levels: Level, touching: jax.Array) -> Moving:
     fields = {name: getattr(levels, name) for name in ("position", "angle", "velocity", "angular_velocity")}
-    return Moving(**fields, touching=touching)
+    return Moving(**fields, touching=touching, has_stepped=jnp.zeros(len(touching), bool))
 
 
 def test_polygon_row_has_the_27_features_in_the_published_order() -> None:

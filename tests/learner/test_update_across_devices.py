@@ -101,3 +101,13 @@ def test_two_processes_make_the_update_of_one(one_device, tmp_path):
     _assert_same(first, one_device)
     for name, value in first.items():
         np.testing.assert_array_equal(value, second[name], err_msg=name)  # ranks agree bitwise
+
+
+@pytest.mark.slow  # the same division as of other policies, with samples in another order
+def test_three_devices_make_the_update_of_one_for_a_recurrent_policy(tmp_path):
+    """Four virtual shards on three devices: two of them are there twice and count once."""
+    one, three = tmp_path / "one.npz", tmp_path / "three.npz"
+    (expected,) = _results((_start(one, "recurrent"), one))
+    (found,) = _results((_start(three, "recurrent", fake_devices=3), three))
+    assert found["devices"] == 3
+    _assert_same(found, expected)

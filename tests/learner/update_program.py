@@ -1,12 +1,14 @@
 """Runs two updates and saves what comes out; a program, so that tests can run it on other devices and processes.
 
     python tests/learner/update_program.py OUT.npz [COORDINATOR_ADDRESS NUM_PROCESSES PROCESS_ID]
+    python tests/learner/update_program.py OUT.npz recurrent       # a policy with a memory, minibatches of whole worlds
 
 The second update contains a sample that is not a number. Saved: all parameters and metrics after each update.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 
 import jax
@@ -26,14 +28,18 @@ CAPACITY = Capacity(polygons=2, circles=1, joints=1, thrusters=1)
 STEPS, WORLDS = 6, 8
 POLICY = PolicyConfig(encoder_size=8, attention_features=4, num_heads=4, num_layers=1, hidden_size=8, hidden_layers=1)
 PPO = PpoConfig(epochs=2, minibatches=3, virtual_shards=8, learning_rate=1e-2, clip=0.2)
+RECURRENT_POLICY = dataclasses.replace(POLICY, recurrent="gru", memory_size=4)
+RECURRENT_PPO = dataclasses.replace(PPO, minibatches=2, virtual_shards=4)
 
 
-def make_problem(mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple[Update, LearnerState, tuple]:
+def make_problem(
+    mesh: jax.sharding.Mesh, config: PpoConfig = PPO, policy_config: PolicyConfig = POLICY
+) -> tuple[Update, LearnerState, tuple]:
     """(update, first state, its numpy arguments for all worlds)."""
     static = synthetic_static_obs(WORLDS, CAPACITY)
     trajectory = synthetic_trajectory(STEPS, WORLDS, CAPACITY)
     last_value = np.linspace(-1.0, 1.0, WORLDS, dtype=np.float32)
-    policy = make_policy(POLICY, ACTIONS.head_sizes)
+    policy = make_policy(policy_config, ACTIONS.head_sizes)
     observation = OBSERVATIONS["entity"]
     obs = observation.join(static, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
     params = init_params(policy, obs, jax.random.key(0))
@@ -41,10 +47,10 @@ def make_problem(mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple[Upda
     return make_update(policy, observation, ACTIONS, config, mesh), state, (static, trajectory, last_value)
 
 
-def place(arguments: tuple, mesh: jax.sharding.Mesh) -> tuple:
+def place(arguments: tuple, mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple:
     """Each process hands in the worlds of all."""
     static, trajectory, last_value = arguments
-    division = Division(PPO.virtual_shards, mesh.devices.size)
+    division = Division(config.virtual_shards, mesh.devices.size)
     return (
         spread_worlds(static, mesh, division),
         spread_worlds(trajectory, mesh, division, axis=1),
@@ -62,14 +68,17 @@ def poisoned(arguments: tuple) -> tuple:
 
 def main() -> None:
     out = sys.argv[1]
-    if len(sys.argv) > 2:
+    config, policy_config = PPO, POLICY
+    if sys.argv[2:] == ["recurrent"]:
+        config, policy_config = RECURRENT_PPO, RECURRENT_POLICY
+    elif len(sys.argv) > 2:
         address, num_processes, process_id = sys.argv[2:]
         jax.distributed.initialize(address, int(num_processes), int(process_id), cluster_detection_method="deactivate")
     mesh = data_mesh()
-    update, state, arguments = make_problem(mesh)
+    update, state, arguments = make_problem(mesh, config, policy_config)
     saved: dict[str, np.ndarray] = {"devices": np.asarray(mesh.devices.size)}
     for number, batch in enumerate((arguments, poisoned(arguments))):
-        state, metrics = update(state, *place(batch, mesh))
+        state, metrics = update(state, *place(batch, mesh, config))
         saved[f"params_{number}"] = ravel_pytree(local_values(state.params))[0]
         saved |= {f"{name}_{number}": value for name, value in local_values(metrics).items()}
     np.savez(out, **saved)

@@ -21,12 +21,12 @@ from kinetix_dist.level.derive import derive
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
-from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
+from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import level_from_json, level_to_json
 from kinetix_dist.level.walls import WALL_NAMES, empty_level
 from tests.level.one_level_four_ways import BOX, by_file, by_generator, by_hand, by_public_file
-from tests.slots import take_slots
+from tests.slots import shuffled_slots, take_slots
 
 NUM_LEVELS = 24  # of the generator, each relabelled once
 
@@ -36,7 +36,10 @@ def observe_start(levels: Level) -> EntityObs:
     n = levels.angle.shape[1]
     untouched = jnp.zeros((levels.angle.shape[0], n, (n + 31) // 32), jnp.uint32)
     fields = {name: getattr(levels, name) for name in ("position", "angle", "velocity", "angular_velocity")}
-    return observe(static_obs(levels), dynamic_obs(Moving(**fields, touching=untouched)))
+    return observe(
+        static_obs(levels),
+        dynamic_obs(Moving(**fields, touching=untouched, has_stepped=jnp.zeros(len(untouched), bool))),
+    )
 
 
 # Corners and ends
@@ -189,19 +192,8 @@ def test_levels_of_the_generator_are_canonical_as_they_come(size: str) -> None:
 
 def permuted(level: Level, rng: np.random.Generator) -> tuple[Level, np.ndarray]:
     """The level with its slots in another order, walls excepted, and the old slot of each new shape."""
-    capacity = capacity_of(level.scene)
-    polygons = np.concatenate([np.arange(NUM_WALLS), NUM_WALLS + rng.permutation(capacity.polygons - NUM_WALLS)])
-    circles = rng.permutation(capacity.circles)
-    shapes = np.concatenate([polygons, capacity.polygons + circles])
-    order = {
-        "n": shapes,
-        "P": polygons,
-        "C": circles,
-        "J": rng.permutation(capacity.joints),
-        "T": rng.permutation(capacity.thrusters),
-    }
-    moved = take_slots(level, order)
-    return jax.tree.map(np.asarray, derived(moved)), shapes
+    order = shuffled_slots(capacity_of(level.scene), rng)
+    return jax.tree.map(np.asarray, derived(take_slots(level, order))), order["n"]
 
 
 def rows_with_shapes(obs: EntityObs, ends: tuple[np.ndarray, ...], rows: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -17,12 +18,22 @@ from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix, lo
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.validate import LevelFormatError
+from tests.env.worlds import MOTOR_JOINT, small_level
 from tests.level.documents import cart_document
 
 
 def assert_same_levels(level: object, other: object) -> None:
     for leaf, again in zip(jax.tree.leaves(level), jax.tree.leaves(other), strict=True):
         np.testing.assert_allclose(leaf, again, rtol=1e-5, atol=2e-6)  # float32, centroids computed again
+
+
+def test_a_joint_names_motor_auto_only_where_it_is_so() -> None:
+    """kinetix-env 3.0.2 refuses files whose joints have the key."""
+    level = small_level(joint=MOTOR_JOINT)
+    (joint,) = export_kinetix(level)["env_state"]["joint"]
+    assert "motor_auto" not in joint
+    (joint,) = export_kinetix(dataclasses.replace(level, motor_auto=np.array([True])))["env_state"]["joint"]
+    assert joint["motor_auto"] is True
 
 
 @pytest.mark.parametrize(("size", "count"), [("s", 10), ("m", 24), ("l", 40)])

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from kinetix_dist.env.observations.entities import EntityObservation
 from kinetix_dist.env.observations.flat import FlatObservation
+from kinetix_dist.env.observations.kinetix_entities import KinetixEntityObservation
 from kinetix_dist.env.observations.observation import ENTITIES, VECTOR, Moving, Observation
 from kinetix_dist.registry import Registry
 
-__all__ = ["ENTITIES", "OBSERVATIONS", "VECTOR", "EntityObservation", "FlatObservation", "Moving", "Observation"]
+__all__ = [
+    "ENTITIES",
+    "OBSERVATIONS",
+    "VECTOR",
+    "EntityObservation",
+    "FlatObservation",
+    "KinetixEntityObservation",
+    "Moving",
+    "Observation",
+]
 
 OBSERVATIONS: Registry[Observation] = Registry("observation")
 OBSERVATIONS.register("entity", EntityObservation())
 OBSERVATIONS.register("flat", FlatObservation())
+OBSERVATIONS.register("entity_kinetix", KinetixEntityObservation())

@@ -26,9 +26,10 @@ What differs from the public package, so that what is the same is seen the same:
 - the row of a joint seen from b is that of the joint with its ends swapped (`swap_ends`: rest angle, speed and limits
   of the other sign): it says which end is which, and the two rows do not depend on which end is called a;
 - masks 2 and 3 have True on the diagonal and are symmetric, and shapes that cannot collide do not touch: there a shape
-  does not see itself, only the lower slot of a touching pair sees the other, and joined shapes that overlap touch;
+  does not see itself, only one slot of a touching pair sees the other, and joined shapes that overlap touch;
 - numbers that nothing depends on are zero: of a motor that is off (speed, power, colour), of limits that are not there,
   and the rest angle of a hinge without limits. Makers of levels fill them in differently.
+`kinetix_entities.py` is the observation with none of these differences.
 
 Rows of things that do not exist are zero. Units: m, m/s, rad, 1/kg; powers and speeds in units of the engine
 settings, as in `Scene`. Every joint gives two rows: row j is seen from a, row J + j from b.
@@ -45,7 +46,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array, Capacity, JointKind, Joints, Scene, pack_bits, touch_matrix
+from jax2d.scene import Array, Capacity, JointKind, Joints, pack_bits, touch_matrix
 from kinetix_dist.env.observations.observation import ENTITIES, Moving, Observation
 from kinetix_dist.level.canonical import swap_ends
 from kinetix_dist.level.connections import connections
@@ -169,12 +170,29 @@ def dynamic_obs(moving: Moving) -> DynamicObs:
 
 def static_obs(levels: Level) -> StaticObs:
     """Features of a batch of levels ([W, ...] on every field) that no step can change."""
+    shapes = levels.scene.shapes
+    return assemble_static_obs(
+        levels,
+        inverse_mass=_compressed(shapes.inverse_mass),
+        inverse_inertia=_compressed(shapes.inverse_inertia),
+        vertices=shapes.vertices,
+        joints=_joint_features(levels),
+    )
+
+
+def assemble_static_obs(
+    levels: Level, *, inverse_mass: Array, inverse_inertia: Array, vertices: Array, joints: Array
+) -> StaticObs:
+    """Static features of a batch of levels, with these numbers as they are to be seen.
+
+    inverse_mass, inverse_inertia [W, n]; vertices [W, P, V, 2]; joints [W, 2 J, features]: as seen from a, then from b.
+    """
     scene = levels.scene
     num_polygons = scene.shapes.vertices.shape[1]
     shape = jnp.concatenate(
         [
-            _compressed(scene.shapes.inverse_mass)[..., None],
-            _compressed(scene.shapes.inverse_inertia)[..., None],
+            inverse_mass[..., None],
+            inverse_inertia[..., None],
             scene.shapes.density[..., None],
             jax.nn.one_hot(levels.shape_role, len(Role)),
             scene.shapes.friction[..., None],
@@ -185,7 +203,8 @@ def static_obs(levels: Level) -> StaticObs:
     gravity = jnp.broadcast_to((scene.gravity[:, None, 1:] / GRAVITY_SCALE), (*shape.shape[:2], 1))
     polygon_shape, circle_shape = shape[:, :num_polygons], shape[:, num_polygons:]
     polygon_gravity, circle_gravity = gravity[:, :num_polygons], gravity[:, num_polygons:]
-    polygons = jnp.concatenate([polygon_shape, _polygon_features(scene), polygon_gravity], axis=-1)
+    corners = _polygon_features(vertices, scene.shapes.num_vertices)
+    polygons = jnp.concatenate([polygon_shape, corners, polygon_gravity], axis=-1)
     radius = scene.shapes.radius[..., None]
     circles = jnp.concatenate([circle_shape, radius, jnp.ones_like(radius), circle_gravity], axis=-1)
     joint_mask = jnp.concatenate([scene.joints.active, scene.joints.active], axis=1)
@@ -197,7 +216,7 @@ def static_obs(levels: Level) -> StaticObs:
     return StaticObs(
         polygons=_masked(polygons, scene.shapes.active[:, :num_polygons]),
         circles=_masked(circles, scene.shapes.active[:, num_polygons:]),
-        joints=_masked(_joint_features(levels), joint_mask),
+        joints=_masked(joints, joint_mask),
         thrusters=_masked(_thruster_features(levels), scene.thrusters.active),
         shape_mask=scene.shapes.active,
         joint_mask=joint_mask,
@@ -210,11 +229,11 @@ def static_obs(levels: Level) -> StaticObs:
     )
 
 
-def _polygon_features(scene: Scene) -> Array:
+def _polygon_features(vertices: Array, num_vertices: Array) -> Array:
     """0 for polygon, vertices with -1 in unused slots, is triangle: [W, P, 2 V + 2]."""
-    num_vertices = scene.shapes.num_vertices[..., None]
-    is_used = jnp.arange(scene.shapes.vertices.shape[2]) < num_vertices
-    vertices = jnp.where(is_used[..., None], scene.shapes.vertices, -1.0)
+    num_vertices = num_vertices[..., None]
+    is_used = jnp.arange(vertices.shape[2]) < num_vertices
+    vertices = jnp.where(is_used[..., None], vertices, -1.0)
     flat = vertices.reshape(*vertices.shape[:2], -1)
     return jnp.concatenate([jnp.zeros_like(flat[..., :1]), flat, (num_vertices <= 3).astype(flat.dtype)], axis=-1)
 
@@ -239,20 +258,21 @@ def _seen_from_a(joints: Joints, colour: Array) -> Array:
         is_fixed,
         joints.anchor_a,
         joints.anchor_b,
-        jnp.where(is_limited | is_fixed | slides, _sin_cos(joints.rest_angle), 0.0),
+        jnp.where(is_limited | is_fixed | slides, sin_cos(joints.rest_angle), 0.0),
         jnp.where(drives, motor, 0.0),
         is_limited,
         jnp.where(drives, colour, 0.0),
-        jnp.where(turns, _sin_cos(joints.lower_limit), 0.0),
-        jnp.where(turns, _sin_cos(joints.upper_limit), 0.0),
+        jnp.where(turns, sin_cos(joints.lower_limit), 0.0),
+        jnp.where(turns, sin_cos(joints.upper_limit), 0.0),
         jnp.where(is_limited, jnp.where(slides, limits, limits - joints.rest_angle[..., None]), 0.0),
         slides,
-        jnp.where(slides, _sin_cos(joints.axis_angle), 0.0),
+        jnp.where(slides, sin_cos(joints.axis_angle), 0.0),
     ]
     return jnp.concatenate([jnp.asarray(part, jnp.float32) for part in parts], axis=-1)
 
 
-def _sin_cos(angle: Array) -> Array:
+def sin_cos(angle: Array) -> Array:
+    """[..., 2]"""
     return jnp.stack([jnp.sin(angle), jnp.cos(angle)], axis=-1)
 
 

@@ -31,6 +31,7 @@ class Moving:
     velocity: Array  # [W, n, 2] m/s
     angular_velocity: Array  # [W, n] rad/s
     touching: Array  # [W, n, words] uint32, see `jax2d.scene.Touching`; zero right after a reset
+    has_stepped: Array  # [W] bool, false right after a reset
 
 
 class Observation(abc.ABC):

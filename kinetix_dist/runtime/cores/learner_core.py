@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,9 +19,10 @@ from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values, replicate
 from kinetix_dist.learner.state import LearnerState, init_learner_state
 from kinetix_dist.learner.update import make_update
+from kinetix_dist.models.gru import has_memory
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.agents import some_observation
-from kinetix_dist.runtime.cores.stored import LEARNER
+from kinetix_dist.runtime.cores.stored import LEARNER, START
 from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
 
 
@@ -28,7 +30,9 @@ class LearnerCore:
     """Parameters and optimiser, replicated over a mesh, and the update of them."""
 
     def __init__(self, config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> None:
-        config.ppo.check_batch(num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs)
+        config.ppo.check_batch(
+            num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs, whole_worlds=has_memory(policy)
+        )
         self._config = config
         self._mesh = mesh
         self.division = Division(config.num_blocks, mesh.devices.size)
@@ -39,11 +43,14 @@ class LearnerCore:
         self.state: LearnerState | None = None
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
-        """From a checkpoint's arrays, or afresh from the seed."""
-        if arrays is None:
-            state = local_values(self._init())
-        else:
+        """From a checkpoint's arrays, or afresh from the seed, or afresh with the parameters of another run."""
+        given = select_arrays(arrays or {}, START)
+        if arrays is not None and not given:
             state = unflatten_arrays(jax.eval_shape(self._init), select_arrays(arrays, LEARNER))
+        else:
+            state = local_values(self._init())
+            if given:  # the optimiser of a new run is all zeros, whatever the parameters
+                state = dataclasses.replace(state, params=unflatten_arrays(state.params, given))
         self.state = replicate(state, self._mesh)
 
     @property

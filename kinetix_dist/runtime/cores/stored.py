@@ -9,6 +9,7 @@ from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
 
 LEARNER = "learner"  # parameters, optimiser, counters
+START = "start"  # in place of a checkpoint: parameters of a policy that a new run starts from
 CURRICULUM = "curriculum"  # its state
 ACTING = "acting"  # split placement: parameters that play the batch in flight
 PROPOSING = "proposing"  # split placement, curricula that observe: the state that proposed the batch in flight

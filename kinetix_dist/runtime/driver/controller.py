@@ -43,6 +43,7 @@ from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.saving import Saver
 from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
+from kinetix_dist.runtime.driver.starting import starting_arrays
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Loss, Losses
@@ -332,7 +333,7 @@ class Controller:
     def _start_from(self, checkpoint: Checkpoint | None) -> None:
         if checkpoint is None:
             self.num_updates = 0
-            self.trainer.start(0, None)
+            self.trainer.start(0, starting_arrays(self.config))
             self._topology = self.trainer.topology()
             self._refreshes.start({}, {})
             self._evaluations.start({}, {})
