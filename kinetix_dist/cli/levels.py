@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
 from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.cli.solve_levels import Solve, run_solve
 
@@ -52,28 +53,6 @@ class Render:
     """The PNG to write."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Import:
-    """Turn a level file of the public Kinetix package into the format of this one."""
-
-    file: tyro.conf.Positional[Path]
-    """The public level file."""
-    out: tyro.conf.Positional[Path]
-    """The level file to write."""
-    name: str | None = None
-    """Name of the level; left out: that of the file."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Export:
-    """Turn a level into a file of the public Kinetix package."""
-
-    level: tyro.conf.Positional[str]
-    """A level file, or a designed level such as s/hop_home."""
-    out: tyro.conf.Positional[Path]
-    """The public level file to write."""
-
-
 Args = (
     Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Show, tyro.conf.subcommand("show")]
@@ -86,17 +65,19 @@ Args = (
 
 
 def run(args: Any) -> int:
-    """Runs the chosen subcommand; 0, or 1 where `validate` found something wrong or `solve` no proof."""
+    """Runs the chosen subcommand; 0, or 1 where one of several files was wrong or `solve` found no proof."""
     if isinstance(args, Validate):
         return _validate(args)
     if isinstance(args, Solve):
         return run_solve(args)
+    if isinstance(args, Import):
+        return run_import(args)
+    if isinstance(args, Export):
+        return run_export(args)
     actions: dict[type, Callable[[Any], None]] = {
         List: _list,
         Show: _show,
         Render: _render,
-        Import: _import,
-        Export: _export,
     }
     with user_errors(*_EXPECTED):
         actions[type(args)](args)
@@ -213,28 +194,6 @@ def _render(args: Render) -> None:
 
     level, _ = _read(_one_file(args.level))
     write_png(args.out, draw(level.scene, start_state(level), roles=level.shape_role))
-    print(f"wrote {args.out}")
-
-
-def _import(args: Import) -> None:
-    from kinetix_dist.level.document import LevelInfo
-    from kinetix_dist.level.fit import smallest_size
-    from kinetix_dist.level.kinetix_format import load_kinetix
-    from kinetix_dist.level.schema import save_level
-
-    level = load_kinetix(args.file)
-    info = LevelInfo(name=args.name or args.file.stem, size=smallest_size(level), source="public Kinetix level file")
-    save_level(level, args.out, info)
-    print(f"wrote {args.out} (size {info.size})")
-
-
-def _export(args: Export) -> None:
-    from kinetix_dist.level.fit import capacity_of_size, fit_level
-    from kinetix_dist.level.kinetix_format import export_kinetix
-
-    level, info = _read(_one_file(args.level))
-    document = export_kinetix(fit_level(level, capacity_of_size(info.size)))
-    args.out.write_text(json.dumps(document), encoding="utf-8")
     print(f"wrote {args.out}")
 
 

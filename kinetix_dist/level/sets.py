@@ -79,8 +79,17 @@ def read_level(path: Path) -> tuple[Level, LevelInfo]:
     document = read_document(path)
     if not is_kinetix_document(document):
         return load_level(path)
+    return read_public_level(path)
+
+
+def read_public_level(path: Path) -> tuple[Level, LevelInfo]:
+    """The same of a file of the public package."""
     level = load_kinetix(path)
-    return level, LevelInfo(name=path.stem, size=smallest_size(level), source="public Kinetix level file")
+    try:
+        size = smallest_size(level)
+    except LevelSizeError as error:
+        raise LevelSizeError(f"{path}: {error}") from None
+    return level, LevelInfo(name=path.stem, size=size, source="public Kinetix level file")
 
 
 def files_of_set(name: str) -> list[Path]:
