@@ -289,23 +289,19 @@ def show(rows: list[dict[str, Any]], ways: list[str]) -> None:
 
 def write_csv(file: Path, rows: list[dict[str, Any]]) -> None:
     """A line for each level and way."""
+    records = []
+    for row in rows:
+        theirs = row["package"]
+        for way in (name for name in row if name not in ("level", "package")):
+            found = dict(row[way])
+            low, high = found.pop("interval")
+            package = {f"package_{name}": value for name, value in theirs.items()}
+            records.append({"level": row["level"], "way": way, **package, **found, "low": low, "high": high})
     with file.open("w", newline="") as lines:
-        writer = csv.writer(lines)
-        writer.writerow(
-            "level way package_noop noop noop_apart_after package_solved solved package_red red only_package only_ours "
-            "low high p".split()
-        )
-        for row in rows:
-            theirs = row["package"]
-            for way in (name for name in row if name not in ("level", "package")):
-                found = row[way]
-                apart = "" if found["noop_apart_after"] is None else found["noop_apart_after"]
-                low, high = found["interval"]
-                writer.writerow(
-                    (row["level"], way, theirs["noop"], found["noop"], apart, theirs["solved"], found["solved"])
-                    + (theirs["red"], found["red"], found["only_package"], found["only_ours"])
-                    + (f"{low:.3f}", f"{high:.3f}", f"{found['p']:.2g}")
-                )
+        writer = csv.DictWriter(lines, list(records[0]))
+        writer.writeheader()
+        for record in records:
+            writer.writerow({k: f"{v:.3g}" if isinstance(v, float) else v for k, v in record.items()})
 
 
 if __name__ == "__main__":
