@@ -1,4 +1,4 @@
-"""`kinetix-dist levels list|show|validate|render|import|export|solve`: see, check, convert, solve."""
+"""`kinetix-dist levels list|show|validate|render|import|export|solve|stats`: see, check, convert, solve."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import tyro
 
 from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.level_stats import Stats, run_stats
 from kinetix_dist.cli.solve_levels import Solve, run_solve
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
@@ -61,6 +62,7 @@ Args = (
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Solve, tyro.conf.subcommand("solve")]
+    | Annotated[Stats, tyro.conf.subcommand("stats")]
 )
 
 
@@ -70,6 +72,8 @@ def run(args: Any) -> int:
         return _validate(args)
     if isinstance(args, Solve):
         return run_solve(args)
+    if isinstance(args, Stats):
+        return run_stats(args)
     if isinstance(args, Import):
         return run_import(args)
     if isinstance(args, Export):
