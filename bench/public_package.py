@@ -9,7 +9,6 @@ in runs/public_package/; ours plays in several ways, which say what a difference
 
     standard, paper       the level as it is imported, presets of that name
     + masses              with masses, inertias and centres of mass of the file instead of those of its shapes
-    + details             `paper` and masses, with all of jax2d/published_details.py and its batches of 16 contacts
 
 A level differs where the exact paired test (McNemar) on the two outcomes of each policy gives p < 0.001.
 """
@@ -35,7 +34,6 @@ import numpy as np
 from bench.peer_process import PUBLIC_PACKAGE_PLAY, PeerMissing
 from bench.program import exit_code, output_file, parser_of
 from jax2d import Engine, Settings, preset
-from jax2d.published_details import PUBLISHED_DETAILS
 from jax2d.scene import stack_worlds
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
@@ -51,7 +49,6 @@ NUM_STEPS = 256  # of an episode
 OUTCOMES = ("none", "solved", "red", "not finite")
 DIFFERS_BELOW = 1e-3  # p: of 74 levels that do not differ, fewer than one in thirteen such studies names one
 APART_M = 0.1  # what counts as another way of moving
-BATCH = 16  # contacts that the published engine solves at a time
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,16 +58,13 @@ class Way:
     name: str
     settings: Settings
     has_masses_of_file: bool = False
-    backend: str = "warp"
 
 
-PUBLISHED = preset("paper").replace(solver_batch_size=BATCH, published_details=tuple(PUBLISHED_DETAILS))
 WAYS = (
     Way(name="standard", settings=preset("standard")),
     Way(name="standard + masses", settings=preset("standard"), has_masses_of_file=True),
     Way(name="paper", settings=preset("paper")),
     Way(name="paper + masses", settings=preset("paper"), has_masses_of_file=True),
-    Way(name="paper + masses + details", settings=PUBLISHED, has_masses_of_file=True, backend="xla"),
 )
 
 
@@ -172,7 +166,7 @@ def read_published(file: Path, levels: list[Path], num_policies: int) -> tuple[P
 
 def play_ours(files: list[Path], size: str, actions: np.ndarray, way: Way) -> Played:
     config = EnvConfig(size=size, max_steps=NUM_STEPS)
-    env = Environment(config, engine=Engine(config.capacity, settings=way.settings, backend=way.backend))
+    env = Environment(config, engine=Engine(config.capacity, settings=way.settings))
     levels = []
     for file in files:
         level = fit_level(load_kinetix(file), config.capacity)

@@ -3,8 +3,9 @@
     levels, names = load_level_set("designed_s")
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
-("random_s" to "random_l", and with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l"), or a
-file or directory of level files, ours or of the public package.
+("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
+walkers, unicycles and arms "locomotion_s" to "locomotion_l"), or a file or directory of level files, ours or of the
+public package.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class RandomSet:
 
 RANDOM_SETS = {
     f"{prefix}_{size}": RandomSet(name=f"{prefix}_{size}", size=size, generator=generator)
-    for prefix, generator in (("random", "default"), ("kinetix", "kinetix"))
+    for prefix, generator in (("random", "default"), ("kinetix", "kinetix"), ("locomotion", "locomotion"))
     for size in SIZES
 }
 
