@@ -13,6 +13,7 @@ import tyro
 from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
 from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.cli.level_stats import Stats, run_stats
+from kinetix_dist.cli.render_levels import Render, run_render
 from kinetix_dist.cli.solve_levels import Solve, run_solve
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
@@ -30,10 +31,12 @@ class List:
 
 @dataclasses.dataclass(frozen=True)
 class Show:
-    """Describe one level: shapes, joints, thrusters, what is controlled by what."""
+    """Describe one level: shapes, joints, thrusters, what is controlled by what; or show it."""
 
     level: tyro.conf.Positional[str]
     """A level file, or a designed level such as s/hop_home."""
+    picture: Path | None = None
+    """Also draw how it starts, to this PNG."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,16 +45,6 @@ class Validate:
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """Files of levels or proofs, or directories of them."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Render:
-    """Draw the starting position of a level as a PNG, without a display."""
-
-    level: tyro.conf.Positional[str]
-    """A level file, or a designed level such as s/hop_home."""
-    out: tyro.conf.Positional[Path]
-    """The PNG to write."""
 
 
 Args = (
@@ -72,6 +65,8 @@ def run(args: Any) -> int:
         return _validate(args)
     if isinstance(args, Solve):
         return run_solve(args)
+    if isinstance(args, Render):
+        return run_render(args)
     if isinstance(args, Stats):
         return run_stats(args)
     if isinstance(args, Import):
@@ -81,7 +76,6 @@ def run(args: Any) -> int:
     actions: dict[type, Callable[[Any], None]] = {
         List: _list,
         Show: _show,
-        Render: _render,
     }
     with user_errors(*_EXPECTED):
         actions[type(args)](args)
@@ -154,6 +148,8 @@ def _show(args: Show) -> None:
         print(f"  joint     {joint['a']} - {joint['b']}: {_fields(joint, without=('a', 'b'))}{drive}")
     for thruster in document.get("thrusters", []):
         print(f"  thruster  {thruster['shape']}: {_fields(thruster, without=('shape',))}")
+    if args.picture is not None:
+        run_render(Render(levels=str(path), out=args.picture))
 
 
 def _fields(entry: dict[str, Any], without: tuple[str, ...] = ()) -> str:
@@ -189,16 +185,6 @@ def _validate(args: Validate) -> int:
             print(text if str(path) in text else f"{path}: {text}")
     print(f"{len(files) - num_wrong} of {len(files)} files are valid")
     return 1 if num_wrong else 0
-
-
-def _render(args: Render) -> None:
-    from jax2d.draw import draw
-    from jax2d.images import write_png
-    from kinetix_dist.level.start import start_state
-
-    level, _ = _read(_one_file(args.level))
-    write_png(args.out, draw(level.scene, start_state(level), roles=level.shape_role))
-    print(f"wrote {args.out}")
 
 
 def _one_file(name: str) -> Path:

@@ -37,21 +37,6 @@ def test_show_describes_shapes_joints_and_motors(capsys: pytest.CaptureFixture[s
     assert "chassis" in shown and "role green" in shown and "motor speed -1.5" in shown
 
 
-def test_render_writes_a_picture(tmp_path: Path) -> None:
-    assert main(["levels", "render", "l/walker", str(tmp_path / "walker.png")]) == 0
-    assert (tmp_path / "walker.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_level_goes_out_to_a_public_file_and_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    public, ours = str(tmp_path / "public.json"), str(tmp_path / "ours.json")
-    assert main(["levels", "export", "m/seesaw", public]) == 0
-    assert main(["levels", "import", public, ours, "--name", "seesaw"]) == 0
-    capsys.readouterr()
-    assert main(["levels", "validate", ours, public]) == 0
-    assert "2 of 2 files are valid" in capsys.readouterr().out
-    assert json.loads(Path(ours).read_text())["name"] == "seesaw"
-
-
 def cart_as_public_file(path: Path, capacity: Capacity | None = None) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(export_kinetix(level_from_json(cart_document(), capacity))))
@@ -139,7 +124,6 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "unknown level set 'nope'" in failure(capsys, "show", "nope")
     assert "is a set of 5 levels; name one level" in failure(capsys, "show", "designed_s")
     assert "drawn when it is used" in failure(capsys, "list", "random_s")
-    assert "No such file or directory" in failure(capsys, "render", "s/kick", str(tmp_path / "no" / "x.png"))
     (tmp_path / "ours.json").write_text(json.dumps(cart_document()))
     assert "env_state: is missing" in failure(capsys, "import", str(tmp_path / "ours.json"), str(tmp_path / "x.json"))
     assert not (tmp_path / "x.json").exists()
