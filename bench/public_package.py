@@ -8,7 +8,8 @@ uniformly; both sides are given the same actions. The package plays in its own e
 in runs/public_package/; ours plays in several ways, which say what a difference comes from:
 
     standard, paper       the level as it is imported, presets of that name
-    + masses              with masses, inertias and centres of mass of the file instead of those of its shapes
+    +masses               with masses, inertias and centres of mass of the file instead of those of its shapes
+    paper,motor_decay=1   the same with other numbers in the settings
 
 A level differs where the exact paired test (McNemar) on the two outcomes of each policy gives p < 0.001.
 """
@@ -60,12 +61,21 @@ class Way:
     has_masses_of_file: bool = False
 
 
-WAYS = (
-    Way(name="standard", settings=preset("standard")),
-    Way(name="standard + masses", settings=preset("standard"), has_masses_of_file=True),
-    Way(name="paper", settings=preset("paper")),
-    Way(name="paper + masses", settings=preset("paper"), has_masses_of_file=True),
-)
+WAYS = ("standard", "standard+masses", "paper", "paper+masses")
+
+
+def way_of(text: str) -> Way:
+    """PRESET, PRESET+masses, either with ",FIELD=VALUE" of its settings after it. Raises UserError."""
+    head, *changes = text.split(",")
+    name, plus, extra = head.partition("+")
+    if plus and extra != "masses":
+        raise UserError(f"--ways has {text!r}; after a preset there may be +masses and ,FIELD=VALUE")
+    try:
+        numbers = {field: float(value) for field, _, value in (change.partition("=") for change in changes)}
+        settings = preset(name).replace(**numbers)
+    except (ValueError, TypeError) as error:
+        raise UserError(f"--ways has {text!r}: {error}") from None
+    return Way(name=text, settings=settings, has_masses_of_file=bool(plus))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -84,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--sizes", nargs="+", choices=tuple(SIZES), default=list(SIZES))
     parser.add_argument("--policies", type=int, default=100, help="random ones")
     parser.add_argument("--seed", type=int, default=0, help="of their actions")
-    parser.add_argument("--ways", nargs="+", choices=[way.name for way in WAYS], default=[way.name for way in WAYS])
+    parser.add_argument("--ways", nargs="+", default=WAYS, help="PRESET[+masses][,FIELD=VALUE...] of settings")
     parser.add_argument(
         "--played", type=Path, default=Path("runs/public_package"), help="the package's; made if absent"
     )
@@ -99,11 +109,11 @@ def run(args: argparse.Namespace) -> int:
         raise UserError("where are the public levels? name their folder with --levels or $KINETIX_LEVELS")
     if args.policies < 1:
         raise UserError(f"--policies is {args.policies}; give 1 or more")
+    ways = [way_of(text) for text in args.ways]
     files = {size: sorted(Path(args.levels, size).glob("*.json")) for size in args.sizes}
     if missing := [size for size in args.sizes if not files[size]]:
         raise UserError(f"no public levels in {Path(args.levels, missing[0])}; name their folder with --levels")
     actions = random_actions(args.policies, args.seed)
-    ways = [way for way in WAYS if way.name in args.ways]
     rows, seconds, described = [], {}, {}
     for size in args.sizes:
         recorded = args.played / f"{size}-seed{args.seed}-{args.policies}.npz"
