@@ -18,23 +18,18 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointDrive, JointKind, Joints
+from jax2d.scene import Capacity
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
-    DrivenJoints,
-    Shapes,
     draft_to_level,
     empty_draft,
-    read_slot,
-    write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.overlap import world_corners
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
-from kinetix_dist.level.proposals import box_or_triangle
 from kinetix_dist.level.roles import Role
+from kinetix_dist.level.things import Draws, Hinge, Part, Thing, extent, with_hinges, with_parts
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 CLEARANCE_M = 0.01  # above the floor, so that nothing touches it at the start
@@ -42,61 +37,6 @@ WALL_MARGIN_M = 0.1
 GOAL_GAP_M = 0.3  # from the thing to the goal, at least
 MAX_LEGS = 3
 MAX_LINKS = 4
-_NUM_DRAWS = 64
-
-
-class _Draws:
-    """Uniform numbers, one after another; how many are used is known when it is traced."""
-
-    def __init__(self, key: Array) -> None:
-        self._numbers = jax.random.uniform(key, (_NUM_DRAWS,))
-        self._used = 0
-
-    def between(self, low: float | Array, high: float | Array) -> Array:
-        draw = self._numbers[self._used]
-        self._used += 1
-        return low + draw * (high - low)
-
-    def chance(self, share: float) -> Array:
-        return self.between(0.0, 1.0) < share
-
-    def number(self, low: int, high: int) -> Array:
-        """int32, from low to high, both included."""
-        return jnp.floor(self.between(low, high + 1)).astype(jnp.int32)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Part:
-    """A box (half extents) or a circle (radius) of the thing, about the thing's origin."""
-
-    position: Array  # [2] m
-    angle: Array | float = 0.0
-    half: Array | None = None  # [2] m
-    radius: Array | None = None
-    role: int | Array = Role.NONE
-    is_fixed: bool | Array = False
-    active: bool | Array = True
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Hinge:
-    """A motor between two parts, by their places in the list of parts. limit: rad to both sides of the start."""
-
-    a: int
-    b: int
-    at: Array  # [2] m
-    limit: Array | None = None
-    active: bool | Array = True
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Thing:
-    """What is built: parts, hinges, and where the goal of something that cannot go anywhere is (None: it can go)."""
-
-    parts: list[_Part]
-    hinges: list[_Hinge]
-    middle: Array | None = None  # [2] m, where its origin is in the world
-    goal: Array | None = None  # [2] m, from its origin
 
 
 def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
@@ -118,10 +58,10 @@ def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorC
 
 
 def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) -> Draft:
-    draws = _Draws(key)
+    draws = Draws(key)
     thing = kind.build(draws, capacity)
     radius = draws.between(0.12, 0.28)
-    lowest, highest = _extent(thing.parts)
+    lowest, highest = extent(thing.parts)
     if thing.middle is None or thing.goal is None:
         # Stands at the left; all places are mirrored half of the time.
         width = highest[0] - lowest[0]
@@ -139,7 +79,7 @@ def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) 
         obstacle_x = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_x, obstacle_x)
         middle = jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M - lowest[1]])
         goal = jnp.stack([goal_x, goal_y])
-        obstacle = _Part(
+        obstacle = Part(
             position=jnp.stack([obstacle_x, FLOOR_TOP_M + obstacle_half[1]]),
             half=obstacle_half,
             is_fixed=True,
@@ -149,113 +89,32 @@ def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) 
         blue_is_fixed = draws.chance(0.7)
     else:
         middle, goal, extra, blue_is_fixed = thing.middle, thing.middle + thing.goal, [], True
-    blue = _Part(position=goal, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)
+    blue = Part(position=goal, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)
     moved = [dataclasses.replace(part, position=part.position + middle) for part in thing.parts]
     hinges = [dataclasses.replace(hinge, at=hinge.at + middle) for hinge in thing.hinges]
     draft = empty_draft(capacity)
     floor_role = jnp.where(draws.chance(config.floor_red_chance), Role.RED, Role.NONE).astype(jnp.int32)
     shapes = dataclasses.replace(draft.shapes, role=draft.shapes.role.at[0].set(floor_role))
-    draft, slots = _with_parts(dataclasses.replace(draft, shapes=shapes), [*moved, *extra, blue], capacity)
-    return _with_hinges(draws, draft, hinges, slots, capacity, config)
+    draft, slots = with_parts(dataclasses.replace(draft, shapes=shapes), [*moved, *extra, blue], capacity)
+    return with_hinges(draws, draft, hinges, slots, capacity, config)
 
 
-def _extent(parts: list[_Part]) -> tuple[Array, Array]:
-    """Lowest and highest x and y of the active parts, [2] each."""
-    low, high = [], []
-    for part in parts:
-        if part.half is None:
-            reach = jnp.stack([part.radius, part.radius])
-        else:
-            cos, sin = jnp.abs(jnp.cos(part.angle)), jnp.abs(jnp.sin(part.angle))
-            reach = jnp.stack([cos * part.half[0] + sin * part.half[1], sin * part.half[0] + cos * part.half[1]])
-        low.append(jnp.where(part.active, part.position - reach, jnp.inf))
-        high.append(jnp.where(part.active, part.position + reach, -jnp.inf))
-    return jnp.min(jnp.stack(low), axis=0), jnp.max(jnp.stack(high), axis=0)
-
-
-def _count(parts: list[_Part], *, is_box: bool) -> int:
+def _count(parts: list[Part], *, is_box: bool) -> int:
     return sum((part.half is not None) == is_box for part in parts)
 
 
-def _with_parts(draft: Draft, parts: list[_Part], capacity: Capacity) -> tuple[Draft, list[int]]:
-    """The draft with all parts, and the slot of each."""
-    next_slot = {True: NUM_WALLS, False: capacity.polygons}
-    slots, shapes = [], draft.shapes
-    for part in parts:
-        is_box = part.half is not None
-        slot, next_slot[is_box] = next_slot[is_box], next_slot[is_box] + 1
-        half = part.half if part.half is not None else jnp.zeros(2)
-        corners, num_corners = box_or_triangle(half, jnp.array(False), capacity.vertices)
-        row = Shapes(
-            active=part.active,
-            position=part.position,
-            angle=part.angle,
-            vertices=corners,
-            num_vertices=num_corners if is_box else 0,
-            radius=0.0 if is_box else part.radius,
-            role=part.role,
-            is_fixed=part.is_fixed,
-            body=slot,
-            num_joints=0,
-            added_at=0,
-        )
-        shapes = write_slot(shapes, slot, row, jnp.asarray(part.active))
-        slots.append(slot)
-    return dataclasses.replace(draft, shapes=shapes), slots
-
-
-def _with_hinges(
-    draws: _Draws, draft: Draft, hinges: list[_Hinge], slots: list[int], capacity: Capacity, config: GeneratorConfig
-) -> Draft:
-    """The draft with motors; half of the time all of one colour."""
-    one_colour = draws.chance(0.5)
-    first = draws.number(0, NUM_MOTOR_COLOURS - 1)
-    joints = draft.driven_joints
-    for number, hinge in enumerate(hinges):
-        a, b = slots[hinge.a], slots[hinge.b]
-        is_wheel = max(a, b) >= capacity.polygons
-        strongest = config.wheel_power_max if is_wheel else config.motor_power_max
-        limit = jnp.zeros(()) if hinge.limit is None else hinge.limit
-        of_a, of_b = read_slot(draft.shapes, a), read_slot(draft.shapes, b)
-        joint = Joints(
-            active=jnp.asarray(hinge.active),
-            kind=jnp.array(JointKind.REVOLUTE),
-            a=jnp.array(a),
-            b=jnp.array(b),
-            anchor_a=_local(of_a, hinge.at),
-            anchor_b=_local(of_b, hinge.at),
-            rest_angle=of_b.angle - of_a.angle,
-            axis_angle=jnp.zeros(()),
-            motor_on=jnp.array(True),
-            drive=jnp.array(JointDrive.VELOCITY),
-            motor_speed=draws.between(config.motor_speed_min, config.motor_speed_max),
-            motor_power=draws.between(config.motor_power_min, strongest),
-            has_limits=jnp.array(hinge.limit is not None),
-            lower_limit=-limit,
-            upper_limit=limit,
-        )
-        colour = jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1))
-        joints = write_slot(joints, number, DrivenJoints(joints=joint, colour=colour), jnp.asarray(hinge.active))
-    return dataclasses.replace(draft, driven_joints=joints)
-
-
-def _local(shape: Shapes, point: Array) -> Array:
-    """[2] m, a point of the world in the frame of a shape."""
-    return world_corners(jnp.zeros(2), -shape.angle, (point - shape.position)[None])[0]
-
-
-def _unicycle(draws: _Draws, capacity: Capacity) -> _Thing:
+def _unicycle(draws: Draws, capacity: Capacity) -> Thing:
     """A box above a wheel."""
     radius = draws.between(0.14, 0.28)
     # Tall enough that it stands out above the wheel: green is what must touch blue.
     half = jnp.stack([draws.between(0.1, 0.3), draws.between(0.8 * radius, 0.35)])
     height = half[1] * draws.between(0.75, 0.95)
-    wheel = _Part(position=jnp.zeros(2), radius=radius)
-    body = _Part(position=jnp.stack([jnp.zeros(()), height]), half=half, role=Role.GREEN)
-    return _Thing(parts=[body, wheel], hinges=[_Hinge(a=0, b=1, at=jnp.zeros(2))])
+    wheel = Part(position=jnp.zeros(2), radius=radius)
+    body = Part(position=jnp.stack([jnp.zeros(()), height]), half=half, role=Role.GREEN)
+    return Thing(parts=[body, wheel], hinges=[Hinge(a=0, b=1, at=jnp.zeros(2))])
 
 
-def _car(draws: _Draws, capacity: Capacity) -> _Thing:
+def build_car(draws: Draws, capacity: Capacity) -> Thing:
     """A chassis on two wheels of different sizes, both on the floor."""
     radii = [draws.between(0.14, 0.28) for _ in range(2)]
     along = draws.between(0.3, 0.55)  # half the distance of the axles, level
@@ -265,19 +124,19 @@ def _car(draws: _Draws, capacity: Capacity) -> _Thing:
     half = jnp.stack([0.5 * wheelbase * draws.between(1.02, 1.3), draws.between(0.07, 0.16)])
     up = jnp.stack([-jnp.sin(slope), jnp.cos(slope)])
     centre = 0.5 * (axles[0] + axles[1]) + 0.5 * half[1] * up
-    chassis = _Part(position=centre, angle=slope, half=half, role=Role.GREEN)
-    wheels = [_Part(position=axle, radius=radius) for axle, radius in zip(axles, radii, strict=True)]
-    return _Thing(parts=[chassis, *wheels], hinges=[_Hinge(a=0, b=1 + k, at=axle) for k, axle in enumerate(axles)])
+    chassis = Part(position=centre, angle=slope, half=half, role=Role.GREEN)
+    wheels = [Part(position=axle, radius=radius) for axle, radius in zip(axles, radii, strict=True)]
+    return Thing(parts=[chassis, *wheels], hinges=[Hinge(a=0, b=1 + k, at=axle) for k, axle in enumerate(axles)])
 
 
-def _walker(draws: _Draws, capacity: Capacity) -> _Thing:
+def _walker(draws: Draws, capacity: Capacity) -> Thing:
     """A torso on legs of one or two links: as many as there is room for, 2 at least where there is."""
     room = min(capacity.polygons - NUM_WALLS - 1, capacity.joints)
     max_legs = min(room, MAX_LEGS)
     has_shins = room >= 2 * max_legs
     torso_half = jnp.stack([draws.between(0.2, 0.5), draws.between(0.08, 0.16)])
-    parts = [_Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
-    hinges: list[_Hinge] = []
+    parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
+    hinges: list[Hinge] = []
     num_legs, with_shins = draws.number(min(2, max_legs), max_legs), draws.chance(0.6)
     thigh, shin = (jnp.stack([draws.between(0.04, 0.08), draws.between(0.14, 0.28)]) for _ in range(2))
     for leg in range(max_legs):
@@ -288,28 +147,28 @@ def _walker(draws: _Draws, capacity: Capacity) -> _Thing:
         knee = _add_link(draws, parts, hinges, 0, hip, thigh, active)
         if has_shins:
             _add_link(draws, parts, hinges, len(parts) - 1, knee, shin, active & with_shins)
-    return _Thing(parts=parts, hinges=hinges)
+    return Thing(parts=parts, hinges=hinges)
 
 
 def _add_link(
-    draws: _Draws, parts: list[_Part], hinges: list[_Hinge], of: int, at: Array, half: Array, active: Array
+    draws: Draws, parts: list[Part], hinges: list[Hinge], of: int, at: Array, half: Array, active: Array
 ) -> Array:
     """Hangs a box with its upper end at a point of part `of`; where its other end is."""
     angle = draws.between(-0.45, 0.45)
     down = jnp.stack([jnp.sin(angle), -jnp.cos(angle)])
     inside = 0.85 * half[1]
-    parts.append(_Part(position=at + inside * down, angle=angle, half=half, active=active))
-    hinges.append(_Hinge(a=of, b=len(parts) - 1, at=at, limit=draws.between(0.5, 1.2), active=active))
+    parts.append(Part(position=at + inside * down, angle=angle, half=half, active=active))
+    hinges.append(Hinge(a=of, b=len(parts) - 1, at=at, limit=draws.between(0.5, 1.2), active=active))
     return at + 2.0 * inside * down
 
 
-def _arm(draws: _Draws, capacity: Capacity) -> _Thing:
+def _arm(draws: Draws, capacity: Capacity) -> Thing:
     """Links on a fixed disc, all to one side of it; the goal is to the other side, within reach."""
     num_links = min(capacity.polygons - NUM_WALLS, capacity.joints, MAX_LINKS)
     count = draws.number(min(2, num_links), num_links)
     reach = draws.between(0.8, 1.4)
     towards = -0.5 * math.pi + draws.between(-1.0, 1.0)  # hangs, so that few fall onto their goal
-    parts = [_Part(position=jnp.zeros(2), radius=draws.between(0.1, 0.18), is_fixed=True)]
+    parts = [Part(position=jnp.zeros(2), radius=draws.between(0.1, 0.18), is_fixed=True)]
     hinges, at = [], jnp.zeros(2)
     length = reach / count
     width = draws.between(0.04, 0.08)
@@ -319,22 +178,22 @@ def _arm(draws: _Draws, capacity: Capacity) -> _Thing:
         active = link < count
         role = jnp.where(link == count - 1, Role.GREEN, Role.NONE)
         half = jnp.stack([0.5 * length + 0.5 * width, width])
-        parts.append(_Part(position=at + 0.5 * length * along, angle=angle, half=half, role=role, active=active))
-        hinges.append(_Hinge(a=link, b=link + 1, at=at, active=active))
+        parts.append(Part(position=at + 0.5 * length * along, angle=angle, half=half, role=role, active=active))
+        hinges.append(Hinge(a=link, b=link + 1, at=at, active=active))
         at = at + length * along
     # Links keep within 0.6 rad of one direction: what is more than 1.9 rad from it is behind all of them.
     goal_angle = towards + math.pi + draws.between(-1.0, 1.0)
     distance = jnp.maximum(0.6, draws.between(0.5, 0.9) * reach)
     goal = distance * jnp.stack([jnp.cos(goal_angle), jnp.sin(goal_angle)])
     middle = jnp.stack([draws.between(1.8, WORLD_SIZE_M - 1.8), draws.between(FLOOR_TOP_M + 1.7, 3.2)])
-    return _Thing(parts=parts, hinges=hinges, middle=middle, goal=goal)
+    return Thing(parts=parts, hinges=hinges, middle=middle, goal=goal)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Kind:
     """How a thing is built, and what there must be room for besides the walls, the goal included."""
 
-    build: Callable[[_Draws, Capacity], _Thing]
+    build: Callable[[Draws, Capacity], Thing]
     polygons: int
     circles: int
     joints: int
@@ -345,7 +204,7 @@ class _Kind:
 
 
 _KINDS = {
-    "car": _Kind(build=_car, polygons=1, circles=3, joints=2),
+    "car": _Kind(build=build_car, polygons=1, circles=3, joints=2),
     "unicycle": _Kind(build=_unicycle, polygons=1, circles=2, joints=1),
     "walker": _Kind(build=_walker, polygons=2, circles=1, joints=1),
     "arm": _Kind(build=_arm, polygons=1, circles=2, joints=1),
