@@ -23,8 +23,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from bench.peer_process import PeerMissing
 from bench.program import output_file, parser_of
-from bench.published_steps import PeerMissing, Steps, differences, load, run_published, warm
+from bench.published_steps import Steps, differences, load, run_published, warm
 from jax2d import Engine, Settings, State, preset
 from jax2d.published_details import PUBLISHED_DETAILS
 

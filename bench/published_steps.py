@@ -11,11 +11,7 @@ writes an excerpt: of each level the state with most contacts, as played and sti
 from __future__ import annotations
 
 import dataclasses
-import json
-import os
-import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,18 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from bench.peer_process import PUBLISHED_JAX2D_STEPS
 from bench.program import parser_of
 from jax2d import Capacity, Controls, JointKind, Joints, Scene, Shapes, Springs, State, Thrusters
 from jax2d.fields import broadcast, empty
 from jax2d.scene import JOINT_IMPULSES
 
-CHECKOUT = Path(__file__).resolve().parents[1]
-PROGRAM = CHECKOUT / "bench" / "peers" / "jax2d_published_steps.py"
 KEY_A, KEY_B = 1 << 22, 1 << 12  # of a contact's key, which is KEY_A a + KEY_B b + feature
-
-
-class PeerMissing(Exception):
-    """The published package is not installed here; one line says what to do."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -50,28 +41,9 @@ class Steps:
     after: dict[tuple[str, str], np.ndarray]  # (precision, "warm" or "cold") -> [S, n, 6]
 
 
-def python() -> Path:
-    named = os.environ.get("KINETIX_PEER_PYTHON")
-    path = Path(named) if named else CHECKOUT / "bench" / ".peers" / "jax2d" / "bin" / "python"
-    if not path.is_file():
-        raise PeerMissing(f"{path} does not exist; run `bash bench/peers/setup.sh` first")
-    return path
-
-
 def run_published(files: Sequence[Path], moments: Sequence[int], seed: int, to: Path) -> None:
     """Lets the published package play the levels (of one size) and writes its states and steps to `to`."""
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {"JAX_PLATFORMS": "cpu"}
-    if path := os.environ.get("KINETIX_PEER_PYTHONPATH"):
-        environment["PYTHONPATH"] = path
-    with tempfile.TemporaryDirectory() as folder:
-        request = Path(folder) / "request.json"
-        request.write_text(json.dumps({"levels": [str(f) for f in files], "moments": [*moments], "seed": seed}))
-        ended = subprocess.run(
-            [str(python()), str(PROGRAM), str(request), str(to)], env=environment, capture_output=True, text=True
-        )
-    if ended.returncode != 0:
-        last = (ended.stderr.strip().splitlines() or ["no message"])[-1]
-        raise RuntimeError(f"{PROGRAM.name} failed: {last}")
+    PUBLISHED_JAX2D_STEPS.run({"levels": [str(f) for f in files], "moments": [*moments], "seed": seed}, to)
 
 
 def load(file: Path) -> Steps:

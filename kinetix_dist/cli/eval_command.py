@@ -66,8 +66,8 @@ class Args:
 
 
 def run(args: Args) -> int:
-    _check(args)
-    checkpoint, config = _load_checkpoint(args)
+    check(args)
+    checkpoint, config = checkpoint_of(args)
     from kinetix_dist.env.physics import describe
     from kinetix_dist.level.sets import load_level_set
     from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
@@ -75,8 +75,8 @@ def run(args: Args) -> int:
     enable_compile_cache("" if config is None else config.run.compile_cache)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(args.levels, args.size)
-    env = _environment(args, config, levels)
-    players = _players(args, checkpoint, config, env, levels)
+    env = environment_of(args, config, levels)
+    players = players_of(args, checkpoint, config, env, levels)
     rates = _evaluate(args, env, players, levels, list(names))
     first = next(iter(rates))
     print(
@@ -144,7 +144,7 @@ def _cells(name: str, rate: SolveRate) -> tuple[str, ...]:
     )
 
 
-def _check(args: Args) -> None:
+def check(args: Args) -> None:
     """Complains before anything slow happens."""
     given = [name for name in ("run", "checkpoint") if getattr(args, name) is not None]
     if args.policy == "trained" and len(given) != 1:
@@ -167,7 +167,7 @@ def _check(args: Args) -> None:
         raise UserError(f"{args.record} exists and recordings are never overwritten; give --record a new file")
 
 
-def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]:
+def checkpoint_of(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]:
     """The checkpoint to play, verified, and the config it was trained with; (None, None) for a baseline."""
     if args.policy != "trained":
         return None, None
@@ -180,7 +180,7 @@ def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]
         with user_errors(CheckpointError, ValueError, OSError):
             checkpoint = load_checkpoint(args.checkpoint)
     else:
-        assert args.run is not None  # _check saw to it
+        assert args.run is not None  # check saw to it
         if not args.run.is_dir():
             raise UserError(f"{args.run} is not a directory; give --run a run directory such as runs/quickstart")
         newest, rejected = newest_good(args.run / "checkpoints")
@@ -195,7 +195,7 @@ def _load_checkpoint(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]
         return checkpoint, from_dict_for_playing(checkpoint.description["config"])
 
 
-def _environment(args: Args, config: TrainConfig | None, levels: Level) -> Environment:
+def environment_of(args: Args, config: TrainConfig | None, levels: Level) -> Environment:
     """The environment that the policy was trained in, or the default one; with the physics asked for."""
     from jax2d.settings import preset
     from kinetix_dist.env.environment import EnvConfig, Environment
@@ -210,7 +210,7 @@ def _environment(args: Args, config: TrainConfig | None, levels: Level) -> Envir
     return Environment(dataclasses.replace(env_config, size=size, effect_groups=0))
 
 
-def _players(
+def players_of(
     args: Args, checkpoint: Checkpoint | None, config: TrainConfig | None, env: Environment, levels: Level
 ) -> dict[str, Player]:
     """Players by name, the one asked for first."""

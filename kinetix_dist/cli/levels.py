@@ -1,4 +1,4 @@
-"""`kinetix-dist levels list|show|validate|render|import|export|solve`: see, check, convert, solve."""
+"""`kinetix-dist levels list|show|validate|render|import|export|solve|stats`: see, check, convert, solve."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from typing import Annotated, Any
 
 import tyro
 
+from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.level_stats import Stats, run_stats
+from kinetix_dist.cli.render_levels import Render, run_render
 from kinetix_dist.cli.solve_levels import Solve, run_solve
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
@@ -28,10 +31,12 @@ class List:
 
 @dataclasses.dataclass(frozen=True)
 class Show:
-    """Describe one level: shapes, joints, thrusters, what is controlled by what."""
+    """Describe one level: shapes, joints, thrusters, what is controlled by what; or show it."""
 
     level: tyro.conf.Positional[str]
     """A level file, or a designed level such as s/hop_home."""
+    picture: Path | None = None
+    """Also draw how it starts, to this PNG."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,38 +47,6 @@ class Validate:
     """Files of levels or proofs, or directories of them."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Render:
-    """Draw the starting position of a level as a PNG, without a display."""
-
-    level: tyro.conf.Positional[str]
-    """A level file, or a designed level such as s/hop_home."""
-    out: tyro.conf.Positional[Path]
-    """The PNG to write."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Import:
-    """Turn a level file of the public Kinetix package into the format of this one."""
-
-    file: tyro.conf.Positional[Path]
-    """The public level file."""
-    out: tyro.conf.Positional[Path]
-    """The level file to write."""
-    name: str | None = None
-    """Name of the level; left out: that of the file."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Export:
-    """Turn a level into a file of the public Kinetix package."""
-
-    level: tyro.conf.Positional[str]
-    """A level file, or a designed level such as s/hop_home."""
-    out: tyro.conf.Positional[Path]
-    """The public level file to write."""
-
-
 Args = (
     Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Show, tyro.conf.subcommand("show")]
@@ -82,21 +55,27 @@ Args = (
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Solve, tyro.conf.subcommand("solve")]
+    | Annotated[Stats, tyro.conf.subcommand("stats")]
 )
 
 
 def run(args: Any) -> int:
-    """Runs the chosen subcommand; 0, or 1 where `validate` found something wrong or `solve` no proof."""
+    """Runs the chosen subcommand; 0, or 1 where one of several files was wrong or `solve` found no proof."""
     if isinstance(args, Validate):
         return _validate(args)
     if isinstance(args, Solve):
         return run_solve(args)
+    if isinstance(args, Render):
+        return run_render(args)
+    if isinstance(args, Stats):
+        return run_stats(args)
+    if isinstance(args, Import):
+        return run_import(args)
+    if isinstance(args, Export):
+        return run_export(args)
     actions: dict[type, Callable[[Any], None]] = {
         List: _list,
         Show: _show,
-        Render: _render,
-        Import: _import,
-        Export: _export,
     }
     with user_errors(*_EXPECTED):
         actions[type(args)](args)
@@ -169,6 +148,8 @@ def _show(args: Show) -> None:
         print(f"  joint     {joint['a']} - {joint['b']}: {_fields(joint, without=('a', 'b'))}{drive}")
     for thruster in document.get("thrusters", []):
         print(f"  thruster  {thruster['shape']}: {_fields(thruster, without=('shape',))}")
+    if args.picture is not None:
+        run_render(Render(levels=str(path), out=args.picture))
 
 
 def _fields(entry: dict[str, Any], without: tuple[str, ...] = ()) -> str:
@@ -204,38 +185,6 @@ def _validate(args: Validate) -> int:
             print(text if str(path) in text else f"{path}: {text}")
     print(f"{len(files) - num_wrong} of {len(files)} files are valid")
     return 1 if num_wrong else 0
-
-
-def _render(args: Render) -> None:
-    from jax2d.draw import draw
-    from jax2d.images import write_png
-    from kinetix_dist.level.start import start_state
-
-    level, _ = _read(_one_file(args.level))
-    write_png(args.out, draw(level.scene, start_state(level), roles=level.shape_role))
-    print(f"wrote {args.out}")
-
-
-def _import(args: Import) -> None:
-    from kinetix_dist.level.document import LevelInfo
-    from kinetix_dist.level.fit import smallest_size
-    from kinetix_dist.level.kinetix_format import load_kinetix
-    from kinetix_dist.level.schema import save_level
-
-    level = load_kinetix(args.file)
-    info = LevelInfo(name=args.name or args.file.stem, size=smallest_size(level), source="public Kinetix level file")
-    save_level(level, args.out, info)
-    print(f"wrote {args.out} (size {info.size})")
-
-
-def _export(args: Export) -> None:
-    from kinetix_dist.level.fit import capacity_of_size, fit_level
-    from kinetix_dist.level.kinetix_format import export_kinetix
-
-    level, info = _read(_one_file(args.level))
-    document = export_kinetix(fit_level(level, capacity_of_size(info.size)))
-    args.out.write_text(json.dumps(document), encoding="utf-8")
-    print(f"wrote {args.out}")
 
 
 def _one_file(name: str) -> Path:

@@ -64,7 +64,7 @@ class Solve:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Task:
+class ProofTask:
     """A level and where its proof is."""
 
     name: str
@@ -81,7 +81,7 @@ def run_solve(args: Solve) -> int:
 
     enable_compile_cache("")
     with user_errors(ValueError, OSError):
-        tasks = _tasks(args)
+        tasks = proof_tasks(args)
     if args.check:
         return _check_proofs(args, tasks)
     return _search(args, tasks)
@@ -109,7 +109,8 @@ def _check(args: Solve) -> None:
         raise UserError(f"--proofs {args.proofs} is a file; give a directory")
 
 
-def _tasks(args: Solve) -> list[_Task]:
+def proof_tasks(args: Solve) -> list[ProofTask]:
+    """One of each level asked for. Raises ValueError or OSError for what is no level, UserError for a random set."""
     from kinetix_dist.level.fit import capacity_of_size, fit_level
     from kinetix_dist.level.proof import proof_path
     from kinetix_dist.level.sets import RANDOM_SETS, files_of_set, read_level
@@ -121,7 +122,7 @@ def _tasks(args: Solve) -> list[_Task]:
     for file in files_of_set(args.levels):
         level, info = read_level(file)
         tasks.append(
-            _Task(
+            ProofTask(
                 name=info.name,
                 size=info.size,
                 level=fit_level(level, capacity_of_size(info.size)),
@@ -139,7 +140,7 @@ def _environment(args: Solve, size: str) -> Environment:
     return Environment(EnvConfig(size=size, physics=preset(args.preset)))
 
 
-def _by_size(tasks: Iterable[_Task]) -> dict[str, list[_Task]]:
+def _by_size(tasks: Iterable[ProofTask]) -> dict[str, list[ProofTask]]:
     """Tasks by size: one environment, compiled once, for all of a size."""
     grouped = collections.defaultdict(list)
     for task in tasks:
@@ -147,8 +148,8 @@ def _by_size(tasks: Iterable[_Task]) -> dict[str, list[_Task]]:
     return grouped
 
 
-def _check_proofs(args: Solve, tasks: list[_Task]) -> int:
-    replayed = _replay(args, tasks)
+def _check_proofs(args: Solve, tasks: list[ProofTask]) -> int:
+    replayed = replay_proofs(args, tasks)
     for task, proof, _, fault in replayed:
         if fault is None:
             assert proof is not None
@@ -176,14 +177,16 @@ def _write_picture(path: Path, rollouts: list[Rollout]) -> None:
     print(f"wrote {path}")
 
 
-def _replay(args: Solve, tasks: list[_Task]) -> list[tuple[_Task, Proof | None, Rollout | None, str | None]]:
+def replay_proofs(
+    args: Solve, tasks: list[ProofTask]
+) -> list[tuple[ProofTask, Proof | None, Rollout | None, str | None]]:
     """Of each level its proof, how that goes, and what is wrong with it in one line (None: nothing)."""
     from kinetix_dist.evaluation.proofs import fault_of_replay, replay
 
-    results: list[tuple[_Task, Proof | None, Rollout | None, str | None]] = []
+    results: list[tuple[ProofTask, Proof | None, Rollout | None, str | None]] = []
     for size, of_size in _by_size(tasks).items():
         env = _environment(args, size)
-        good: list[tuple[_Task, Proof]] = []
+        good: list[tuple[ProofTask, Proof]] = []
         for task in of_size:
             if not task.proof_file.is_file():
                 results.append((task, None, None, f"there is no proof ({task.proof_file})"))
@@ -200,7 +203,7 @@ def _replay(args: Solve, tasks: list[_Task]) -> list[tuple[_Task, Proof | None, 
     return sorted(results, key=lambda result: order[id(result[0])])
 
 
-def _proof_of(args: Solve, task: _Task, env: Environment) -> Proof:
+def _proof_of(args: Solve, task: ProofTask, env: Environment) -> Proof:
     """The stored proof of a level. Raises `LevelFormatError` where it cannot be read or is of something else."""
     from kinetix_dist.level.proof import check_proof_is_of, read_proof
 
@@ -212,7 +215,7 @@ def _proof_of(args: Solve, task: _Task, env: Environment) -> Proof:
     return proof
 
 
-def _stored_actions(args: Solve, task: _Task, env: Environment) -> np.ndarray | None:
+def _stored_actions(args: Solve, task: ProofTask, env: Environment) -> np.ndarray | None:
     """[t, 6] of the stored proof, whether it still holds or not; None where there is none, or of something else."""
     if not task.proof_file.is_file():
         return None
@@ -223,11 +226,13 @@ def _stored_actions(args: Solve, task: _Task, env: Environment) -> np.ndarray | 
         return None
 
 
-def _search(args: Solve, tasks: list[_Task]) -> int:
+def _search(args: Solve, tasks: list[ProofTask]) -> int:
     from kinetix_dist.evaluation.search.solve import solve
     from kinetix_dist.level.proof import write_proof
 
-    good = {} if args.again else {id(task): proof for task, proof, _, fault in _replay(args, tasks) if fault is None}
+    good = (
+        {} if args.again else {id(task): proof for task, proof, _, fault in replay_proofs(args, tasks) if fault is None}
+    )
     num_solved = 0
     for size, of_size in _by_size(tasks).items():
         env = _environment(args, size)

@@ -31,6 +31,7 @@ from kinetix_dist.level.draft import (
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
+from kinetix_dist.level.locomotion import generate_locomotion_level
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose, shape_mass
 from kinetix_dist.level.roles import Role
@@ -39,10 +40,26 @@ __all__ = ["GeneratorConfig", "generate_level", "generate_levels"]
 
 _NUM_FIRST = 3  # green, blue, and the shape that a forced motor needs
 _NUM_THRUSTER_DRAWS = 9
+_LOCOMOTION_STREAM = 0x4C4F  # "LO": folded into a level's key
 
 
 def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
-    """One random level. Exactly one green and one blue, at least one motor or thruster. Consumes `key`."""
+    """One random level. Exactly one green and one blue, at least one motor or thruster. Consumes `key`.
+
+    A share `config.locomotion_share` of the levels are those of `locomotion.py`.
+    """
+    if config.locomotion_share == 0.0:
+        return _random_level(key, capacity, config)
+    is_locomotion = jax.random.uniform(jax.random.fold_in(key, _LOCOMOTION_STREAM)) < config.locomotion_share
+    locomotion = generate_locomotion_level(jax.random.fold_in(key, _LOCOMOTION_STREAM + 1), capacity, config)
+    if config.locomotion_share == 1.0:
+        return locomotion
+    # The same level as without locomotion where the coin falls otherwise.
+    either = (locomotion, _random_level(key, capacity, config))
+    return jax.tree.map(lambda *of: jnp.where(is_locomotion, *of), *either)
+
+
+def _random_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     _check_capacity(capacity)
     draft = empty_draft(capacity)
     num_steps = capacity.shapes - NUM_WALLS

@@ -1,4 +1,4 @@
-"""Parameters of the random level generator, and two sets of them: our own, and those of the public package."""
+"""Parameters of the random level generator, and named sets of them: our own, the public package's, locomotion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ PUBLISHED_DETAILS = (
     "joined_to_walls",  # where every polygon holds two joints, any is joined, walls too
     "limits_from_zero",  # limits of a hinge count from equal angles of its shapes, not from those at the start
 )
+LOCOMOTION_KINDS = ("car", "unicycle", "walker", "arm")  # of level/locomotion.py
 _CHANCES = (
+    "locomotion_share",
     "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",
     "motor_on_chance", "forced_motor_on_chance", "limits_chance", "fixed_joint_chance", "thruster_aligned_chance",
     "joined_shape_chance", "free_shape_chance", "thruster_chance", "floor_blue_chance", "floor_red_chance",
@@ -65,6 +67,9 @@ class GeneratorConfig:
     # Thrusters
     thruster_aligned_chance: float = 0.8  # pushes through the centre of mass
     thruster_power_factor: float = 2.0  # times mass times 0.5..2
+    # Levels with something that can go somewhere, see `locomotion.py`
+    locomotion_share: float = 0.0  # of the levels; the others are random as above
+    locomotion_kinds: tuple[str, ...] = LOCOMOTION_KINDS  # those for which the size has room are equally likely
 
     def __post_init__(self) -> None:
         for name in _CHANCES:
@@ -85,6 +90,10 @@ class GeneratorConfig:
         if unknown := [name for name in self.published_details if name not in PUBLISHED_DETAILS]:
             raise ValueError(
                 f"GeneratorConfig.published_details has {unknown[0]!r}; there are {', '.join(PUBLISHED_DETAILS)}"
+            )
+        if unknown := [name for name in self.locomotion_kinds if name not in LOCOMOTION_KINDS]:
+            raise ValueError(
+                f"GeneratorConfig.locomotion_kinds has {unknown[0]!r}; there are {', '.join(LOCOMOTION_KINDS)}"
             )
         smallest = 2.0 * max(self.min_half_extent * math.sqrt(2.0), self.min_radius / self.circle_size_factor)
         if self.max_shape_size < smallest:
@@ -109,6 +118,7 @@ GENERATORS = {
         min_revolute_joints=2,
         forced_motor_on_chance=0.8,
     ),
+    "locomotion": GeneratorConfig(locomotion_share=1.0),
 }
 
 

@@ -23,8 +23,9 @@ import numpy as np
 from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.fit import capacity_of
+from kinetix_dist.level.kinetix_checks import UNITS, check_kinetix
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
-from kinetix_dist.level.validate import LevelFormatError, read_document
+from kinetix_dist.level.validate import LevelFormatError, check_polygon, read_document
 from kinetix_dist.level.walls import empty_level, pad_vertices
 
 # What the 74 public files say; readers of these files expect the keys.
@@ -38,7 +39,7 @@ _EMPTY_MANIFOLD = {
     "restitution_velocity_target": 0.0,
 }
 _ENV_PARAMS = {
-    "dt": 1 / 60,
+    **UNITS,
     "slop": 0.01,
     "baumgarte_coefficient_joints_v": 2.0,
     "baumgarte_coefficient_joints_p": 0.7,
@@ -49,12 +50,8 @@ _ENV_PARAMS = {
     "clip_position": 15,
     "clip_velocity": 100,
     "clip_angular_velocity": 50,
-    "base_motor_speed": 6.0,
-    "base_motor_power": 900.0,
-    "base_thruster_power": 10.0,
     "motor_decay_coefficient": 0.1,
     "motor_joint_limit": 0.1,
-    "base_friction": 0.4,
     "max_timesteps": 256,
     "pixels_per_unit": 100,
     "dense_reward_scale": 0.1,
@@ -95,15 +92,8 @@ def import_kinetix(document: Any) -> Level:
     """The level (numpy) of a public document, with the capacity of the document's own arrays."""
     if not is_kinetix_document(document):
         raise LevelFormatError("env_state", "is missing", "this is no level file of the public Kinetix package")
-    state = document["env_state"]
-    try:
-        return _read_state(state)
-    except KeyError as error:
-        raise LevelFormatError(f"env_state.{error.args[0]}", "is missing", "export the level again") from error
-    except (TypeError, IndexError, ValueError) as error:
-        if isinstance(error, LevelFormatError):
-            raise
-        raise LevelFormatError("env_state", f"cannot be read ({error})", "export the level again") from error
+    check_kinetix(document)
+    return _read_state(document["env_state"])
 
 
 def _read_state(state: dict[str, Any]) -> Level:
@@ -134,7 +124,8 @@ def _read_state(state: dict[str, Any]) -> Level:
         scene.shapes.restitution[slot] = shape["restitution"]
         is_fixed[slot] = shape["inverse_mass"] == 0.0
         if slot < capacity.polygons:
-            corners = _corners(shape, f"env_state.polygon[{slot}].vertices")
+            corners = _corners(shape)
+            check_polygon(corners.tolist(), f"env_state.polygon[{slot}].vertices", capacity)
             scene.shapes.vertices[slot] = pad_vertices(corners, capacity)
             scene.shapes.num_vertices[slot] = len(corners)
         else:
@@ -165,8 +156,6 @@ def _read_state(state: dict[str, Any]) -> Level:
         scene.thrusters.power[slot] = thruster["power"]
         level.thruster_colour[slot] = thruster["thruster_binding"]
     scene.gravity[:] = _pair(state["gravity"])
-    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(level) if leaf.dtype.kind == "f"):
-        raise LevelFormatError("env_state", "holds a number that is not finite", "export the level again")
     return complete(level, is_fixed)
 
 
@@ -210,14 +199,12 @@ def _pair(value: dict[str, float]) -> tuple[float, float]:
     return value["0"], value["1"]
 
 
-def _corners(shape: dict[str, Any], path: str) -> np.ndarray:
+def _corners(shape: dict[str, Any]) -> np.ndarray:
     """`[k, 2]` corners, counter-clockwise; the first corner stays first."""
     corners = np.array([_pair(shape["vertices"][str(i)]) for i in range(shape["n_vertices"])], np.float64)
     following = np.roll(corners, -1, axis=0)
     area = 0.5 * np.sum(corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0])
-    if area == 0.0:
-        raise LevelFormatError(path, "polygon has no area", "remove that shape")
-    return corners if area > 0.0 else np.roll(corners[::-1], 1, axis=0)
+    return corners if area >= 0.0 else np.roll(corners[::-1], 1, axis=0)
 
 
 def _joint_matrix(level: Level) -> np.ndarray:

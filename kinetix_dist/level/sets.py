@@ -3,8 +3,9 @@
     levels, names = load_level_set("designed_s")
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
-("random_s" to "random_l", and with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l"), or a
-file or directory of level files, ours or of the public package.
+("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
+walkers, unicycles and arms "locomotion_s" to "locomotion_l"), or a file or directory of level files, ours or of the
+public package.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class RandomSet:
 
 RANDOM_SETS = {
     f"{prefix}_{size}": RandomSet(name=f"{prefix}_{size}", size=size, generator=generator)
-    for prefix, generator in (("random", "default"), ("kinetix", "kinetix"))
+    for prefix, generator in (("random", "default"), ("kinetix", "kinetix"), ("locomotion", "locomotion"))
     for size in SIZES
 }
 
@@ -79,8 +80,17 @@ def read_level(path: Path) -> tuple[Level, LevelInfo]:
     document = read_document(path)
     if not is_kinetix_document(document):
         return load_level(path)
+    return read_public_level(path)
+
+
+def read_public_level(path: Path) -> tuple[Level, LevelInfo]:
+    """The same of a file of the public package."""
     level = load_kinetix(path)
-    return level, LevelInfo(name=path.stem, size=smallest_size(level), source="public Kinetix level file")
+    try:
+        size = smallest_size(level)
+    except LevelSizeError as error:
+        raise LevelSizeError(f"{path}: {error}") from None
+    return level, LevelInfo(name=path.stem, size=size, source="public Kinetix level file")
 
 
 def files_of_set(name: str) -> list[Path]:

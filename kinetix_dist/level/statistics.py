@@ -177,7 +177,7 @@ def _of_shapes(levels: Level) -> Statistics:
         here = active & (role == r)
         found[f"{ROLE_NAMES[r]} is fixed"] = _share(is_fixed[here])
         found[f"{ROLE_NAMES[r]} x"], found[f"{ROLE_NAMES[r]} y"] = levels.position[here].T
-    overlap = _overlaps(levels)
+    overlap = overlaps(levels)
     same_body = ~shapes.can_touch & ~np.eye(shapes.active.shape[1], dtype=bool) & ~_joined(levels)
     same_body &= active[:, :, None] & active[:, None, :] & ~(is_fixed[:, :, None] & is_fixed[:, None, :])
     walls_and_shapes = np.zeros_like(overlap)
@@ -288,8 +288,8 @@ def _joined(levels: Level) -> np.ndarray:
     return joined
 
 
-def _overlaps(levels: Level) -> np.ndarray:
-    """[W, n, n] bool, of active shapes, each pair once."""
+def overlaps(levels: Level) -> np.ndarray:
+    """[W, n, n] bool: which active shapes overlap, each pair once (the lower slot first)."""
     capacity = capacity_of(levels)
 
     def of_level(level: Level) -> jax.Array:

@@ -48,12 +48,12 @@ def validate_document(document: Any, capacity: Capacity, size_name: str | None =
 
     `size_name` is what messages call the capacity.
     """
-    _check_numbers(document, "")
+    check_numbers(document, "")
     check_structure(document, levels_root() / "schema.json", see="docs/level_format.md")
     shapes = document["shapes"]
     for i, shape in enumerate(shapes):
         if shape["type"] == "polygon":
-            _check_polygon(shape["vertices"], f"shapes[{i}].vertices", capacity)
+            check_polygon(shape["vertices"], f"shapes[{i}].vertices", capacity)
     names = _check_names(shapes)
     for i, joint in enumerate(document.get("joints", [])):
         _check_joint(joint, f"joints[{i}]", names)
@@ -83,17 +83,18 @@ def _path_text(parts: Any) -> str:
     return text
 
 
-def _check_numbers(value: Any, path: str) -> None:
+def check_numbers(value: Any, path: str) -> None:
+    """Raises `LevelFormatError` for the first number in a JSON value that is not finite or beyond MAX_NUMBER."""
     if isinstance(value, float) and not math.isfinite(value):
         raise LevelFormatError(path, f"is {value}", "give a finite number")
     if isinstance(value, int | float) and abs(value) > MAX_NUMBER:
         raise LevelFormatError(path, f"is {_short(value)}", f"give a number between -{MAX_NUMBER:g} and {MAX_NUMBER:g}")
     if isinstance(value, dict):
         for key, inner in value.items():
-            _check_numbers(inner, f"{path}.{key}" if path else str(key))
+            check_numbers(inner, f"{path}.{key}" if path else str(key))
     elif isinstance(value, list):
         for i, inner in enumerate(value):
-            _check_numbers(inner, f"{path}[{i}]")
+            check_numbers(inner, f"{path}[{i}]")
 
 
 def check_structure(document: Any, schema_file: Path, *, see: str) -> None:
@@ -140,7 +141,8 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def _check_polygon(vertices: list[list[float]], path: str, capacity: Capacity) -> None:
+def check_polygon(vertices: list[list[float]], path: str, capacity: Capacity) -> None:
+    """Raises `LevelFormatError` unless corners are few enough, convex, counter-clockwise and hold an area."""
     count = len(vertices)
     if count > capacity.vertices:
         raise LevelFormatError(path, f"has {count} corners", f"use at most {capacity.vertices}")

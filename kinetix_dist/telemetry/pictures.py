@@ -6,6 +6,7 @@ Made by jax2d's own rasteriser: no display, no GPU, no system package.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -55,8 +56,32 @@ def write_rollout_picture(
 
 def write_rollout_gif(path: str | os.PathLike[str], rollout: Rollout, *, pixels_per_metre: float = 60.0) -> None:
     """Writes the rollout as a GIF in real time, about 15 pictures a second."""
+    moments, seconds = _gif_moments(rollout)
+    images = [moment_picture(rollout, int(k), pixels_per_metre=pixels_per_metre) for k in moments]
+    write_gif(path, images, seconds=seconds)
+
+
+def grid_picture(rollouts: Sequence[Rollout], state: int, *, pixels_per_metre: float, columns: int) -> np.ndarray:
+    """The same moment of several rollouts in a grid below their names; one that is over stays at its end."""
+    moments = [
+        moment_picture(rollout, min(state, rollout.num_steps), pixels_per_metre=pixels_per_metre)
+        for rollout in rollouts
+    ]
+    return film_strip(moments, [rollout.level_name for rollout in rollouts], columns=columns)
+
+
+def write_grid_gif(
+    path: str | os.PathLike[str], rollouts: Sequence[Rollout], *, pixels_per_metre: float, columns: int
+) -> None:
+    """Writes several rollouts side by side as a GIF, as `write_rollout_gif` does one. All have steps of one length."""
+    longest = max(rollouts, key=lambda rollout: rollout.num_steps)
+    moments, seconds = _gif_moments(longest)
+    images = [grid_picture(rollouts, int(k), pixels_per_metre=pixels_per_metre, columns=columns) for k in moments]
+    write_gif(path, images, seconds=seconds)
+
+
+def _gif_moments(rollout: Rollout) -> tuple[np.ndarray, list[float]]:
+    """States to show, and for how many seconds each."""
     every = max(1, round(GIF_FRAME_S / rollout.step_seconds))
     moments = np.unique([*range(0, rollout.num_steps, every), rollout.num_steps])
-    images = [moment_picture(rollout, int(k), pixels_per_metre=pixels_per_metre) for k in moments]
-    seconds = [*np.diff(rollout.seconds[moments]), GIF_LAST_FRAME_S]
-    write_gif(path, images, seconds=seconds)
+    return moments, [*np.diff(rollout.seconds[moments]), GIF_LAST_FRAME_S]

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from jax2d.scene import Capacity
 from kinetix_dist.cli.main import main
+from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.schema import level_from_json
 from tests.level.documents import cart_document
 
 
@@ -34,19 +37,71 @@ def test_show_describes_shapes_joints_and_motors(capsys: pytest.CaptureFixture[s
     assert "chassis" in shown and "role green" in shown and "motor speed -1.5" in shown
 
 
-def test_render_writes_a_picture(tmp_path: Path) -> None:
-    assert main(["levels", "render", "l/walker", str(tmp_path / "walker.png")]) == 0
-    assert (tmp_path / "walker.png").read_bytes().startswith(b"\x89PNG")
+def cart_as_public_file(path: Path, capacity: Capacity | None = None) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(export_kinetix(level_from_json(cart_document(), capacity))))
+    return path
 
 
-def test_a_level_goes_out_to_a_public_file_and_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    public, ours = str(tmp_path / "public.json"), str(tmp_path / "ours.json")
-    assert main(["levels", "export", "m/seesaw", public]) == 0
-    assert main(["levels", "import", public, ours, "--name", "seesaw"]) == 0
+def test_a_directory_of_public_files_comes_in_but_for_the_wrong_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    public, ours = tmp_path / "public", tmp_path / "ours"
+    good = cart_as_public_file(public / "m" / "good.json")
+    (public / "cut.json").write_text(good.read_text()[:1000])
+    document = json.loads(good.read_text())
+    document["env_state"]["joint"][0]["b_index"] = 99
+    (public / "loose.json").write_text(json.dumps(document))
+    document = json.loads(good.read_text())
+    document["env_state"]["circle"][0]["role"] = 2  # a second blue one
+    (public / "goals.json").write_text(json.dumps(document))
+    (public / "ours.json").write_text(json.dumps(cart_document()))
+    assert main(["levels", "import", str(public), str(ours)]) == 1
+    found = capsys.readouterr()
+    assert found.out == f"imported 1 of 5 files into {ours} (1 of size m)\n"
+    cut, goals, loose, other = found.err.splitlines()
+    assert cut.startswith(f"{public / 'cut.json'}: is not JSON")
+    assert goals == f"{public / 'goals.json'}: shapes: 2 shapes are blue; make exactly one shape blue"
+    assert loose.startswith(f"{public / 'loose.json'}: env_state.joint[0].b_index: there is no shape 99; active shapes")
+    assert other.startswith(f"{public / 'ours.json'}: env_state: is missing")
+    assert [file.relative_to(ours) for file in ours.glob("**/*.json")] == [Path("m/good.json")]
+
+
+def test_a_level_in_larger_arrays_comes_in_with_the_size_that_it_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    large = cart_as_public_file(tmp_path / "large.json", Capacity(polygons=20, circles=9, joints=12, thrusters=8))
+    assert main(["levels", "import", str(large), str(tmp_path / "cart.json")]) == 0
+    assert "(size m)" in capsys.readouterr().out
+    assert main(["levels", "export", str(tmp_path / "cart.json"), str(tmp_path / "l.json"), "--size", "l"]) == 0
+    assert json.loads((tmp_path / "l.json").read_text())["static_env_params"]["num_polygons"] == 12
+
+
+def test_a_level_that_no_size_holds_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = cart_document()
+    ball = {"type": "circle", "radius": 0.1}
+    document["shapes"] += [{"id": f"ball_{i}", "position": [0.5 + 0.4 * i, 3.0], **ball} for i in range(6)]
+    capacity = Capacity(polygons=12, circles=9, joints=6, thrusters=2)
+    file = tmp_path / "full.json"
+    file.write_text(json.dumps(export_kinetix(level_from_json(document, capacity))))
+    error = failure(capsys, "import", str(file), str(tmp_path / "x.json"))
+    assert error.endswith(f"{file}: level has 8 circles (size l has 4); remove some\n")
+    assert "level has 8 circles" in failure(capsys, "show", str(file))
+
+
+def test_a_set_goes_out_and_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["levels", "export", "designed_m", str(tmp_path / "public")]) == 0
+    assert "exported 5 of 5 files" in capsys.readouterr().out
+    assert main(["levels", "import", str(tmp_path / "public"), str(tmp_path / "ours")]) == 0
+    assert main(["levels", "validate", str(tmp_path / "ours")]) == 0
     capsys.readouterr()
-    assert main(["levels", "validate", ours, public]) == 0
-    assert "2 of 2 files are valid" in capsys.readouterr().out
-    assert json.loads(Path(ours).read_text())["name"] == "seesaw"
+    assert main(["levels", "export", "sliders", str(tmp_path / "x.json")]) == 2  # it has one level
+    assert "is prismatic, which public files cannot hold" in capsys.readouterr().err
+    assert "--name is for one file" in failure(capsys, "import", str(tmp_path), str(tmp_path / "y"), "--name", "x")
+    (tmp_path / "empty").mkdir()
+    assert "no .json files in" in failure(capsys, "import", str(tmp_path / "empty"), str(tmp_path / "y"))
+    file = tmp_path / "public" / "seesaw.json"
+    assert "would be written over" in failure(capsys, "import", str(file), str(file))
 
 
 def test_validate_names_each_wrong_file_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,7 +124,6 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "unknown level set 'nope'" in failure(capsys, "show", "nope")
     assert "is a set of 5 levels; name one level" in failure(capsys, "show", "designed_s")
     assert "drawn when it is used" in failure(capsys, "list", "random_s")
-    assert "No such file or directory" in failure(capsys, "render", "s/kick", str(tmp_path / "no" / "x.png"))
     (tmp_path / "ours.json").write_text(json.dumps(cart_document()))
     assert "env_state: is missing" in failure(capsys, "import", str(tmp_path / "ours.json"), str(tmp_path / "x.json"))
     assert not (tmp_path / "x.json").exists()

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from bench.paper_single_steps import PUBLISHED, agreement, step
-from bench.published_steps import PeerMissing, Steps, load, python, run_published
+from bench.peer_process import PUBLISHED_JAX2D_STEPS, PeerMissing
+from bench.published_steps import Steps, load, run_published
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
 from jax2d.constants import CONSTANTS
 from jax2d.published_details import PUBLISHED_DETAILS
@@ -375,7 +376,7 @@ def test_steps_recorded_from_the_package_agree_to_rounding() -> None:
 @pytest.mark.slow
 def test_the_package_takes_the_same_steps(public_levels: Path, tmp_path: Path) -> None:
     try:
-        python()
+        PUBLISHED_JAX2D_STEPS.python()
     except PeerMissing as error:
         pytest.skip(str(error))
     run_published(sorted((public_levels / "s").glob("*.json")), (4, 60, 200), 1, tmp_path / "steps.npz")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import jax
@@ -12,11 +13,11 @@ import pytest
 
 from jax2d.checks import check_scene
 from jax2d.engine import Engine
-from jax2d.scene import Controls
+from jax2d.scene import Controls, JointKind
 from kinetix_dist.level.fit import capacity_of, smallest_size, usage
 from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix, load_kinetix
-from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.schema import level_from_json
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.schema import level_from_json, level_to_json
 from kinetix_dist.level.validate import LevelFormatError
 from tests.env.worlds import MOTOR_JOINT, small_level
 from tests.level.documents import cart_document
@@ -117,12 +118,105 @@ def test_our_levels_go_out_and_come_back() -> None:
     assert_same_levels(level, again)
 
 
-def test_a_file_that_is_no_kinetix_level_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "other.json"
-    path.write_text("{}")
-    with pytest.raises(LevelFormatError, match=r"other\.json: env_state: is missing"):
-        load_kinetix(path)
-    document = export_kinetix(level_from_json(cart_document()))
-    del document["env_state"]["circle"][0]["radius"]
-    with pytest.raises(LevelFormatError, match=r"^env_state\.radius: is missing"):
+def compacted(level: Level) -> dict[str, np.ndarray]:
+    """What an importer must keep of a level: of active shapes, joints and thrusters alone, slots counted among them."""
+    scene = level.scene
+    polygons, active = len(scene.shapes.num_vertices), scene.shapes.active
+    rank = np.cumsum(active) - 1
+    is_polygon, is_circle = active[:polygons], active[polygons:]
+    held, pushes = scene.joints.active, scene.thrusters.active
+    kept = {f"shape {name}": getattr(scene.shapes, name)[active] for name in ("density", "friction", "restitution")}
+    kept |= {
+        f"shape {name}": getattr(level, name)[active]
+        for name in ("position", "angle", "velocity", "angular_velocity", "shape_role", "collision_mode")
+    }
+    kept |= {f"shape {name}": getattr(scene.shapes, name)[active] for name in ("inverse_mass", "inverse_inertia")}
+    kept |= {"vertices": scene.shapes.vertices[is_polygon], "num_vertices": scene.shapes.num_vertices[is_polygon]}
+    kept |= {"radius": scene.shapes.radius[is_circle], "gravity": scene.gravity}
+    kept["can_touch"] = scene.shapes.can_touch[np.ix_(active, active)]
+    for end in ("a", "b"):
+        kept[f"joint {end}"] = rank[getattr(scene.joints, end)[held]]
+    is_hinge = scene.joints.is_kind(JointKind.REVOLUTE)
+    for name in ("kind", "anchor_a", "anchor_b", "rest_angle", "motor_on", "motor_speed", "motor_power"):
+        kept[f"joint {name}"] = getattr(scene.joints, name)[held]
+    has_limits = held & is_hinge & scene.joints.has_limits
+    kept |= {f"joint {name}": getattr(scene.joints, name)[has_limits] for name in ("lower_limit", "upper_limit")}
+    kept |= {"motor colour": level.motor_colour[held], "motor auto": level.motor_auto[held]}
+    kept["thruster body"] = rank[scene.thrusters.body[pushes]]
+    for name in ("position", "angle", "power"):
+        kept[f"thruster {name}"] = getattr(scene.thrusters, name)[pushes]
+    return kept | {"thruster colour": level.thruster_colour[pushes]}
+
+
+def test_public_levels_lose_nothing_on_the_way_into_our_files_and_out_again(public_levels: Path) -> None:
+    for file in sorted(public_levels.glob("*/*.json")):
+        level = load_kinetix(file)
+        again = import_kinetix(json.loads(json.dumps(export_kinetix(level_from_json(level_to_json(level))))))
+        kept, found = compacted(level), compacted(again)
+        for name, values in kept.items():
+            np.testing.assert_allclose(found[name], values, rtol=1e-5, atol=3e-6, err_msg=f"{file}: {name}")
+
+
+def edited(*path: object, value: object = None, remove: bool = False) -> dict:
+    """A public document of the cart with one entry set or removed."""
+    document = json.loads(json.dumps(export_kinetix(level_from_json(cart_document()))))
+    holder = document
+    for key in path[:-1]:
+        holder = holder[key]
+    if remove:
+        del holder[path[-1]]
+    else:
+        holder[path[-1]] = value
+    return document
+
+
+@pytest.mark.parametrize(
+    ("document", "says"),
+    [
+        ({}, r"^env_state: is missing; this is no level file"),
+        (
+            edited("env_state", "circle", 0, "radius", remove=True),
+            r"^env_state\.circle\[0\]\.radius: is missing; .*version",
+        ),
+        (edited("env_state", "joint", 0, "motor_binding", remove=True), r"joint\[0\]\.motor_binding: is missing"),
+        (edited("env_state", "thruster", remove=True), r"^env_state\.thruster: is missing"),
+        (edited("env_state", "gravity", remove=True), r"^env_state\.gravity: is missing"),
+        (edited("env_state", "polygon", 4, "position", "0", value=math.nan), r"polygon\[4\]\.position\.0: is nan"),
+        (
+            edited("env_state", "polygon", 4, "vertices", "1", "1", value=math.inf),
+            r"polygon\[4\]\.vertices\.1\.1: is inf",
+        ),
+        (
+            edited("env_state", "circle", 0, "density", value="heavy"),
+            r"circle\[0\]\.density: is 'heavy'; give a number",
+        ),
+        (edited("env_state", "joint", 0, "b_index", value=99), r"joint\[0\]\.b_index: there is no shape 99; active"),
+        (edited("env_state", "joint", 0, "a_index", value=8), r"joint\[0\]\.a_index: there is no shape 8"),
+        (edited("env_state", "thruster", 0, "object_index", value=-1), r"object_index: there is no shape -1"),
+        (edited("env_state", "thruster", 0, "thruster_binding", value=2), r"thruster_binding: is 2; use 0 to 1"),
+        (edited("env_state", "circle", 0, "role", value=7), r"circle\[0\]\.role: is 7; use 0 to 3"),
+        (
+            edited("env_state", "polygon", 0, "position", "1", value=-4.0),
+            r"polygon\[0\]: is not the floor of the usual",
+        ),
+        (edited("env_state", "polygon", 3, "active", value=False), r"polygon\[3\]: is not active, but is the ceiling"),
+        (
+            edited("env_state", "polygon", 4, "n_vertices", value=2),
+            r"n_vertices: is 2; a polygon has 3 corners or more",
+        ),
+        (
+            edited("env_params", "base_motor_power", value=450.0),
+            r"^env_params\.base_motor_power: is 450\.0; .* with 900",
+        ),
+    ],
+)
+def test_a_public_file_that_cannot_be_read_says_where_and_why(document: dict, says: str) -> None:
+    with pytest.raises(LevelFormatError, match=says) as error:
         import_kinetix(document)
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_wrong_in_slots_that_are_not_active_does_not_matter() -> None:
+    document = edited("env_state", "circle", 2, "position", value={"0": math.nan})
+    assert not document["env_state"]["circle"][2]["active"]
+    assert usage(import_kinetix(document)) == usage(level_from_json(cart_document()))

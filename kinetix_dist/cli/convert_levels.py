@@ -1,0 +1,141 @@
+"""`kinetix-dist levels import|export`: files of the public Kinetix package, one or many, in and out.
+
+    kinetix-dist levels import public.json mine.json          one file
+    kinetix-dist levels import public_levels/ mine/           every .json below a directory, in the same folders
+    kinetix-dist levels export all_designed_m public/         a set, or a directory of levels
+
+Of many files each one that is wrong is a line on stderr, the others are converted, and the exit status is 1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from kinetix_dist.cli.errors import UserError, one_line, user_errors
+
+_EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
+
+
+@dataclasses.dataclass(frozen=True)
+class Import:
+    """Turn level files of the public Kinetix package into the format of this one."""
+
+    source: tyro.conf.Positional[Path]
+    """A public level file, or a directory; files of its folders are taken too."""
+    out: tyro.conf.Positional[Path]
+    """The level file to write; of a directory the directory to write into."""
+    name: str | None = None
+    """Name of the level; left out: that of the file. Not for a directory."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """Turn levels into files of the public Kinetix package."""
+
+    levels: tyro.conf.Positional[str]
+    """A level file, a designed level such as s/hop_home, a set, or a directory of level files."""
+    out: tyro.conf.Positional[Path]
+    """The public level file to write; of several levels the directory to write into."""
+    size: Literal["s", "m", "l"] | None = None
+    """Write arrays of this size; left out: of the size of each level."""
+
+
+def run_import(args: Import) -> int:
+    """0; of a directory 1 where a file could not be imported."""
+    if not args.source.is_dir():
+        with user_errors(*_EXPECTED):
+            size = _import_file(args.source, args.out, args.name)
+        print(f"wrote {args.out} (size {size})")
+        return 0
+    if args.name is not None:
+        raise UserError("--name is for one file; levels of a directory are named after their files")
+    files = sorted(args.source.glob("**/*.json"))
+    if not files:
+        raise UserError(f"no .json files in {args.source}; give a directory of public level files")
+    _check_directory(args.out)
+
+    def convert(file: Path) -> str:
+        out = args.out / file.relative_to(args.source)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        return _import_file(file, out, None)
+
+    return _convert_all(files, convert, args.out, "imported")
+
+
+def run_export(args: Export) -> int:
+    """0; of several levels 1 where one could not be exported."""
+    from kinetix_dist.level.sets import files_of_set
+
+    with user_errors(*_EXPECTED):
+        files = files_of_set(args.levels)
+    if len(files) == 1 and not Path(args.levels).is_dir():
+        with user_errors(*_EXPECTED):
+            size = _export_file(files[0], args.out, args.size)
+        print(f"wrote {args.out} (size {size})")
+        return 0
+    _check_directory(args.out)
+    with user_errors(OSError):
+        args.out.mkdir(parents=True, exist_ok=True)
+    names = Counter(file.name for file in files)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise UserError(f"{args.levels} has {twice[0]} in more than one folder; export one folder at a time")
+    return _convert_all(files, lambda file: _export_file(file, args.out / file.name, args.size), args.out, "exported")
+
+
+def _convert_all(files: list[Path], convert: Callable[[Path], str], out: Path, done: str) -> int:
+    sizes: Counter[str] = Counter()
+    for file in files:
+        try:
+            sizes[convert(file)] += 1
+        except _EXPECTED as error:
+            text = one_line(error)
+            print(text if str(file) in text else f"{file}: {text}", file=sys.stderr)
+    counts = ", ".join(f"{sizes[size]} of size {size}" for size in sorted(sizes, key="sml".index))
+    print(f"{done} {sizes.total()} of {len(files)} files into {out}{f' ({counts})' if counts else ''}")
+    return 0 if sizes.total() == len(files) else 1
+
+
+def _check_directory(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out} is a file; give a directory to write several levels into")
+
+
+def _import_file(file: Path, out: Path, name: str | None) -> str:
+    """Writes one level in our format; its size. Nothing is written of a file that is wrong."""
+    from kinetix_dist.level.schema import save_level
+    from kinetix_dist.level.sets import read_public_level
+
+    level, info = read_public_level(file)
+    _refuse_same(file, out)
+    try:
+        save_level(level, out, dataclasses.replace(info, name=name or info.name))
+    except ValueError as error:
+        raise ValueError(f"{file}: {one_line(error)}") from error
+    return info.size
+
+
+def _export_file(file: Path, out: Path, size: str | None) -> str:
+    """Writes one level in the public format; the size of its arrays."""
+    from kinetix_dist.level.fit import capacity_of_size, fit_level
+    from kinetix_dist.level.kinetix_format import export_kinetix
+    from kinetix_dist.level.sets import read_level
+
+    level, info = read_level(file)
+    _refuse_same(file, out)
+    size = size or info.size
+    document = export_kinetix(fit_level(level, capacity_of_size(size)))
+    out.write_text(json.dumps(document), encoding="utf-8")
+    return size
+
+
+def _refuse_same(file: Path, out: Path) -> None:
+    if out.exists() and out.samefile(file):
+        raise ValueError(f"{file} would be written over by what is made of it; name another place")

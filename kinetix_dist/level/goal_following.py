@@ -1,0 +1,151 @@
+"""Levels to see what a policy makes of a body: it stands in the middle, a goal that it cannot touch is above it.
+
+Paper, section "Zero-shot Locomotion of an Arbitrary Morphology": the best that can be done is to go below the goal, so
+that the x of goal and green, over many levels, says how well a policy goes where it wants. Morphologies are a `car`, a
+`snake` of five links, a box with two `thrusters`, and `random` ones of three shapes joined at random. Pure; works
+inside jit and vmap.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import jax.numpy as jnp
+
+from jax2d.fields import Array
+from jax2d.scene import Capacity, Thrusters
+from kinetix_dist.level.derive import derive
+from kinetix_dist.level.draft import Draft, DrivenThrusters, draft_to_level, empty_draft, write_slot
+from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
+from kinetix_dist.level.locomotion import CLEARANCE_M, build_car
+from kinetix_dist.level.roles import Role
+from kinetix_dist.level.things import Draws, Hinge, Part, Thing, extent, with_hinges, with_parts
+from kinetix_dist.level.walls import FLOOR_TOP_M, PASSES_THROUGH
+
+GOAL_HEIGHT_M = 4.5
+GOAL_RADIUS_M = 0.25
+GOAL_MARGIN_M = 0.5  # of its centre from the walls
+_NUM_LINKS = 5
+_GRAVITY_M_S2 = 9.81
+_NEWTON = 0.1  # thruster power that gives one
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Morphology:
+    """How a body is built, and what there must be room for besides the walls, the goal included."""
+
+    build: Callable[[Draws, Capacity], Thing]
+    polygons: int
+    circles: int
+    joints: int = 0
+    thrusters: int = 0
+
+
+def generate_goal_following_level(key: Array, capacity: Capacity, morphology: str) -> Level:
+    """One level with a body of that name. Consumes `key`. Raises ValueError for another name or too little room."""
+    if morphology not in MORPHOLOGIES:
+        raise ValueError(f"unknown morphology {morphology!r}; there are {', '.join(MORPHOLOGIES)}")
+    needs = MORPHOLOGIES[morphology]
+    have = {name: getattr(capacity, name) for name in ("polygons", "circles", "joints", "thrusters")}
+    have["polygons"] -= NUM_WALLS
+    for name, room in have.items():
+        if room < (needed := getattr(needs, name)):
+            raise ValueError(f"{morphology!r} needs {needed} {name}, there are {room}; use a larger size")
+    draws = Draws(key)
+    thing = needs.build(draws, capacity)
+    lowest, highest = extent(thing.parts)
+    middle = jnp.stack([0.5 * (WORLD_SIZE_M - lowest[0] - highest[0]), FLOOR_TOP_M + CLEARANCE_M - lowest[1]])
+    parts = [dataclasses.replace(part, position=part.position + middle) for part in thing.parts]
+    hinges = [dataclasses.replace(hinge, at=hinge.at + middle) for hinge in thing.hinges]
+    goal_x = draws.between(GOAL_MARGIN_M, WORLD_SIZE_M - GOAL_MARGIN_M)
+    goal = Part(
+        position=jnp.stack([goal_x, jnp.asarray(GOAL_HEIGHT_M)]),
+        radius=jnp.asarray(GOAL_RADIUS_M),
+        role=Role.BLUE,
+        is_fixed=True,
+    )
+    draft, slots = with_parts(empty_draft(capacity), [*parts, goal], capacity)
+    draft = with_hinges(draws, draft, hinges, slots, capacity, GeneratorConfig())
+    if morphology == "thrusters":
+        draft = _with_thrusters(draft, slots[0], thing.parts[0])
+    level, is_fixed = draft_to_level(draft, capacity)
+    # Nothing but walls touches the goal.
+    mode = jnp.where(level.shape_role == Role.BLUE, PASSES_THROUGH, level.collision_mode)
+    return derive(dataclasses.replace(level, collision_mode=mode), is_fixed)
+
+
+def _snake(draws: Draws, capacity: Capacity) -> Thing:
+    """Equal links in a row, the middle one green."""
+    half = jnp.stack([draws.between(0.16, 0.24), draws.between(0.05, 0.08)])
+    step = 1.7 * half[0]
+    parts = [
+        Part(
+            position=jnp.stack([link * step, jnp.zeros(())]),
+            half=half,
+            role=Role.GREEN if link == _NUM_LINKS // 2 else Role.NONE,
+        )
+        for link in range(_NUM_LINKS)
+    ]
+    hinges = [
+        Hinge(a=link, b=link + 1, at=jnp.stack([(link + 0.5) * step, jnp.zeros(())]), limit=jnp.asarray(1.2))
+        for link in range(_NUM_LINKS - 1)
+    ]
+    return Thing(parts=parts, hinges=hinges)
+
+
+def _box(draws: Draws, capacity: Capacity) -> Thing:
+    half = jnp.stack([draws.between(0.2, 0.35), draws.between(0.08, 0.14)])
+    return Thing(parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN)], hinges=[])
+
+
+def _with_thrusters(draft: Draft, slot: int, box: Part) -> Draft:
+    """Two, at its ends, each pushing up and to the middle with nine tenths of the weight."""
+    assert box.half is not None
+    weight_n = 4.0 * box.half[0] * box.half[1] * _GRAVITY_M_S2
+    thrusters = draft.driven_thrusters
+    for number, side in enumerate((-1.0, 1.0)):
+        row = Thrusters(
+            active=jnp.array(True),
+            body=jnp.array(slot),
+            position=jnp.stack([side * 0.8 * box.half[0], jnp.zeros(())]),
+            angle=jnp.asarray(0.5 * math.pi + 0.4 * side),
+            power=0.9 * weight_n * _NEWTON,
+        )
+        driven = DrivenThrusters(thrusters=row, colour=jnp.array(number))
+        thrusters = write_slot(thrusters, jnp.array(number), driven, jnp.array(True))
+    return dataclasses.replace(draft, driven_thrusters=thrusters)
+
+
+def _random(draws: Draws, capacity: Capacity) -> Thing:
+    """A green box, a box or a wheel on it, and a wheel on one of the two."""
+    half = jnp.stack([draws.between(0.15, 0.35), draws.between(0.08, 0.2)])
+    at = jnp.stack([draws.between(-0.9, 0.9) * half[0], draws.between(-0.9, 0.9) * half[1]])
+    angle = draws.between(0.0, 2.0 * math.pi)
+    along = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    link_half = jnp.stack([draws.between(0.14, 0.32), draws.between(0.05, 0.1)])
+    has_link = draws.chance(0.5)
+    link = Part(position=at + 0.85 * link_half[0] * along, angle=angle, half=link_half, active=has_link)
+    wheel = Part(position=at, radius=draws.between(0.1, 0.22), active=~has_link)
+    is_on_link = has_link & draws.chance(0.5)
+    end = at + 1.7 * link_half[0] * along
+    corner = jnp.stack([draws.between(-0.9, 0.9) * half[0], draws.between(-0.9, 0.9) * half[1]])
+    last_at = jnp.where(is_on_link, end, corner)
+    last = Part(position=last_at, radius=draws.between(0.1, 0.22))
+    hinges = [
+        Hinge(a=0, b=1, at=at, active=has_link),
+        Hinge(a=0, b=2, at=at, active=~has_link),
+        Hinge(a=0, b=3, at=last_at, active=~is_on_link),
+        Hinge(a=1, b=3, at=last_at, active=is_on_link),
+    ]
+    return Thing(parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN), link, wheel, last], hinges=hinges)
+
+
+MORPHOLOGIES = {
+    "car": Morphology(build=build_car, polygons=1, circles=3, joints=2),
+    "snake": Morphology(build=_snake, polygons=_NUM_LINKS, circles=1, joints=_NUM_LINKS - 1),
+    "thrusters": Morphology(build=_box, polygons=1, circles=1, thrusters=2),
+    "random": Morphology(build=_random, polygons=2, circles=3, joints=2),
+}

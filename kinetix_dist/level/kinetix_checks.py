@@ -1,0 +1,160 @@
+"""Is a public level file one that can be read without loss? Every complaint is one line: which field, what, what to do.
+
+Checked is what `kinetix_format.py` reads and nothing else: a file may hold anything in slots that are not active and in
+its caches of impulses. What files here cannot hold is refused, not changed: walls elsewhere, units of another size.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.roles import Role
+from kinetix_dist.level.validate import LevelFormatError, check_numbers
+from kinetix_dist.level.walls import COLLIDES_WITH_ALL, FLOOR_TOP_M, WALL_NAMES
+
+VERSION = "kinetix-env 3.0.2"
+_EXPORT_AGAIN = f"this file is of another version; write it again with {VERSION}"
+
+_SHAPE_FIELDS = (
+    "position", "rotation", "velocity", "angular_velocity", "inverse_mass", "friction", "restitution", "density",
+    "role", "collision_mode",
+)  # fmt: skip
+_JOINT_FIELDS = (
+    "a_index", "b_index", "a_relative_pos", "b_relative_pos", "is_fixed_joint", "rotation", "motor_on", "motor_speed",
+    "motor_power", "motor_has_joint_limits", "min_rotation", "max_rotation", "motor_binding",
+)  # fmt: skip
+_THRUSTER_FIELDS = ("object_index", "relative_position", "rotation", "power", "thruster_binding")
+_PAIRS = ("position", "velocity", "a_relative_pos", "b_relative_pos", "relative_position")
+# What numbers of a level mean: a level of other units would move otherwise here.
+UNITS = {
+    "dt": 1 / 60,
+    "base_motor_speed": 6.0,
+    "base_motor_power": 900.0,
+    "base_thruster_power": 10.0,
+    "base_friction": 0.4,
+}
+# Of each wall: the coordinate of the side that faces the box, and which of its corners' coordinates that is.
+_WALL_FACES = ((1, max, FLOOR_TOP_M), (0, max, 0.0), (0, min, WORLD_SIZE_M), (1, min, WORLD_SIZE_M))
+_WALL_TOLERANCE_M = 1e-3
+
+
+def check_kinetix(document: dict[str, Any]) -> None:
+    """Raises `LevelFormatError` for the first thing in a public document that keeps it from being read."""
+    state = document["env_state"]
+    if not isinstance(state, dict):
+        raise LevelFormatError("env_state", f"is {type(state).__name__}", _EXPORT_AGAIN)
+    shapes = {}
+    for kind in ("polygon", "circle"):
+        form = ("n_vertices", "vertices") if kind == "polygon" else ("radius",)
+        rows = _active_rows(state, kind, (*_SHAPE_FIELDS, *form))
+        for path, shape in rows.values():
+            _check_choice(shape["role"], len(Role), f"{path}.role")
+            _check_choice(shape["collision_mode"], COLLIDES_WITH_ALL + 1, f"{path}.collision_mode")
+            if shape["density"] <= 0:
+                raise LevelFormatError(f"{path}.density", f"is {shape['density']}", "give more than 0")
+            if kind == "circle" and shape["radius"] <= 0:
+                raise LevelFormatError(f"{path}.radius", f"is {shape['radius']}", "give more than 0")
+        shapes[kind] = rows
+    num_polygons = len(state["polygon"])
+    slots = {*shapes["polygon"], *(num_polygons + slot for slot in shapes["circle"])}
+    for path, shape in shapes["polygon"].values():
+        _check_corners(shape, path)
+    _check_walls(shapes["polygon"])
+    for path, joint in _active_rows(state, "joint", _JOINT_FIELDS).values():
+        for end in ("a_index", "b_index"):
+            _check_shape(joint[end], f"{path}.{end}", slots)
+        if joint["a_index"] == joint["b_index"]:
+            raise LevelFormatError(f"{path}.b_index", "joins a shape to itself", "name another shape")
+        _check_choice(joint["motor_binding"], NUM_MOTOR_COLOURS, f"{path}.motor_binding")
+    for path, thruster in _active_rows(state, "thruster", _THRUSTER_FIELDS).values():
+        _check_shape(thruster["object_index"], f"{path}.object_index", slots)
+        _check_choice(thruster["thruster_binding"], NUM_THRUSTER_COLOURS, f"{path}.thruster_binding")
+    if "gravity" not in state:
+        raise LevelFormatError("env_state.gravity", "is missing", _EXPORT_AGAIN)
+    _check_pair(state["gravity"], "env_state.gravity")
+    _check_units(document)
+
+
+def _active_rows(state: dict[str, Any], part: str, fields: tuple[str, ...]) -> dict[int, tuple[str, dict[str, Any]]]:
+    """Slot -> (path, row) of the active ones, which have all fields with numbers that are finite."""
+    if not isinstance(state.get(part), list):
+        raise LevelFormatError(f"env_state.{part}", "is missing or no list", _EXPORT_AGAIN)
+    rows = {}
+    for slot, row in enumerate(state[part]):
+        path = f"env_state.{part}[{slot}]"
+        if not isinstance(row, dict) or "active" not in row:
+            raise LevelFormatError(f"{path}.active", "is missing", _EXPORT_AGAIN)
+        if not row["active"]:
+            continue
+        for field in fields:
+            if field not in row:
+                raise LevelFormatError(f"{path}.{field}", "is missing", _EXPORT_AGAIN)
+            if field in _PAIRS:
+                _check_pair(row[field], f"{path}.{field}")
+            elif field == "vertices":
+                check_numbers(row[field], f"{path}.{field}")
+            else:
+                _check_number(row[field], f"{path}.{field}")
+        rows[slot] = (path, row)
+    return rows
+
+
+def _check_number(value: Any, path: str) -> None:
+    if not isinstance(value, int | float):
+        raise LevelFormatError(path, f"is {value!r}", "give a number")
+    check_numbers(value, path)
+
+
+def _check_pair(value: Any, path: str) -> None:
+    if not isinstance(value, dict) or not {"0", "1"} <= set(value):
+        raise LevelFormatError(path, "is no pair of numbers", _EXPORT_AGAIN)
+    for axis in "01":
+        _check_number(value[axis], f"{path}.{axis}")
+
+
+def _check_choice(value: Any, count: int, path: str) -> None:
+    if value not in range(count):
+        raise LevelFormatError(path, f"is {value!r}", f"use 0 to {count - 1}")
+
+
+def _check_shape(index: Any, path: str, slots: set[int]) -> None:
+    if index not in slots:
+        raise LevelFormatError(path, f"there is no shape {index!r}", f"active shapes are {sorted(slots)}")
+
+
+def _check_corners(shape: dict[str, Any], path: str) -> None:
+    count, corners = shape["n_vertices"], shape["vertices"]
+    if not isinstance(count, int) or count < 3:
+        raise LevelFormatError(f"{path}.n_vertices", f"is {count!r}", "a polygon has 3 corners or more")
+    for corner in range(count):
+        if not isinstance(corners, dict) or str(corner) not in corners:
+            raise LevelFormatError(f"{path}.vertices.{corner}", "is missing", _EXPORT_AGAIN)
+        _check_pair(corners[str(corner)], f"{path}.vertices.{corner}")
+
+
+def _check_walls(polygons: dict[int, tuple[str, dict[str, Any]]]) -> None:
+    """The first four polygons are the box that every level here is played in."""
+    for slot, (axis, side, face) in enumerate(_WALL_FACES[:NUM_WALLS]):
+        path = f"env_state.polygon[{slot}]"
+        remedy = f"levels here are played in a box of {WORLD_SIZE_M:g} x {WORLD_SIZE_M:g} m; restore that wall"
+        if slot not in polygons:
+            raise LevelFormatError(path, f"is not active, but is the {WALL_NAMES[slot]}", remedy)
+        wall = polygons[slot][1]
+        cos, sin = math.cos(wall["rotation"]), math.sin(wall["rotation"])
+        corners = [wall["vertices"][str(corner)] for corner in range(wall["n_vertices"])]
+        turned = [(cos * c["0"] - sin * c["1"], sin * c["0"] + cos * c["1"]) for c in corners]
+        found = side(corner[axis] for corner in turned) + wall["position"][str(axis)]
+        is_wall = abs(found - face) <= _WALL_TOLERANCE_M and wall["inverse_mass"] == 0
+        if not is_wall or wall["collision_mode"] != COLLIDES_WITH_ALL:
+            raise LevelFormatError(path, f"is not the {WALL_NAMES[slot]} of the usual box", remedy)
+
+
+def _check_units(document: dict[str, Any]) -> None:
+    params = document.get("env_params", {})
+    for name, usual in UNITS.items():
+        if name in params and not math.isclose(params[name], usual, rel_tol=1e-5):
+            raise LevelFormatError(
+                f"env_params.{name}", f"is {params[name]}", f"levels here are played with {usual:.6g}; scale the level"
+            )
