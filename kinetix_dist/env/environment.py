@@ -30,6 +30,7 @@ from jax2d.scene import Array, Capacity, Controls, Touching
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionDistribution, ActionSpace
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.autoreset import select_worlds_first
+from kinetix_dist.env.device_memory import check_fits
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
@@ -92,10 +93,18 @@ class Environment:
     def prepare(self, levels: Level) -> PreparedLevels:
         """levels: a batch, [W, ...] on every field, of this environment's size.
 
-        Raises ValueError for levels of another size and, where values are known (outside of jit), for levels that call
-        for effects the engine was made without; inside jit `StepInfo.missing_effects` says so.
+        Raises ValueError for levels of another size, for more worlds than the device can observe at once
+        (DeviceMemoryError) and, where values are known (outside of jit), for levels that call for effects the engine
+        was made without; inside jit `StepInfo.missing_effects` says so.
         """
         self._check_levels(levels)
+        if self.observation.working_bytes:
+            check_fits(
+                levels.position.shape[0],
+                self.observation.working_bytes,
+                what=f"observations {self.config.observation!r} of worlds:",
+                advice="play fewer worlds at once",
+            )
         if self.engine.effects != Effects.full(self.capacity):
             self.engine.pack_scene(levels.scene)  # names what is missing, if anything is
         return self._jit_prepare(levels)
