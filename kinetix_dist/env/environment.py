@@ -38,6 +38,7 @@ from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, ro
 from kinetix_dist.env.stepper import GroupedStepper, Stepper
 from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.walls import empty_level
 
 
 class Environment:
@@ -82,6 +83,17 @@ class Environment:
     @property
     def capacity(self) -> Capacity:
         return self.config.capacity
+
+    @property
+    def observation_space(self) -> Any:
+        """Shape and type of what a policy sees of one world: the input of a policy with `jax.ShapeDtypeStruct`s."""
+        level = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(self.capacity))
+        obs = jax.eval_shape(lambda: self._first_input(level))
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), obs)
+
+    def _first_input(self, levels: Level) -> Any:
+        prepared = self._prepare(levels)
+        return self.observe(prepared, prepared.initial_obs)
 
     @property
     def action_distribution(self) -> ActionDistribution:
@@ -196,6 +208,15 @@ class Environment:
     def _step(
         self, prepared: PreparedLevels, env_state: EnvState, actions: Array
     ) -> tuple[EnvState, Any, Array, Array, StepInfo]:
+        next_state, obs, reward, done, info = self.transition(prepared, env_state, actions)
+        # A finished episode restarts on its level.
+        next_state, obs = self.restart(prepared, done, next_state, obs)
+        return next_state, obs, reward, done, info
+
+    def transition(
+        self, prepared: PreparedLevels, env_state: EnvState, actions: Array
+    ) -> tuple[EnvState, Any, Array, Array, StepInfo]:
+        """`step` without its checks and without restarting: state and observation are those the step led to."""
         # Actions drive motors and thrusters by colour.
         controls, num_invalid = controls_of(
             self.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
@@ -215,12 +236,10 @@ class Environment:
         reward = reward_of(outcome, env_state.distance, distance, dense_scale=self.config.dense_reward_scale)
         episode_return = env_state.episode_return + reward
         info = _step_info(outcome, episode_return, num_steps, num_invalid, touching)
-        # A finished episode restarts on its level.
         next_state = EnvState(
             packed_state=packed_state, distance=distance, num_steps=num_steps, episode_return=episode_return
         )
-        next_state, obs = self._auto_reset(prepared, outcome.done, next_state, self.observation.dynamic(moving))
-        return next_state, obs, reward, outcome.done, info
+        return next_state, self.observation.dynamic(moving), reward, outcome.done, info
 
     def _moving(self, packed_scene: Any, packed_state: Any, touching: Array) -> Moving:
         position, angle, velocity, angular_velocity = self.stepper.bodies(packed_scene, packed_state)
@@ -228,7 +247,8 @@ class Environment:
             position=position, angle=angle, velocity=velocity, angular_velocity=angular_velocity, touching=touching
         )
 
-    def _auto_reset(self, prepared: PreparedLevels, done: Array, env_state: EnvState, obs: Any) -> tuple[EnvState, Any]:
+    def restart(self, prepared: PreparedLevels, done: Array, env_state: EnvState, obs: Any) -> tuple[EnvState, Any]:
+        """First state and observation of a level where `done` [W], else those given."""
         first_state, first_obs = self.reset(prepared)
         return EnvState(
             packed_state=self.stepper.select(
