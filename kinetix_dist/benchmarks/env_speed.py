@@ -1,0 +1,135 @@
+"""`bench env`: environment steps a second of each observation and size, under random actions.
+
+    levels (designed ones of the size) -> worlds: world i plays level i modulo the number of levels
+    one run    = `steps` environment steps of all worlds in a lax.scan: actions drawn at random, `Environment.step` with
+                 rewards and restarts, and the input of a policy, of which every number is read
+    one record = worlds * steps / median seconds of `repeats` runs, after one run that compiles and is not timed
+
+Observation "none" is the same without the input of a policy. Runs of the observations of a size are interleaved, so
+that a busy moment of the machine falls on all of them; `relative_to_none` is the median of ratios of neighbours.
+
+    {"observation", "size", "worlds", "device", "env_steps_per_second", "relative_to_none"}
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array
+from kinetix_dist.benchmarks.results import Record, Results
+from kinetix_dist.env.device_memory import DeviceMemoryError
+from kinetix_dist.env.environment import EnvConfig, Environment
+from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.errors import one_line
+from kinetix_dist.level.level import SIZES
+from kinetix_dist.level.sets import load_level_set
+
+NONE = "none"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Environment steps a second of each observation and size, under random actions."""
+
+    sizes: tuple[str, ...] = tuple(SIZES)
+    """Sizes of levels."""
+    observations: tuple[str, ...] = tuple(OBSERVATIONS)
+    """Observations; each is compared with the same environment without any."""
+    worlds: tuple[int, ...] = (2048,)
+    """Numbers of worlds."""
+    steps: int = 8
+    """Environment steps in one timed run."""
+    repeats: int = 7
+    """Timed runs."""
+    seed: int = 0
+    """Of the actions."""
+    json: Path | None = None
+    """File for the records."""
+
+    def __post_init__(self) -> None:
+        for name, known in (("sizes", SIZES), ("observations", OBSERVATIONS)):
+            if unknown := [value for value in getattr(self, name) if value not in known]:
+                raise ValueError(f"--{name} {unknown[0]} is unknown; choose from {', '.join(known)}")
+        for name, value in (("steps", self.steps), ("repeats", self.repeats), ("worlds", min(self.worlds, default=0))):
+            if value < 1:
+                raise ValueError(f"--{name} is {value}; it must be 1 or more")
+
+
+def measure(options: Options, results: Results) -> None:
+    """One record for each observation, size and number of worlds."""
+    for size in options.sizes:
+        levels, names = load_level_set(f"designed_{size}", size)
+        results.report(f"size {size.upper()}: {len(names)} designed levels; {jax.devices()[0].device_kind}")
+        for worlds in options.worlds:
+            order = np.arange(worlds) % len(names)
+            batch = jax.tree.map(lambda x: jnp.asarray(x)[order], levels)  # noqa: B023 (called at once)
+            runs: dict[str, Callable[[], float]] = {}
+            for name in (NONE, *options.observations):
+                try:
+                    runs[name] = _runner(options, size, batch, name)
+                except (DeviceMemoryError, jax.errors.JaxRuntimeError) as error:
+                    results.fail(f"{name}, {size.upper()}, {worlds} worlds: {one_line(error)[:300]}")
+            seconds = {name: [] for name in runs}
+            for _ in range(options.repeats):
+                for name, run in runs.items():
+                    seconds[name].append(run())
+            for name, found in seconds.items():
+                ratios = [none / one for none, one in zip(seconds[NONE], found)]
+                record: Record = {
+                    "observation": name,
+                    "size": size,
+                    "worlds": worlds,
+                    "device": jax.devices()[0].device_kind,
+                    "env_steps_per_second": round(worlds * options.steps / statistics.median(found), 1),
+                    "relative_to_none": round(statistics.median(ratios), 4),
+                }
+                results.add(record)
+                results.report(
+                    f"  {name:<8} {size.upper()} {worlds:>8} worlds {record['env_steps_per_second']:>14,.0f} "
+                    f"environment steps/s  {record['relative_to_none']:.2f} of none"
+                )
+
+
+def _runner(options: Options, size: str, levels: Any, observation: str) -> Callable[[], float]:
+    """A function that plays once and returns its seconds; compiled."""
+    is_seen = observation != NONE
+    env = Environment(EnvConfig(size=size, observation=observation if is_seen else "entity"))
+    prepared = env.prepare(levels)
+    num_worlds = levels.angle.shape[0]
+
+    @jax.jit
+    def play(state: Any, obs: Any, key: Array) -> tuple[Any, Any, Array]:
+        def step(carry: Any, step_key: Array) -> tuple[Any, Array]:
+            state, obs = carry
+            seen = _sum(env.observe(prepared, obs)) if is_seen else jnp.float32(0)
+            state, obs, reward, *_ = env.step(prepared, state, env.action_space.sample(step_key, num_worlds))
+            return (state, obs), seen + reward.sum()
+
+        (state, obs), sums = jax.lax.scan(step, (state, obs), jax.random.split(key, options.steps))
+        return state, obs, sums
+
+    now = [*env.reset(prepared), jax.random.key(options.seed)]
+
+    def run() -> float:
+        now[2], key = jax.random.split(now[2])
+        jax.block_until_ready(key)
+        started = time.perf_counter()
+        now[0], now[1], _ = jax.block_until_ready(play(now[0], now[1], key))
+        return time.perf_counter() - started
+
+    run()  # compiles
+    return run
+
+
+def _sum(tree: Any) -> Array:
+    """Of all numbers: whoever adds them up has read them."""
+    return sum((jnp.sum(x, dtype=jnp.float32) for x in jax.tree.leaves(tree)), start=jnp.float32(0))
