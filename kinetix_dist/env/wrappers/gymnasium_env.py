@@ -48,6 +48,8 @@ class KinetixVectorEnv(VectorEnv):
         if not autoreset:
             self.metadata = self.metadata | {"autoreset_mode": AutoresetMode.DISABLED}
         _check_render_mode(render_mode)
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}; it must be 1 or more")
         self.env = Environment(config)
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -62,6 +64,10 @@ class KinetixVectorEnv(VectorEnv):
         self._advance = jax.jit(self.env.transition)
         self._restart = jax.jit(self.env.restart)
         self._episode: tuple[Any, Any] | None = None  # (prepared levels, state)
+
+    @property
+    def num_levels(self) -> int:
+        return self._pool.num_levels
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """options: {"levels": numbers [num_envs] of the levels to play}, by default drawn at random."""
@@ -132,7 +138,7 @@ class KinetixEnv(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """options: {"level": number of the level to play}, by default drawn at random."""
         super().reset(seed=seed)
-        number = (options or {}).get("level", self.np_random.integers(self._envs._pool.num_levels))
+        number = (options or {}).get("level", self.np_random.integers(self._envs.num_levels))
         obs, _ = self._envs.reset(options={"levels": [number]})
         return one_of(obs, 0), {}
 
