@@ -2,11 +2,12 @@
 
     levels (designed ones of the size) -> worlds: world i plays level i modulo the number of levels
     one run    = `steps` environment steps of all worlds in a lax.scan: actions drawn at random, `Environment.step` with
-                 rewards and restarts, and the input of a policy, of which every number is read
+                 rewards and restarts, and the input of a policy, written to memory at every step
     one record = worlds * steps / median seconds of `repeats` runs, after one run that compiles and is not timed
 
-Observation "none" is the same without the input of a policy. Runs of the observations of a size are interleaved, so
-that a busy moment of the machine falls on all of them; `relative_to_none` is the median of ratios of neighbours.
+Observation "none" is the same without the input of a policy. Runs of the observations of a size take turns in
+random order, so that a busy moment of the machine falls on all of them, each after a run of its own that is not timed;
+`relative_to_none` is the median of ratios of one round.
 
     {"observation", "size", "worlds", "device", "env_steps_per_second", "relative_to_none"}
 """
@@ -66,6 +67,7 @@ class Options:
 
 def measure(options: Options, results: Results) -> None:
     """One record for each observation, size and number of worlds."""
+    shuffle = np.random.default_rng(options.seed)
     for size in options.sizes:
         levels, names = load_level_set(f"designed_{size}", size)
         results.report(f"size {size.upper()}: {len(names)} designed levels; {jax.devices()[0].device_kind}")
@@ -80,8 +82,9 @@ def measure(options: Options, results: Results) -> None:
                     results.fail(f"{name}, {size.upper()}, {worlds} worlds: {one_line(error)[:300]}")
             seconds = {name: [] for name in runs}
             for _ in range(options.repeats):
-                for name, run in runs.items():
-                    seconds[name].append(run())
+                for name in shuffle.permutation(list(runs)):
+                    runs[name]()
+                    seconds[name].append(runs[name]())
             for name, found in seconds.items():
                 ratios = [none / one for none, one in zip(seconds[NONE], found)]
                 record: Record = {
@@ -106,16 +109,18 @@ def _runner(options: Options, size: str, levels: Any, observation: str) -> Calla
     prepared = env.prepare(levels)
     num_worlds = levels.angle.shape[0]
 
-    @jax.jit
-    def play(state: Any, obs: Any, key: Array) -> tuple[Any, Any, Array]:
-        def step(carry: Any, step_key: Array) -> tuple[Any, Array]:
-            state, obs = carry
-            seen = _sum(env.observe(prepared, obs)) if is_seen else jnp.float32(0)
-            state, obs, reward, *_ = env.step(prepared, state, env.action_space.sample(step_key, num_worlds))
-            return (state, obs), seen + reward.sum()
+    def observe(obs: Any) -> Any:
+        return env.observe(prepared, obs) if is_seen else obs
 
-        (state, obs), sums = jax.lax.scan(step, (state, obs), jax.random.split(key, options.steps))
-        return state, obs, sums
+    @jax.jit
+    def play(state: Any, obs: Any, key: Array) -> tuple[Any, Any, Any]:
+        def step(carry: tuple[Any, Any, Any], step_key: Array) -> tuple[tuple[Any, Any, Any], Array]:
+            state, obs, _ = carry
+            actions = env.action_space.sample(step_key, num_worlds)
+            state, obs, reward, *_ = env.step(prepared, state, actions)
+            return (state, obs, observe(obs)), reward  # what a loop carries is in memory after each turn
+
+        return jax.lax.scan(step, (state, obs, observe(obs)), jax.random.split(key, options.steps))[0]
 
     now = [*env.reset(prepared), jax.random.key(options.seed)]
 
@@ -128,8 +133,3 @@ def _runner(options: Options, size: str, levels: Any, observation: str) -> Calla
 
     run()  # compiles
     return run
-
-
-def _sum(tree: Any) -> Array:
-    """Of all numbers: whoever adds them up has read them."""
-    return sum((jnp.sum(x, dtype=jnp.float32) for x in jax.tree.leaves(tree)), start=jnp.float32(0))
