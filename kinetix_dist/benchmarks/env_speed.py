@@ -7,7 +7,7 @@
 
 Observation "none" is the same without the input of a policy. Runs of the observations of a size take turns in
 random order, so that a busy moment of the machine falls on all of them, each after a run of its own that is not timed;
-`relative_to_none` is the median of ratios of one round.
+`relative_to_none` is the median of ratios of one round, on a CPU of processor time, which other jobs change less.
 
     {"observation", "size", "worlds", "device", "env_steps_per_second", "relative_to_none"}
 """
@@ -19,7 +19,7 @@ import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist.benchmarks.results import Record, Results
+from kinetix_dist.benchmarks.timing import compute_clock
 from kinetix_dist.env.device_memory import DeviceMemoryError
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations import OBSERVATIONS
@@ -65,6 +66,13 @@ class Options:
                 raise ValueError(f"--{name} is {value}; it must be 1 or more")
 
 
+class Seconds(NamedTuple):
+    """Of one run."""
+
+    wall: float
+    computed: float  # as `timing.compute_clock` has it
+
+
 def measure(options: Options, results: Results) -> None:
     """One record for each observation, size and number of worlds."""
     shuffle = np.random.default_rng(options.seed)
@@ -74,25 +82,27 @@ def measure(options: Options, results: Results) -> None:
         for worlds in options.worlds:
             order = np.arange(worlds) % len(names)
             batch = jax.tree.map(lambda x: jnp.asarray(x)[order], levels)  # noqa: B023 (called at once)
-            runs: dict[str, Callable[[], float]] = {}
+            runs: dict[str, Callable[[], Seconds]] = {}
             for name in (NONE, *options.observations):
                 try:
                     runs[name] = _runner(options, size, batch, name)
                 except (DeviceMemoryError, jax.errors.JaxRuntimeError) as error:
                     results.fail(f"{name}, {size.upper()}, {worlds} worlds: {one_line(error)[:300]}")
-            seconds = {name: [] for name in runs}
+            seconds: dict[str, list[Seconds]] = {name: [] for name in runs}
             for _ in range(options.repeats):
                 for name in shuffle.permutation(list(runs)):
                     runs[name]()
                     seconds[name].append(runs[name]())
             for name, found in seconds.items():
-                ratios = [none / one for none, one in zip(seconds[NONE], found)]
+                ratios = [none.computed / one.computed for none, one in zip(seconds[NONE], found)]
                 record: Record = {
                     "observation": name,
                     "size": size,
                     "worlds": worlds,
                     "device": jax.devices()[0].device_kind,
-                    "env_steps_per_second": round(worlds * options.steps / statistics.median(found), 1),
+                    "env_steps_per_second": round(
+                        worlds * options.steps / statistics.median(one.wall for one in found), 1
+                    ),
                     "relative_to_none": round(statistics.median(ratios), 4),
                 }
                 results.add(record)
@@ -102,8 +112,8 @@ def measure(options: Options, results: Results) -> None:
                 )
 
 
-def _runner(options: Options, size: str, levels: Any, observation: str) -> Callable[[], float]:
-    """A function that plays once and returns its seconds; compiled."""
+def _runner(options: Options, size: str, levels: Any, observation: str) -> Callable[[], Seconds]:
+    """A function that plays once, compiled."""
     is_seen = observation != NONE
     env = Environment(EnvConfig(size=size, observation=observation if is_seen else "entity"))
     prepared = env.prepare(levels)
@@ -124,12 +134,14 @@ def _runner(options: Options, size: str, levels: Any, observation: str) -> Calla
 
     now = [*env.reset(prepared), jax.random.key(options.seed)]
 
-    def run() -> float:
+    compute_time = compute_clock(jax.devices()[0])
+
+    def run() -> Seconds:
         now[2], key = jax.random.split(now[2])
         jax.block_until_ready(key)
-        started = time.perf_counter()
+        started, computed = time.perf_counter(), compute_time()
         now[0], now[1], _ = jax.block_until_ready(play(now[0], now[1], key))
-        return time.perf_counter() - started
+        return Seconds(time.perf_counter() - started, compute_time() - computed)
 
     run()  # compiles
     return run
