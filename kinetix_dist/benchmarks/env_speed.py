@@ -95,14 +95,13 @@ def measure(options: Options, results: Results) -> None:
                     seconds[name].append(runs[name]())
             for name, found in seconds.items():
                 ratios = [none.computed / one.computed for none, one in zip(seconds[NONE], found)]
+                wall = statistics.median(one.wall for one in found)
                 record: Record = {
                     "observation": name,
                     "size": size,
                     "worlds": worlds,
                     "device": jax.devices()[0].device_kind,
-                    "env_steps_per_second": round(
-                        worlds * options.steps / statistics.median(one.wall for one in found), 1
-                    ),
+                    "env_steps_per_second": round(worlds * options.steps / wall, 1),
                     "relative_to_none": round(statistics.median(ratios), 4),
                 }
                 results.add(record)
