@@ -104,7 +104,10 @@ def test_bad_calls_of_a_vector_are_refused(levels, envs):
         KinetixEnv(config(), levels, render_mode="human")
 
 
-@pytest.mark.parametrize(("observation", "space"), [("entity", "multi_discrete"), ("flat", "continuous")])
+@pytest.mark.parametrize(
+    ("observation", "space"),
+    [("entity", "multi_discrete"), pytest.param("flat", "continuous", marks=pytest.mark.slow)],
+)
 def test_gymnax_rolls_the_environment_out(observation, space, levels):
     env = GymnaxEnv(config(observation, space), levels)
     params = env.default_params
