@@ -36,13 +36,20 @@ INK: Colour = (52, 54, 62)
 FLAME_CORE: Colour = (255, 236, 140)
 FIXED_SHADE = 0.62  # fixed shapes are this much darker than movable ones of the same role
 KINEMATIC_SHADE = 0.8  # and kinematic ones
+WELD_ANGLES = (0.25 * np.pi, 0.75 * np.pi)  # rad, of the two arms of the cross of a weld
 BELT_ARROW_M = 0.1  # arrows along the outline of what has a surface speed, one every
 BELT_SPACING_M = 0.4
 OUTLINE_SHADE = 0.6
 
 DEFAULT_VIEW: Box = (-0.12, -0.12, 5.12, 5.12)  # the 5 x 5 m box with a rim of its walls
+LINE_WIDTH = 1.6  # pixels, of outlines and of lines
+WELD_WIDTH = 2.4
 THRUSTER_LENGTH_M = 0.16
+NOZZLE_SHARE = 0.35  # half the width of a nozzle, of its length
 JOINT_RADIUS_M = 0.06
+MOTOR_SHARE = 0.5  # radius of what says that a hinge has a motor, of JOINT_RADIUS_M
+SLIDER_SHARE = 0.7  # of the block of a slider
+SPOKE_SHARE = 0.9  # length of the spoke of a disc, of its radius
 RAIL_M = 0.5  # of a slider without limits, to each side
 COIL_M = 0.05  # half the width of a spring
 NUM_COILS = 6
@@ -113,7 +120,7 @@ class _Canvas:
         colour: Sequence[float],
         *,
         outline: Sequence[float] | None = None,
-        outline_width: float = 1.6,
+        outline_width: float = LINE_WIDTH,
         opacity: float = 1.0,
     ) -> None:
         """Paints where `distance(points [h, w, 2])` < 0, looking at the box low..high only (all in pixels)."""
@@ -177,6 +184,8 @@ def draw(
     *,
     palette: Sequence[Colour] = ROLE_PALETTE,
     thrust: Any = None,
+    motor_colours: Any = None,
+    thruster_colours: Any = None,
     view: Box = DEFAULT_VIEW,
     pixels_per_metre: float = 100.0,
     trails: Sequence[np.ndarray] = (),
@@ -188,6 +197,8 @@ def draw(
       state: anything with `position` [n, 2] and `angle` [n]: a State, or a level at its start.
       roles: [n] index into `palette`; None paints all shapes as role 0.
       thrust: [T] 0..1, how much each thruster fires; None draws no flames.
+      motor_colours, thruster_colours: [J] and [T] indices into MOTOR_PALETTE and THRUSTER_PALETTE, which controls
+        drive what; None paints all motors alike, and nozzles in ink.
       view: the part of the world to show, m.
       trails: paths [k, 2] m to draw over the shapes, fading in (where something has been).
     """
@@ -201,9 +212,9 @@ def draw(
     for trail in trails:
         for k, (a, b) in enumerate(itertools.pairwise(np.asarray(trail, float))):
             canvas.line(a, b, INK, 2.0, opacity=0.15 + 0.45 * k / len(trail))
-    _draw_thrusters(canvas, scene, position, angle, thrust)
+    _draw_thrusters(canvas, scene, position, angle, thrust, thruster_colours)
     _draw_springs(canvas, scene, position, angle)
-    _draw_joints(canvas, scene, position, angle)
+    _draw_joints(canvas, scene, position, angle, motor_colours)
     return np.rint(canvas.pixels).astype(np.uint8)
 
 
@@ -222,8 +233,8 @@ def _draw_shapes(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.
         else:
             radius = float(scene.shapes.radius[i - num_polygons])
             canvas.disc(position[i], radius, colours[i], outline=outline)
-            rim = position[i] + rotate(np.array([radius * 0.9, 0.0]), angle[i])
-            canvas.line(position[i], rim, outline, 1.6)  # a spoke: how far it has rolled
+            rim = position[i] + rotate(np.array([radius * SPOKE_SHARE, 0.0]), angle[i])
+            canvas.line(position[i], rim, outline, LINE_WIDTH)  # a spoke: how far it has rolled
         if i < len(scene.shapes.surface_speed) and scene.shapes.surface_speed[i] != 0:
             for arrow in belt_arrows(scene, i):
                 canvas.polygon(position[i] + rotate(arrow, angle[i]), outline)
@@ -269,13 +280,15 @@ def slider_outline(scene: Scene, position: np.ndarray, angle: np.ndarray, k: int
 def thruster_outline(scene: Scene, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Nozzle [3, 2] and flame [3, 2] of thruster k in the frame of its body, m: the push is from base to tip."""
     at, angle = np.asarray(scene.thrusters.position, float)[k], float(np.asarray(scene.thrusters.angle)[k])
-    half = 0.35 * THRUSTER_LENGTH_M
+    half = NOZZLE_SHARE * THRUSTER_LENGTH_M
     nozzle = np.array([[0.0, -half], [THRUSTER_LENGTH_M, 0.0], [0.0, half]])
     flame = np.array([[0.0, half], [-1.7 * THRUSTER_LENGTH_M, 0.0], [0.0, -half]])
     return at + rotate(nozzle, angle), at + rotate(flame, angle)
 
 
-def _draw_thrusters(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray, thrust: Any) -> None:
+def _draw_thrusters(
+    canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray, thrust: Any, colours: Any
+) -> None:
     for k in np.flatnonzero(scene.thrusters.active):
         body = scene.thrusters.body[k]
         nozzle, flame = (position[body] + rotate(part, angle[body]) for part in thruster_outline(scene, k))
@@ -284,7 +297,7 @@ def _draw_thrusters(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: 
             base = (flame[0] + flame[2]) / 2
             canvas.polygon(base + (flame - base) * fire, THRUSTER_PALETTE[0])
             canvas.polygon(base + (flame - base) * 0.5 * fire, FLAME_CORE)
-        canvas.polygon(nozzle, INK)
+        canvas.polygon(nozzle, INK if colours is None else THRUSTER_PALETTE[int(colours[k])])
 
 
 def spring_outline(scene: Scene, position: np.ndarray, angle: np.ndarray, k: int) -> np.ndarray:
@@ -308,23 +321,24 @@ def _draw_springs(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np
     for k in np.flatnonzero(scene.springs.active):
         outline = spring_outline(scene, position, angle, k)
         for start, end in itertools.pairwise(outline):
-            canvas.line(start, end, INK, 1.6)
+            canvas.line(start, end, INK, LINE_WIDTH)
         for end in (outline[0], outline[-1]):
             canvas.disc(end, 0.4 * JOINT_RADIUS_M, INK)
 
 
-def _draw_joints(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray) -> None:
+def _draw_joints(canvas: _Canvas, scene: Scene, position: np.ndarray, angle: np.ndarray, colours: Any) -> None:
     places = joint_positions(scene, position, angle)
     for k in np.flatnonzero(scene.joints.active):
+        motor = MOTOR_PALETTE[0 if colours is None else int(colours[k])]
         if scene.joints.is_kind(JointKind.PRISMATIC)[k]:  # a slider: a rail on a, and a block on it
             for start, end in itertools.pairwise(slider_outline(scene, position, angle, k)):
-                canvas.line(start, end, INK, 1.6)
-            canvas.disc(places[k], JOINT_RADIUS_M * 0.7, MOTOR_PALETTE[0] if scene.joints.motor_on[k] else INK)
+                canvas.line(start, end, INK, LINE_WIDTH)
+            canvas.disc(places[k], JOINT_RADIUS_M * SLIDER_SHARE, motor if scene.joints.motor_on[k] else INK)
         elif scene.joints.is_kind(JointKind.FIXED)[k]:  # a weld: a small cross
-            for turn in (0.25 * np.pi, 0.75 * np.pi):
+            for turn in WELD_ANGLES:
                 arm = rotate(np.array([JOINT_RADIUS_M, 0.0]), turn)
-                canvas.line(places[k] - arm, places[k] + arm, INK, 2.4)
+                canvas.line(places[k] - arm, places[k] + arm, INK, WELD_WIDTH)
         else:  # a hinge: a disc, coloured at the middle when a motor drives it
             canvas.disc(places[k], JOINT_RADIUS_M, (255, 255, 255), outline=INK)
             if scene.joints.motor_on[k]:
-                canvas.disc(places[k], JOINT_RADIUS_M * 0.5, MOTOR_PALETTE[0])
+                canvas.disc(places[k], JOINT_RADIUS_M * MOTOR_SHARE, motor)

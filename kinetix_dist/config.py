@@ -212,9 +212,11 @@ class TrainConfig:
             )
         gives, takes = OBSERVATIONS[self.env.observation].gives, NETWORKS[self.policy.network].takes
         if gives != takes:
+            fitting = [name for name in NETWORKS if NETWORKS[name].takes == gives]
+            advice = f"use policy.network {' or '.join(map(repr, fitting))}" if fitting else "change one of them"
             raise ConfigError(
                 f"env.observation {self.env.observation!r} gives {gives}, but policy.network {self.policy.network!r} "
-                f"takes {takes}; change one of them"
+                f"takes {takes}; {advice}"
             )
         if self.curriculum_class.needs_whole_episodes and self.rollout.num_steps < self.env.max_steps:
             raise ConfigError(

@@ -107,6 +107,7 @@ def run(args: Args) -> int:
 
 def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
+    from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
@@ -133,7 +134,7 @@ def _run(args: Args, stop: StopSignals) -> None:
             f"  physics {describe(config.env.physics)}",
             flush=True,
         )
-        with user_errors(CheckpointError, PlacementError, PortTakenError, FileNotFoundError):
+        with user_errors(CheckpointError, DeviceMemoryError, PlacementError, PortTakenError, FileNotFoundError):
             report = train(config, directory, resume=args.resume, stop=stop)
         _print_report(report, directory.path)
     finally:

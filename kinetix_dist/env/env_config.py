@@ -23,7 +23,7 @@ class EnvConfig:
     max_steps: int = 256  # environment steps after which an episode times out
     dense_reward_scale: float = 0.1  # kappa, reward for each metre that green comes closer to blue
     action_space: str = "multi_discrete"  # or "continuous" or "discrete", see `env.action_spaces`
-    observation: str = "entity"  # or "flat", see `env.observations`
+    observation: str = "entity"  # or "flat" or "pixels", see `env.observations`
     effect_groups: int = 0  # groups of worlds with engines of their own, see `env.stepper`; 0: one full engine for all
 
     def __post_init__(self) -> None:

@@ -30,6 +30,7 @@ from jax2d.scene import Array, Capacity, Controls, Touching
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionDistribution, ActionSpace
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.autoreset import select_worlds_first
+from kinetix_dist.env.device_memory import check_fits
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
@@ -37,6 +38,7 @@ from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, ro
 from kinetix_dist.env.stepper import GroupedStepper, Stepper
 from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.walls import empty_level
 
 
 class Environment:
@@ -83,6 +85,17 @@ class Environment:
         return self.config.capacity
 
     @property
+    def observation_space(self) -> Any:
+        """Shape and type of what a policy sees of one world: the input of a policy with `jax.ShapeDtypeStruct`s."""
+        level = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(self.capacity))
+        obs = jax.eval_shape(lambda: self._first_input(level))
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), obs)
+
+    def _first_input(self, levels: Level) -> Any:
+        prepared = self._prepare(levels)
+        return self.observe(prepared, prepared.initial_obs)
+
+    @property
     def action_distribution(self) -> ActionDistribution:
         """How a policy acts. Raises ValueError for an action space in which none can."""
         if self.action_space.distribution is None:
@@ -92,10 +105,18 @@ class Environment:
     def prepare(self, levels: Level) -> PreparedLevels:
         """levels: a batch, [W, ...] on every field, of this environment's size.
 
-        Raises ValueError for levels of another size and, where values are known (outside of jit), for levels that call
-        for effects the engine was made without; inside jit `StepInfo.missing_effects` says so.
+        Raises ValueError for levels of another size, for more worlds than the device can observe at once
+        (DeviceMemoryError) and, where values are known (outside of jit), for levels that call for effects the engine
+        was made without; inside jit `StepInfo.missing_effects` says so.
         """
         self._check_levels(levels)
+        if self.observation.working_bytes:
+            check_fits(
+                levels.position.shape[0],
+                self.observation.working_bytes,
+                what=f"observations {self.config.observation!r} of worlds:",
+                advice="play fewer worlds at once",
+            )
         if self.engine.effects != Effects.full(self.capacity):
             self.engine.pack_scene(levels.scene)  # names what is missing, if anything is
         return self._jit_prepare(levels)
@@ -187,6 +208,15 @@ class Environment:
     def _step(
         self, prepared: PreparedLevels, env_state: EnvState, actions: Array
     ) -> tuple[EnvState, Any, Array, Array, StepInfo]:
+        next_state, obs, reward, done, info = self.transition(prepared, env_state, actions)
+        # A finished episode restarts on its level.
+        next_state, obs = self.restart(prepared, done, next_state, obs)
+        return next_state, obs, reward, done, info
+
+    def transition(
+        self, prepared: PreparedLevels, env_state: EnvState, actions: Array
+    ) -> tuple[EnvState, Any, Array, Array, StepInfo]:
+        """`step` without its checks and without restarting: state and observation are those the step led to."""
         # Actions drive motors and thrusters by colour.
         controls, num_invalid = controls_of(
             self.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
@@ -206,12 +236,10 @@ class Environment:
         reward = reward_of(outcome, env_state.distance, distance, dense_scale=self.config.dense_reward_scale)
         episode_return = env_state.episode_return + reward
         info = _step_info(outcome, episode_return, num_steps, num_invalid, touching)
-        # A finished episode restarts on its level.
         next_state = EnvState(
             packed_state=packed_state, distance=distance, num_steps=num_steps, episode_return=episode_return
         )
-        next_state, obs = self._auto_reset(prepared, outcome.done, next_state, self.observation.dynamic(moving))
-        return next_state, obs, reward, outcome.done, info
+        return next_state, self.observation.dynamic(moving), reward, outcome.done, info
 
     def _moving(self, packed_scene: Any, packed_state: Any, touching: Array, *, has_stepped: bool) -> Moving:
         position, angle, velocity, angular_velocity = self.stepper.bodies(packed_scene, packed_state)
@@ -224,7 +252,8 @@ class Environment:
             has_stepped=jnp.full(position.shape[0], has_stepped),
         )
 
-    def _auto_reset(self, prepared: PreparedLevels, done: Array, env_state: EnvState, obs: Any) -> tuple[EnvState, Any]:
+    def restart(self, prepared: PreparedLevels, done: Array, env_state: EnvState, obs: Any) -> tuple[EnvState, Any]:
+        """First state and observation of a level where `done` [W], else those given."""
         first_state, first_obs = self.reset(prepared)
         return EnvState(
             packed_state=self.stepper.select(

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointDrive, JointKind, Joints
-from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, read_slot, write_slot
+from jax2d.scene import Capacity
+from kinetix_dist.level.draft import Draft, Shapes, first_free, hinge_or_weld, read_slot, write_slot
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS
 from kinetix_dist.level.overlap import world_corners
@@ -131,26 +131,22 @@ def with_hinges(
         strongest = config.wheel_power_max if is_wheel else config.motor_power_max
         limit = jnp.zeros(()) if hinge.limit is None else hinge.limit
         of_a, of_b = read_slot(draft.shapes, a), read_slot(draft.shapes, b)
-        joint = Joints(
-            active=jnp.asarray(hinge.active),
-            kind=jnp.array(JointKind.REVOLUTE),
-            a=jnp.array(a),
-            b=jnp.array(b),
+        joint = hinge_or_weld(
+            a=a,
+            b=b,
             anchor_a=_local(of_a, hinge.at),
             anchor_b=_local(of_b, hinge.at),
+            is_weld=jnp.array(False),
             rest_angle=of_b.angle - of_a.angle,
-            axis_angle=jnp.zeros(()),
             motor_on=jnp.array(True),
-            drive=jnp.array(JointDrive.VELOCITY),
             motor_speed=draws.between(config.motor_speed_min, config.motor_speed_max),
             motor_power=draws.between(config.motor_power_min, strongest),
             has_limits=jnp.array(hinge.limit is not None),
             lower_limit=-limit,
             upper_limit=limit,
+            colour=jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1)),
         )
-        colour = jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1))
-        slot = first_free(joints.joints.active)
-        joints = write_slot(joints, slot, DrivenJoints(joints=joint, colour=colour), jnp.asarray(hinge.active))
+        joints = write_slot(joints, first_free(joints.joints.active), joint, jnp.asarray(hinge.active))
     return dataclasses.replace(draft, driven_joints=joints)
 
 

@@ -17,9 +17,10 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
-from kinetix_dist.env.observations import ENTITIES, VECTOR
+from kinetix_dist.env.observations import ENTITIES, IMAGE, VECTOR
 from kinetix_dist.models.entity_transformer import NUM_MASKS, EntityTransformer
 from kinetix_dist.models.flat_mlp import FlatMlp
+from kinetix_dist.models.pixel_cnn import SAMPLE_BYTES, PixelCnn
 from kinetix_dist.registry import Registry
 
 RECURRENT = ("none", "gru")
@@ -30,7 +31,7 @@ DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 class PolicyConfig:
     """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
 
-    network: str = "transformer"  # of entities, or "flat", of a vector, ...: NETWORKS; env.observation has to give it
+    network: str = "transformer"  # of entities; "flat" of a vector; "cnn" of a picture; ...: NETWORKS
     encoder_size: int = 128  # width of tokens
     attention_features: int = 16  # of all heads together
     num_heads: int = 8  # a quarter of them for each attention mask
@@ -69,6 +70,7 @@ class Network:
 
     takes: str  # the kind of policy input, see `Observation.gives`
     build: Callable[[PolicyConfig, tuple[int, ...]], nn.Module]  # (config, sizes of the heads) -> a flax module
+    sample_bytes: int = 0  # of device memory for a sample of a minibatch, gradients included; 0: too few to count
 
 
 def make_policy(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
@@ -103,9 +105,14 @@ def _flat(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
     return FlatMlp(flat_size=config.flat_size, **_common(config, head_sizes))
 
 
+def _cnn(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
+    return PixelCnn(**_common(config, head_sizes))
+
+
 NETWORKS: Registry[Network] = Registry("network")
 NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer))
 NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
+NETWORKS.register("cnn", Network(takes=IMAGE, build=_cnn, sample_bytes=SAMPLE_BYTES))
 # Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.
 NETWORKS.register(
     "transformer_kinetix", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(1.0, 0.0)))

@@ -110,7 +110,8 @@ def test_the_lock_satisfies_pyproject() -> None:
     from packaging.version import Version
 
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-    wanted = project["dependencies"] + project["optional-dependencies"]["dev"]
+    extras = project["optional-dependencies"]
+    wanted = project["dependencies"] + extras["dev"] + extras["wrappers"]
     locked: dict[str, list[Version]] = {}
     for name, version in re.findall(r"^([a-z0-9][a-z0-9._-]*)==(\S+)", LOCK, re.MULTILINE):
         locked.setdefault(name, []).append(Version(version))

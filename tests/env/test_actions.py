@@ -74,7 +74,8 @@ def test_samples_and_noops_belong_to_their_space(space: ActionSpace) -> None:
 
 def test_head_sizes_are_those_of_the_paper() -> None:
     assert MULTI_DISCRETE.distribution.head_sizes == (3, 3, 3, 3, 2, 2)
-    assert DISCRETE.noop == 8 and DISCRETE.distribution is None and CONTINUOUS.distribution is None
+    assert DISCRETE.noop == 8 and DISCRETE.distribution.head_sizes == (11,)
+    assert CONTINUOUS.distribution.head_sizes == (6, 6)  # means and spreads
 
 
 @pytest.mark.parametrize(

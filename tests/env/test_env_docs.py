@@ -25,6 +25,13 @@ def test_every_array_of_an_observation_is_listed() -> None:
         assert f"`{field.name}`" in TEXT
 
 
+def test_the_example_of_a_wrapper_runs() -> None:
+    example = TEXT.split("```python\n")[2].split("```")[0]
+    names: dict = {}
+    exec(compile(example, "docs/environment.md", "exec"), names)
+    assert names["obs"] in names["envs"].observation_space
+
+
 def test_the_example_runs() -> None:
     example = TEXT.split("```python\n")[1].split("```")[0]
     names: dict = {}

@@ -53,10 +53,22 @@ def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders()
     assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417 + 3 * 128
 
 
-@pytest.mark.parametrize("network", ["transformer", "flat"])
+def test_the_cnn_has_the_convolutions_of_the_paper():
+    pictures = jax.ShapeDtypeStruct((1, 125, 125, 3), jnp.uint8)
+    policy = make_policy(PolicyConfig(network="cnn"), HEAD_SIZES)
+    shapes = jax.eval_shape(policy.init, jax.random.key(0), pictures)
+    convolutions = (8 * 8 * 3 + 1) * 16 + (4 * 4 * 16 + 1) * 32
+    embedding = 16 * 16 * 32  # 125 / 4 / 2, rounded up
+    towers = 2 * ((embedding + 1) * 128 + 4 * (128 + 1) * 128) + (128 + 1) * (16 + 1)
+    assert num_parameters(shapes) == convolutions + towers
+
+
+@pytest.mark.parametrize("network", ["transformer", "flat", "cnn"])
 def test_outputs_are_float32_heads_and_values_in_both_types(network):
     obs = random_obs(6, CAPACITY)
     obs = flatten(obs) if network == "flat" else obs
+    if network == "cnn":
+        obs = jnp.asarray(np.random.default_rng(0).integers(0, 256, (6, 33, 33, 3)), jnp.uint8)
     outputs = []
     for dtype in ("float32", "bfloat16"):
         policy = make_policy(dataclasses.replace(SMALL, network=network, dtype=dtype), HEAD_SIZES)

@@ -15,6 +15,7 @@ from kinetix_dist.checkpoint import CheckpointError, save_checkpoint
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
 from kinetix_dist.config import differences, from_dict, from_dict_for_playing, to_dict
+from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.recipes import recipe
@@ -183,10 +184,13 @@ def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
     assert "environments are stepped by the kernel: use 1 and ()" in line
 
 
-def test_action_spaces_that_training_has_no_policy_for(capsys):
-    for space in ("continuous", "discrete"):
-        line = _refusal(capsys, "--recipe", "tiny", "--env.action_space", space)
-        assert f"env.action_space is '{space}'" in line and "use 'multi_discrete'" in line
+def test_an_action_space_that_training_has_no_policy_for(capsys, monkeypatch):
+    class NoPolicy(MultiDiscrete):
+        distribution = None
+
+    monkeypatch.setattr(ACTION_SPACES, "_parts", {**ACTION_SPACES._parts, "mine": NoPolicy()})
+    line = _refusal(capsys, "--recipe", "tiny", "--env.action_space", "mine")
+    assert "env.action_space is 'mine'" in line and "use 'multi_discrete' or 'continuous' or 'discrete'" in line
 
 
 def test_a_run_keeps_its_physics_when_the_preset_changes(tmp_path, monkeypatch):

@@ -54,6 +54,36 @@ class Categorical:
         return jnp.stack([jnp.argmax(head, axis=-1) for head in outputs], axis=-1).astype(jnp.int32)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OneCategorical:
+    """An `ActionDistribution`: one choice, without an axis for it: actions are [...]."""
+
+    num_choices: int  # at most 127
+    stored_dtype: ClassVar[Any] = jnp.int8
+    num_uniforms: ClassVar[int] = 1
+
+    @property
+    def head_sizes(self) -> tuple[int]:
+        return (self.num_choices,)
+
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+        """Actions [...] int32 and their log-probability [...] from uniform numbers [..., 1] in [0, 1)."""
+        actions, log_prob = self._heads.sample(outputs, uniforms)
+        return actions[..., 0], log_prob
+
+    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+        """(log-probability [...], entropy [...] in nats)."""
+        return self._heads.log_prob_and_entropy(outputs, actions[..., None])
+
+    def mode(self, outputs: tuple[Array, ...]) -> Array:
+        """The most likely action [...] int32."""
+        return self._heads.mode(outputs)[..., 0]
+
+    @property
+    def _heads(self) -> Categorical:
+        return Categorical(head_sizes=self.head_sizes)
+
+
 def _log_prob(log_probs: list[Array], actions: Array) -> Array:
     return _sum_heads(sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs)))
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces.space import ActionSpace
+from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
 
 
@@ -19,6 +20,10 @@ class Continuous(ActionSpace):
     low: tuple[float, ...] = (-1.0,) * NUM_MOTOR_COLOURS + (0.0,) * NUM_THRUSTER_COLOURS
     high: tuple[float, ...] = (1.0,) * (NUM_MOTOR_COLOURS + NUM_THRUSTER_COLOURS)
     is_integer: bool = False
+
+    @property
+    def distribution(self) -> TruncatedNormal:
+        return TruncatedNormal(low=self.low, high=self.high)
 
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         actions = jnp.where(allowed, actions, 0)

@@ -8,6 +8,7 @@ import dataclasses
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.env.action_spaces.categorical import OneCategorical
 from kinetix_dist.env.action_spaces.space import ActionSpace
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
 
@@ -24,6 +25,10 @@ class Discrete(ActionSpace):
     is_integer: bool = True
     is_flat: bool = True
     noop: int = NOOP
+
+    @property
+    def distribution(self) -> OneCategorical:
+        return OneCategorical(num_choices=int(self.high[0]) + 1)
 
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         choice = jnp.where(allowed, actions, NOOP)[:, None]

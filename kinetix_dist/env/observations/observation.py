@@ -19,6 +19,7 @@ from kinetix_dist.level.level import Level
 
 ENTITIES = "entities"  # an `entities.EntityObs`
 VECTOR = "vector"  # [B, features] float32
+IMAGE = "image"  # [B, rows, columns, 3] uint8
 
 
 @jax.tree_util.register_dataclass
@@ -37,7 +38,8 @@ class Moving:
 class Observation(abc.ABC):
     """Three pure functions of batches of worlds. All parts are pytrees of arrays with the world axis first."""
 
-    gives: str  # kind of policy input: ENTITIES, VECTOR or one of your own; networks say which they take
+    gives: str  # kind of policy input: ENTITIES, VECTOR, IMAGE or one of your own; networks say which they take
+    working_bytes: int = 0  # of device memory that `join` takes for a world; 0: too few to count
 
     @abc.abstractmethod
     def static(self, levels: Level) -> Any:

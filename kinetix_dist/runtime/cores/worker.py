@@ -19,6 +19,7 @@ from kinetix_dist.runtime.cores.curriculum_state import CurriculumState, make_cu
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.memory import check_memory
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 from kinetix_dist.runtime.cores.staging import Staging, Stored
 from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
@@ -30,6 +31,7 @@ class LearnerWorker:
     """Parameters, optimiser, evaluation; learns from batches that others played."""
 
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
+        check_memory(config, mesh.devices.size)
         self._config = config
         self._mesh = mesh
         self._env = make_environment(config)

@@ -1,0 +1,96 @@
+"""Independent numbers in a range, each from a normal distribution cut off at its ends and scaled to one again.
+
+    density(x) = phi((x - mean) / spread) / (spread Z)    low <= x <= high,  Z = Phi(beta) - Phi(alpha)
+    alpha = (low - mean) / spread, beta = (high - mean) / spread
+
+phi and Phi are density and distribution of the standard normal. Unlike a normal that is clipped or squashed, it has a
+density everywhere in the range, its entropy in closed form, and one uniform number makes a sample: Phi of it is uniform
+between Phi(alpha) and Phi(beta). The mean lies in the range (a tanh of the first output), so that Z is never small, and
+the spread between 1/20 and 5 of half the range (the second output): from almost certain to almost uniform.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array
+
+LEAST_SPREAD = 0.05  # of half the range
+LARGEST_SPREAD = 5.0
+_LOG_ROOT_2_PI = 0.5 * math.log(2 * math.pi)
+# Shares of Phi that float32 tells from 0 and 1: a sample is at most 5 spreads from the mean.
+_LEAST_SHARE = 1e-6
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TruncatedNormal:
+    """An `ActionDistribution`: a number in each range, from outputs for its mean and for its spread."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    stored_dtype: ClassVar[Any] = jnp.float32
+
+    @property
+    def head_sizes(self) -> tuple[int, int]:
+        """Outputs for means, outputs for spreads."""
+        return len(self.low), len(self.low)
+
+    @property
+    def num_uniforms(self) -> int:
+        return len(self.low)
+
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+        """Actions [..., n] float32 and their log-probability density [...], from uniform numbers [..., n] in [0, 1)."""
+        mean, spread = self.mean_and_spread(outputs)
+        below, above = self._ends(mean, spread)
+        share = _distribution(below) + uniforms * (_distribution(above) - _distribution(below))
+        share = jnp.clip(share, _LEAST_SHARE, 1 - _LEAST_SHARE)
+        actions = mean + spread * jax.scipy.special.ndtri(share)
+        actions = jnp.clip(actions, np.float32(self.low), np.float32(self.high))  # rounding
+        return actions, self._log_prob(mean, spread, actions)
+
+    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+        """Both summed over numbers: (log-probability density [...], differential entropy [...] in nats)."""
+        mean, spread = self.mean_and_spread(outputs)
+        below, above = self._ends(mean, spread)
+        mass = _distribution(above) - _distribution(below)
+        # ln(sqrt(2 pi e) spread Z) + (alpha phi(alpha) - beta phi(beta)) / (2 Z)
+        entropy = 0.5 + _LOG_ROOT_2_PI + jnp.log(spread * mass)
+        entropy += (below * _density(below) - above * _density(above)) / (2 * mass)
+        return self._log_prob(mean, spread, actions), jnp.sum(entropy, axis=-1)
+
+    def mode(self, outputs: tuple[Array, ...]) -> Array:
+        """The most likely actions [..., n] float32: the means."""
+        return self.mean_and_spread(outputs)[0]
+
+    def mean_and_spread(self, outputs: tuple[Array, ...]) -> tuple[Array, Array]:
+        """Of the normal distribution that is cut off, [..., n] each; outputs of 0 give the middle and half of half."""
+        low, high = np.float32(self.low), np.float32(self.high)
+        half = 0.5 * (high - low)
+        towards_end, width = (output.astype(jnp.float32) for output in outputs)
+        exponent = math.log(LEAST_SPREAD) + math.log(LARGEST_SPREAD / LEAST_SPREAD) * jax.nn.sigmoid(width)
+        return 0.5 * (low + high) + half * jnp.tanh(towards_end), half * jnp.exp(exponent)
+
+    def _ends(self, mean: Array, spread: Array) -> tuple[Array, Array]:
+        """alpha and beta: how many spreads the ends of the range are from the mean."""
+        return (np.float32(self.low) - mean) / spread, (np.float32(self.high) - mean) / spread
+
+    def _log_prob(self, mean: Array, spread: Array, actions: Array) -> Array:
+        below, above = self._ends(mean, spread)
+        mass = _distribution(above) - _distribution(below)
+        deviation = (actions.astype(jnp.float32) - mean) / spread
+        return jnp.sum(-0.5 * jnp.square(deviation) - _LOG_ROOT_2_PI - jnp.log(spread * mass), axis=-1)
+
+
+def _distribution(x: Array) -> Array:
+    return jax.scipy.special.ndtr(x)
+
+
+def _density(x: Array) -> Array:
+    return jnp.exp(-0.5 * jnp.square(x) - _LOG_ROOT_2_PI)

@@ -1,0 +1,167 @@
+"""The few names of the public Kinetix package that its random-rollout example uses, over this environment.
+
+    from kinetix_dist.env.wrappers.kinetix import (ActionType, EnvParams, ObservationType, StaticEnvParams,
+        make_kinetix_env, make_render_pixels, make_reset_fn_sample_kinetix_level)
+
+Signatures are those of kinetix-env 3.0.2: `reset(key, params)`, `step(key, state, action, params)` with one `done`.
+What differs: observations are those of this package (a picture is uint8 [125, 125, 3] with row 0 at the top), and room
+is that of a size: `StaticEnvParams()` is size L (12 circles, joints and thrusters there).
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from jax2d.draw import draw
+from jax2d.scene import Array
+from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.env.wrappers.gymnax_env import GymnaxEnv, GymnaxState
+from kinetix_dist.level.generator import generate_level
+from kinetix_dist.level.generator_config import generator
+from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
+from kinetix_dist.level.walls import empty_level
+
+
+class ObservationType(enum.Enum):
+    """Values are names of `env.observations`."""
+
+    PIXELS = "pixels"
+    SYMBOLIC_FLAT = "flat"
+    SYMBOLIC_ENTITY = "entity"
+
+
+class ActionType(enum.Enum):
+    """Values are names of `env.action_spaces`."""
+
+    CONTINUOUS = "continuous"
+    DISCRETE = "discrete"
+    MULTI_DISCRETE = "multi_discrete"
+
+
+@struct.dataclass
+class EnvParams:
+    """Of an episode."""
+
+    max_timesteps: int = struct.field(pytree_node=False, default=256)
+    dense_reward_scale: float = struct.field(pytree_node=False, default=0.1)
+
+    @property
+    def max_steps_in_episode(self) -> int:
+        return self.max_timesteps
+
+
+@struct.dataclass
+class StaticEnvParams:
+    """What is compiled in. Room for shapes, joints and thrusters has to be that of a size."""
+
+    num_polygons: int = struct.field(pytree_node=False, default=SIZES["l"].polygons)
+    num_circles: int = struct.field(pytree_node=False, default=SIZES["l"].circles)
+    num_joints: int = struct.field(pytree_node=False, default=SIZES["l"].joints)
+    num_thrusters: int = struct.field(pytree_node=False, default=SIZES["l"].thrusters)
+    frame_skip: int = struct.field(pytree_node=False, default=1)
+
+    @property
+    def size(self) -> str:
+        """Raises ValueError where there is no such size."""
+        room = (self.num_polygons, self.num_circles, self.num_joints, self.num_thrusters)
+        rooms = {name: (size.polygons, size.circles, size.joints, size.thrusters) for name, size in SIZES.items()}
+        for name, known in rooms.items():
+            if room == known:
+                return name
+        raise ValueError(
+            f"StaticEnvParams has room for {room} polygons, circles, joints and thrusters; sizes are "
+            + ", ".join(f"{name} {known}" for name, known in rooms.items())
+        )
+
+
+@struct.dataclass
+class KinetixState(GymnaxState):
+    """Of one world, with the level as it was drawn, for pictures."""
+
+    source: Level
+
+
+class KinetixEnv(GymnaxEnv):
+    """One world whose episodes start where `reset_fn` says."""
+
+    def __init__(self, config: EnvConfig, reset_fn: Callable[[Array], Level], static_params: StaticEnvParams) -> None:
+        some = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(config.capacity))
+        super().__init__(config, some)
+        self._reset_fn = reset_fn
+        self.static_env_params = static_params
+
+    @property
+    def default_params(self) -> Any:
+        config = self.env.config
+        return EnvParams(max_timesteps=config.max_steps, dense_reward_scale=config.dense_reward_scale)
+
+    def step(self, key: Array, state: Any, action: Any, params: Any = None) -> tuple[Any, Any, Array, Array, dict]:
+        """(observation, state, reward, done, info)"""
+        params = self.default_params if params is None else params
+        if params != self.default_params:
+            raise ValueError(f"this environment was made for {self.default_params}; make one for {params}")
+        obs, state, reward, terminated, truncated, info = super().step(key, state, action, params)
+        return obs, state, reward, terminated | truncated, info
+
+    def reset_env(self, key: Array, params: Any) -> tuple[Any, KinetixState]:
+        source = self._reset_fn(key)
+        level = self.env.prepare(jax.tree.map(lambda x: jnp.asarray(x)[None], source))
+        obs, state = self.first(level, *self.env.reset(level))
+        return obs, KinetixState(**vars(state), source=source)
+
+
+def make_kinetix_env(
+    action_type: ActionType,
+    observation_type: ObservationType,
+    reset_fn: Callable[[Array], Level],
+    env_params: EnvParams | None = None,
+    static_env_params: StaticEnvParams | None = None,
+) -> KinetixEnv:
+    """An environment that draws a level for every episode."""
+    params, static = env_params or EnvParams(), static_env_params or StaticEnvParams()
+    config = EnvConfig(
+        size=static.size,
+        frame_skip=static.frame_skip,
+        max_steps=params.max_timesteps,
+        dense_reward_scale=params.dense_reward_scale,
+        action_space=action_type.value,
+        observation=observation_type.value,
+    )
+    return KinetixEnv(config, reset_fn, static)
+
+
+def make_reset_fn_sample_kinetix_level(
+    env_params: EnvParams, static_env_params: StaticEnvParams
+) -> Callable[[Array], Level]:
+    """A function of a key that draws a random level, from the distribution of the public package."""
+    del env_params
+    return functools.partial(generate_level, capacity=SIZES[static_env_params.size], config=generator("kinetix"))
+
+
+def make_render_pixels(
+    env_params: EnvParams, static_env_params: StaticEnvParams
+) -> Callable[[KinetixState], np.ndarray]:
+    """A function that draws a state: float32 [500, 500, 3], x first and then y upwards."""
+    del env_params, static_env_params
+
+    def render(state: KinetixState) -> np.ndarray:
+        level = jax.tree.map(np.asarray, state.source)
+        position, angle = (np.asarray(part) for part in state.poses)
+        image = draw(
+            level.scene,
+            SimpleNamespace(position=position, angle=angle),
+            level.shape_role,
+            view=(0.0, 0.0, WORLD_SIZE_M, WORLD_SIZE_M),
+        )
+        return image[::-1].transpose(1, 0, 2).astype(np.float32)
+
+    return render

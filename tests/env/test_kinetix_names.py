@@ -1,0 +1,70 @@
+"""The random-rollout example of the public package (README of kinetix-env 3.0.2), with its imports changed."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax2d.draw import ROLE_PALETTE
+from kinetix_dist.env.wrappers.kinetix import (
+    ActionType,
+    EnvParams,
+    ObservationType,
+    StaticEnvParams,
+    make_kinetix_env,
+    make_render_pixels,
+    make_reset_fn_sample_kinetix_level,
+)
+
+SMALL = StaticEnvParams(num_polygons=5, num_circles=2, num_joints=1, num_thrusters=1)
+
+
+@pytest.mark.parametrize("static_env_params", [SMALL, pytest.param(StaticEnvParams(), marks=pytest.mark.slow)])
+def test_the_example_of_the_public_package_runs(static_env_params):
+    # Use default parameters
+    env_params = EnvParams()
+
+    # Create the environment
+    env = make_kinetix_env(
+        observation_type=ObservationType.PIXELS,
+        action_type=ActionType.CONTINUOUS,
+        reset_fn=make_reset_fn_sample_kinetix_level(env_params, static_env_params),
+        env_params=env_params,
+        static_env_params=static_env_params,
+    )
+
+    # Reset the environment state (this resets to a random level)
+    _rngs = jax.random.split(jax.random.PRNGKey(0), 3)
+
+    obs, env_state = env.reset(_rngs[0], env_params)
+
+    # Take a step in the environment
+    action = env.action_space(env_params).sample(_rngs[1])
+    obs, env_state, reward, done, info = env.step(_rngs[2], env_state, action, env_params)
+
+    # Render environment
+    renderer = make_render_pixels(env_params, env.static_env_params)
+
+    pixels = renderer(env_state)
+
+    upright = np.asarray(pixels.astype(jnp.uint8).transpose(1, 0, 2)[::-1])
+
+    # What the example shows agrees with what the policy sees, and has the goal in it.
+    assert obs.shape == (125, 125, 3) and obs.dtype == jnp.uint8 and env.observation_space(env_params).contains(obs)
+    seen = upright.reshape(125, 4, 125, 4, 3).mean((1, 3))
+    assert np.abs(seen - obs).mean() < 0.3  # actions have their colours in what a policy sees
+    blue = np.array(ROLE_PALETTE[2])
+    assert (np.abs(upright - blue).max(-1) < 2).any() or (np.abs(upright - blue * 0.62).max(-1) < 2).any()
+    assert reward.shape == done.shape == () and not done and info["episode_length"] == 1
+
+
+def test_what_is_no_size_and_other_parameters_are_refused():
+    with pytest.raises(ValueError, match=r"room for \(7, 4, 6, 2\).*s \(5, 2, 1, 1\)"):
+        make_kinetix_env(
+            ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, lambda key: None, None, StaticEnvParams(num_polygons=7)
+        )
+    env = make_kinetix_env(ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, lambda key: None, None, SMALL)
+    with pytest.raises(ValueError, match=r"made for EnvParams.*max_timesteps=256"):
+        env.step(jax.random.key(0), None, 0, EnvParams(max_timesteps=3))
