@@ -1,7 +1,7 @@
 """The public Kinetix package, asked in its own environment: $KINETIX_PACKAGE_PYTHON (kinetix-env 3.0.2).
 
 Tests that need it are skipped where there is none. What it once computed of levels of ours is stored in
-tests/env/kinetix_policy.npz; `python -m tests.kinetix_package` writes that file anew.
+tests/env/kinetix_policy.npz; `python -m tests.kinetix_package` writes that file again.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 The request: {"levels": [FILE...] of one size, "moments": [physics step...], "seed": N, "recalculate": false,
 "create": {FOLDER: {"legacy_entity_id": false, "seed": N}}, "checkpoints": [FOLDER...]}. States are those at the start
 of each level, those reached by random actions at the moments, and the latter stirred, S in all; see
-jax2d_published_steps.py. Contacts are computed anew where the shapes stand, and there are none at the start.
+jax2d_published_steps.py. Contacts are computed again where the shapes stand, and there are none at the start.
 "recalculate" replaces masses and inertias of movable shapes by the package's own. "create" initialises the paper's
 network, moves all parameters by noise (its last layer starts near zero) and saves it; "checkpoints" are applied to all
 states; options that their config.json leaves out are the paper's. OUT.npz:

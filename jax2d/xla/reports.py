@@ -57,7 +57,7 @@ def begin(tally: Tally, contacts: Contacts) -> Tally:
 
 
 def warm_start(tally: Tally) -> Tally:
-    """All remembered impulses act anew."""
+    """All remembered impulses act again."""
     return tally._replace(acted=jnp.zeros_like(tally.acted))
 
 

@@ -3,7 +3,7 @@
     propose   of each group, `buffer_share` of the worlds play levels of the buffer, drawn by `replay_chances`, the
               others fresh ones
     summarise values, advantages and returns of what was played, for scores
-    observe   the score of what was played: levels of the buffer get theirs anew, new levels take places of others
+    observe   the score of what was played: levels of the buffer get a new one, new levels take places of others
 
 Departures from the paper, which plays one level at a time: an update plays `buffer_share` of its levels from the
 buffer, where the paper decides by chance for each; age counts updates, not episodes; and replay begins when the buffer

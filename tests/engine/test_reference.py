@@ -229,7 +229,7 @@ def rare_worlds() -> list[BuiltWorld]:
         tiles.add_box(width=0.5, height=0.5, position=(0.5 * i, -0.25), fixed=True)
     tiles.add_box(width=0.3, height=0.3, position=(0.0, 0.15), velocity=(2.0, 0.0), friction=0.0)
     tiles.add_circle(radius=0.1, position=(0.5, 0.1), velocity=(3.0, 0.0), angular_velocity=-30.0)
-    # A rod at 40 rad/s among a post and balls: contacts are found anew for every sub-step.
+    # A rod at 40 rad/s among a post and balls: contacts are found again for every sub-step.
     swing.add_box(width=2.0, height=0.05, angular_velocity=40.0, density=5.0)
     swing.add_box(width=0.2, height=0.2, position=(0.0, 0.9), fixed=True, restitution=0.5)
     swing.add_circle(radius=0.1, position=(0.6, 0.5), restitution=0.5)

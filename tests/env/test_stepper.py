@@ -55,7 +55,7 @@ def course(env: Environment, levels: Level, num_steps: int) -> tuple:
 
 
 def test_groups_change_no_bit_of_what_is_seen() -> None:
-    # Groups of 2, 2 and 3 worlds; episodes end and start anew at different times.
+    # Groups of 2, 2 and 3 worlds; episodes end and start again at different times.
     levels = batch(DRIVEN, PUSHED, MEETS, FALLING, DRIVEN, MEETS, PUSHED)
     whole, grouped = course(environment(0), levels, 16), course(environment(3), levels, 16)
     done = np.asarray(whole[1][2])

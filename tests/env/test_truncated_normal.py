@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionSpace
-from kinetix_dist.env.action_spaces.truncated_normal import LARGEST_SPREAD, LEAST_SPREAD
+from kinetix_dist.env.action_spaces.truncated_normal import MAX_SPREAD, MIN_SPREAD
 
 CONTINUOUS, DISCRETE = ACTION_SPACES["continuous"], ACTION_SPACES["discrete"]
 NUMBERS = CONTINUOUS.distribution
@@ -31,7 +31,7 @@ def of_scipy(outputs: tuple[jax.Array, ...]):
     first, second = (np.asarray(output, float) for output in outputs)
     mean = 0.5 * (np.array(CONTINUOUS.high) + CONTINUOUS.low) + HALF * np.tanh(first)
     share = 1 / (1 + np.exp(-second))
-    spread = HALF * LEAST_SPREAD * (LARGEST_SPREAD / LEAST_SPREAD) ** share
+    spread = HALF * MIN_SPREAD * (MAX_SPREAD / MIN_SPREAD) ** share
     ends = [(np.array(end) - mean) / spread for end in (CONTINUOUS.low, CONTINUOUS.high)]
     return stats.truncnorm(*ends, loc=mean, scale=spread)
 

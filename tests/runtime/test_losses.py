@@ -69,7 +69,7 @@ def _before_calls(monkeypatch, do):
 
 
 def test_what_a_loss_cut_off_is_repeated_whatever_the_run_was_at(unbroken, tmp_path, monkeypatch):
-    """In one process, which is lost in words only, and built anew: the slow tests end processes."""
+    """In one process, which is lost in words only, and built again: the slow tests end processes."""
     left = ["start", "start", "evaluate", "run_update", "snapshot", "record", "facts"]
 
     def lose(method, trainer):

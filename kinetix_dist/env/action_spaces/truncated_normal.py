@@ -21,11 +21,11 @@ import numpy as np
 
 from jax2d.scene import Array
 
-LEAST_SPREAD = 0.05  # of half the range
-LARGEST_SPREAD = 5.0
+MIN_SPREAD = 0.05  # of half the range
+MAX_SPREAD = 5.0
 _LOG_ROOT_2_PI = 0.5 * math.log(2 * math.pi)
 # Shares of Phi that float32 tells from 0 and 1: a sample is at most 5 spreads from the mean.
-_LEAST_SHARE = 1e-6
+_MIN_SHARE = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class TruncatedNormal:
         mean, spread = self.mean_and_spread(outputs)
         below, above = self._ends(mean, spread)
         share = _distribution(below) + uniforms * (_distribution(above) - _distribution(below))
-        share = jnp.clip(share, _LEAST_SHARE, 1 - _LEAST_SHARE)
+        share = jnp.clip(share, _MIN_SHARE, 1 - _MIN_SHARE)
         actions = mean + spread * jax.scipy.special.ndtri(share)
         actions = jnp.clip(actions, np.float32(self.low), np.float32(self.high))  # rounding
         return actions, self._log_prob(mean, spread, actions)
@@ -74,7 +74,7 @@ class TruncatedNormal:
         low, high = np.float32(self.low), np.float32(self.high)
         half = 0.5 * (high - low)
         towards_end, width = (output.astype(jnp.float32) for output in outputs)
-        exponent = math.log(LEAST_SPREAD) + math.log(LARGEST_SPREAD / LEAST_SPREAD) * jax.nn.sigmoid(width)
+        exponent = math.log(MIN_SPREAD) + math.log(MAX_SPREAD / MIN_SPREAD) * jax.nn.sigmoid(width)
         return 0.5 * (low + high) + half * jnp.tanh(towards_end), half * jnp.exp(exponent)
 
     def _ends(self, mean: Array, spread: Array) -> tuple[Array, Array]:

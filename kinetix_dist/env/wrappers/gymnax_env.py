@@ -5,7 +5,7 @@
     obs, state = env.reset(key, params)                                            draws one of the levels
     obs, state, reward, terminated, truncated, info = env.step(key, state, action, params)
 
-An episode that ended restarts in the same step on a level drawn anew (gymnax's own `step`); the physics itself needs no
+An episode that ended restarts in the same step on another level (gymnax's own `step`); the physics itself needs no
 key. `jax.vmap` over keys and states plays many worlds, and the engine steps them as one batch.
 """
 
@@ -30,7 +30,7 @@ from kinetix_dist.level.level import Level
 
 @struct.dataclass
 class GymnaxParams(environment.EnvParams):
-    """What may be changed without building the environment anew."""
+    """What may be changed without building another environment."""
 
     max_steps_in_episode: int = 256  # environment steps; no more than EnvConfig.max_steps
 

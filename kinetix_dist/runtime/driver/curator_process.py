@@ -109,7 +109,7 @@ class CuratorProcess(ProcessBeside):
     def _replace(self, error: WorkerLostError) -> None:
         """Starts another process and asks again, without waiting for either."""
         error.process, error.section = self._plan.name, "curate"
-        if self._backend.has_lost_room:  # it went with its node: the whole run is placed anew
+        if self._backend.has_lost_room:  # it went with its node: the whole run is placed again
             self.stop()
             raise error
         loss = self._backend.losses.lost(error)

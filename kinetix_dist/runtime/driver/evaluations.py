@@ -135,7 +135,7 @@ class Evaluations(ProcessBeside):
         """The next look starts another process, which does again what this one was at."""
         error.process, error.section = self._plan.name, "evaluate"
         self.stop()
-        if self._backend.has_lost_room:  # it went with its node: the whole run is placed anew
+        if self._backend.has_lost_room:  # it went with its node: the whole run is placed again
             raise error
         loss = self._backend.losses.lost(error)
         self._loss = self._loss or loss

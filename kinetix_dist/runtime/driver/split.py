@@ -260,7 +260,7 @@ class SplitTrainer:
     def _replace(self, lost: Mapping[int, WorkerLostError]) -> None:
         """Rollout actors by others, all at the same time; what they were at is played again."""
         for part, error in lost.items():
-            if self.backend.has_lost_room:  # it went with its node: the whole run is placed anew
+            if self.backend.has_lost_room:  # it went with its node: the whole run is placed again
                 raise error
             self._num_replaced[part] += 1
             if self._num_replaced[part] > _MAX_REPLACEMENTS:
