@@ -7,6 +7,7 @@ the GPU: the body is the same, JAX's default device is another. `-m gpu --gpu-te
 from __future__ import annotations
 
 import os
+import secrets
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,10 +22,14 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 os.environ.setdefault("WARP_CACHE_PATH", str(_CACHE / "warp"))
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+# Ray keeps for the life of a process whether it has a token: all clusters that a test process meets ask for one.
+os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+os.environ.setdefault("RAY_AUTH_MODE", "token")
 
-# Most of the time of the suite is XLA's, which compiles for a CPU in half of the time without these two steps: the same
-# programs in slower machine code. Set XLA_FLAGS, to "" for instance, to test with what users run.
-FAST_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+# Most of the time of the suite is XLA's. It compiles large programs for a CPU in half of the time without this way of
+# fusing loops, to machine code that is as fast and rounds otherwise. Set XLA_FLAGS, to "" for instance, to test with
+# what users run.
+FAST_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

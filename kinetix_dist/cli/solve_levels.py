@@ -150,10 +150,11 @@ def _by_size(tasks: Iterable[ProofTask]) -> dict[str, list[ProofTask]]:
 
 def _check_proofs(args: Solve, tasks: list[ProofTask]) -> int:
     replayed = replay_proofs(args, tasks)
-    for task, proof, _, fault in replayed:
+    for task, proof, rollout, fault in replayed:
         if fault is None:
-            assert proof is not None
-            print(f"{task.name}: solved in {proof.num_steps} steps")
+            assert proof is not None and rollout is not None
+            claimed = "" if rollout.num_steps == proof.num_steps else f" (the proof: {proof.num_steps})"
+            print(f"{task.name}: solved in {rollout.num_steps} steps{claimed}")
         else:
             print(f"{task.name}: {fault}")
     num_good = sum(fault is None for *_, fault in replayed)

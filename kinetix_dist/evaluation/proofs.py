@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 
 from jax2d.scene import stack_worlds
@@ -30,9 +29,11 @@ def replay(env: Environment, levels: Sequence[Level], proofs: Sequence[Proof]) -
 
 
 def fault_of_replay(proof: Proof, rollout: Rollout) -> str | None:
-    """What a replay says against a proof, in words; None where it solves the level as claimed."""
-    is_exact = jax.default_backend() == "cpu"
-    if rollout.solved and (rollout.num_steps == proof.num_steps or not is_exact):
+    """What a replay says against a proof, in words; None where it solves the level.
+
+    It may take other steps than where the proof was made: processors and compilers round otherwise.
+    """
+    if rollout.solved:
         return None
     return (
         f"the proof claims to solve it in {proof.num_steps} steps; replayed, it is {rollout.outcome} after "

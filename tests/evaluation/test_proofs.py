@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import files_of_set
 from kinetix_dist.level.validate import read_document
 from kinetix_dist.telemetry.recording import Rollout
+from tests.helpers import REPOSITORY, environment_of_cpus
 
 Replayed = tuple[list[Proof], list[Rollout], list[Rollout]]
 
@@ -35,7 +38,6 @@ def replayed(request: pytest.FixtureRequest) -> Replayed:
 
 @pytest.mark.also_gpu
 def test_every_proof_solves_its_level(replayed: Replayed) -> None:
-    """On the CPU in exactly as many steps; on a GPU, whose float32 rounds otherwise, before time is out."""
     proofs, rollouts, _ = replayed
     faults = {proof.level: fault_of_replay(proof, rollout) for proof, rollout in zip(proofs, rollouts)}
     assert not {level: fault for level, fault in faults.items() if fault}
@@ -48,11 +50,23 @@ def test_a_replay_is_the_same_bit_for_bit_wherever_the_level_stands_in_the_batch
             np.testing.assert_array_equal(getattr(first, field), getattr(second, field), err_msg=first.level_name)
 
 
+@pytest.mark.parametrize(
+    "size", [pytest.param("s", marks=pytest.mark.slow), pytest.param("m", marks=pytest.mark.slow), "l"]
+)
+def test_as_users_run_it_every_proof_takes_exactly_as_many_steps_as_it_says(size: str) -> None:
+    """With the flags of XLA that users have, which tests have not."""
+    command = [sys.executable, "-m", "kinetix_dist.cli.main", "levels", "solve", f"all_designed_{size}", "--check"]
+    environment = {**environment_of_cpus(1), "XLA_FLAGS": ""}
+    done = subprocess.run(command, env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    _, _, proofs = levels_and_proofs(size)
+    assert done.stdout.splitlines()[:-1] == [f"{proof.level}: solved in {proof.num_steps} steps" for proof in proofs]
+
+
 def test_a_proof_with_its_last_step_left_out_proves_nothing(replayed: Replayed) -> None:
     """The step that is said to solve a level is the one that does: no earlier state is solved."""
-    proofs, rollouts, _ = replayed
-    for proof, rollout in zip(proofs, rollouts):
-        assert rollout.num_steps == proof.num_steps
+    _, rollouts, _ = replayed
+    for rollout in rollouts:
         assert rollout.reward[-1] > 0.9 > np.abs(rollout.reward[:-1]).max(initial=0.0)
 
 

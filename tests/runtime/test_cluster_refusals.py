@@ -21,7 +21,7 @@ TINY = ["train", "--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.place
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
     """A head with 8 CPU slots and one slot of a GPU."""
-    raylets = Raylets(tmp_path_factory.mktemp("raylets") / "log", {"RAY_AUTH_MODE": "disabled"})
+    raylets = Raylets(tmp_path_factory.mktemp("raylets") / "log")
     try:
         raylets.start_head("--num-cpus=8", "--num-gpus=1")
         yield raylets
@@ -31,7 +31,6 @@ def cluster(tmp_path_factory):
 
 @pytest.fixture
 def joined(cluster, monkeypatch, tmp_path):
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     monkeypatch.chdir(tmp_path)  # Ray lets workers import from the driver's directory first, on its own machine
     ray.init(address=cluster.address, log_to_driver=False)
     yield cluster
@@ -40,7 +39,6 @@ def joined(cluster, monkeypatch, tmp_path):
 
 def _refusal(cluster, monkeypatch, capfd, *arguments) -> str:
     monkeypatch.setenv("RAY_ADDRESS", cluster.address)
-    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     assert main([*TINY, *map(str, arguments)]) == 2
     ray.shutdown()
     lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("kinetix-dist: ")]
