@@ -5,11 +5,5 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-peer=bench/.peers/kinetix
-uv=$(command -v .venv/bin/uv || command -v uv) || {
-  echo "setup: uv not found; run 'make install' first" >&2
-  exit 1
-}
-"$uv" venv --quiet --clear --python "${PYTHON:-python3}" "$peer"
-"$uv" pip install --quiet --python "$peer/bin/python" --requirement bench/peers/kinetix.txt
-"$peer/bin/python" bench/peers/kinetix_play.py --check
+source bench/peers/install.sh
+install_peer kinetix kinetix_play.py

@@ -61,22 +61,17 @@ Args = (
 
 def run(args: Any) -> int:
     """Runs the chosen subcommand; 0, or 1 where one of several files was wrong or `solve` found no proof."""
-    if isinstance(args, Validate):
-        return _validate(args)
-    if isinstance(args, Solve):
-        return run_solve(args)
-    if isinstance(args, Render):
-        return run_render(args)
-    if isinstance(args, Stats):
-        return run_stats(args)
-    if isinstance(args, Import):
-        return run_import(args)
-    if isinstance(args, Export):
-        return run_export(args)
-    actions: dict[type, Callable[[Any], None]] = {
-        List: _list,
-        Show: _show,
+    with_status: dict[type, Callable[[Any], int]] = {
+        Validate: _validate,
+        Solve: run_solve,
+        Render: run_render,
+        Stats: run_stats,
+        Import: run_import,
+        Export: run_export,
     }
+    if type(args) in with_status:
+        return with_status[type(args)](args)
+    actions: dict[type, Callable[[Any], None]] = {List: _list, Show: _show}
     with user_errors(*_EXPECTED):
         actions[type(args)](args)
     return 0
