@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -167,6 +168,28 @@ def test_losses_of_an_hour_ago_are_forgotten(monkeypatch):
     losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
     with pytest.raises(TooManyLossesError, match="max_restarts is 2"):
         losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
+
+
+def test_of_the_log_of_a_lost_process_and_of_its_group_the_end_is_kept(tmp_path):
+    kept, told = {}, []
+
+    def keep(name, text):
+        kept[name] = text
+        return tmp_path / name
+
+    losses = Losses(limit=9, on_event=lambda kind, **details: told.append(details), on_log=keep)
+    texts = {"worker 0": "old\n" + "x" * 70_000 + "\nF1122 check failed", "worker 1": "lost its peer", "worker 2": ""}
+    for process, text in {**texts, "curator 0": "well"}.items():
+        (tmp_path / "log").mkdir(exist_ok=True)
+        (file := tmp_path / "log" / process).write_text(text)
+        losses.started(process, {"host": socket.gethostname(), "log": str(file)})
+    losses.started("worker 3", {"host": "another", "log": str(tmp_path / "log" / "worker 0")})
+    losses.started("worker 4", {"host": socket.gethostname(), "log": str(tmp_path / "gone")})
+    losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
+    assert sorted(kept) == ["worker_0", "worker_1"] and "old" not in kept["worker_0"]
+    assert kept["worker_0"].endswith("F1122 check failed") and kept["worker_1"] == "lost its peer"
+    losses.lost(WorkerLostError("worker 2 died", process="worker 2"))
+    assert [row.get("log") for row in told] == [str(tmp_path / "worker_0"), None]
 
 
 # The curator

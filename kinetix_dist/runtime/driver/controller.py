@@ -85,7 +85,9 @@ class Controller:
         self._on_rollouts = on_rollouts
         self._refreshes = Refreshes(config, run, reporter, trainer, curator, clock=self.clock, stop=self.stop)
         self._physics = PhysicsWatch()
-        self._losses = Losses(limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note)
+        self._losses = Losses(
+            limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note, on_log=run.keep_log
+        )
         self.backend.losses = self._losses
         self._section = self.backend.sections.section
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)

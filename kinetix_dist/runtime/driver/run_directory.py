@@ -8,7 +8,7 @@
         events.jsonl         what happened: restarts, rejected checkpoints, adopted buffers
         adoptions.json       from which update on each buffer of the curriculum was used
         recordings/          rollouts (.mcap), .rrd and pictures
-        logs/                tracebacks of processes that failed
+        logs/                tracebacks of processes that failed, and the last output of those that were lost
         report.json          written when the run is complete
 
 The driver keeps no state of its own: from this directory a run can be resumed by any process.
@@ -154,6 +154,14 @@ class RunDirectory:
         with path.open("a") as file:
             file.write(f"{now()}\n{text.rstrip()}\n")
         return path
+
+    def keep_log(self, name: str, text: str) -> Path | None:
+        """`write_log` where training goes on: None, with an event, where it cannot be written."""
+        try:
+            return self.write_log(name, text)
+        except OSError as error:
+            self.event("file_failed", file=f"logs/{name}.log", error=one_line(error))
+            return None
 
     def write_json(self, path: Path, content: Any) -> None:
         """Writes JSON by a rename: no reader ever sees half a file, and no kill leaves one."""

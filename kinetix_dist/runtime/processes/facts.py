@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import os
 import socket
+from pathlib import Path
 from typing import Any
 
 from kinetix_dist.runtime.processes.gpu_memory import MIB, Budget
 
 
 def whereabouts(budget: Budget | None) -> dict[str, Any]:
-    """Of the process that calls this: process id and host; with a `budget` also its GPU and what it has of it."""
-    where: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname()}
+    """Of the process that calls this: process id, host, and the file that it writes its errors to; with a `budget` also
+    its GPU and what it has of it."""
+    where: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "log": _log_of_this_process()}
     if budget is not None:
         where["gpu"] = os.environ.get("CUDA_VISIBLE_DEVICES", "0")
         where["memory_mib"] = {"budget": budget.total_bytes // MIB, "reserve": budget.reserve_bytes // MIB}
     return where
+
+
+def _log_of_this_process() -> str | None:
+    """The file that standard error goes to; None where it is none, and on systems without /proc."""
+    try:
+        path = Path(os.readlink("/proc/self/fd/2"))
+    except OSError:
+        return None
+    return str(path) if path.is_file() else None
 
 
 def facts_of(process: str, budget: Budget | None) -> dict[str, Any]:

@@ -7,14 +7,19 @@ compiling are inside.
 from __future__ import annotations
 
 import dataclasses
+import os
+import socket
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from kinetix_dist.runtime.processes.failures import TooManyLossesError, WorkerLostError
 from kinetix_dist.telemetry.names import ROLES
 
 HOUR_S = 3600.0
+MAX_LOG_BYTES = 65536  # of the end of a log that is kept
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -37,9 +42,12 @@ class Losses:
         limit: int = 0,
         on_event: Callable[..., None] = lambda kind, **details: None,
         on_note: Callable[[str], None] = lambda message: None,
+        on_log: Callable[[str, str], Path | None] = lambda name, text: None,
     ) -> None:
-        """limit: of losses within an hour."""
+        """limit: of losses within an hour. on_log(name, text): keeps what a lost process wrote last; where it is."""
         self._limit = limit
+        self._on_log = on_log
+        self._logs: dict[str, Path] = {}  # by process: the files of this host that they write their errors to
         self._on_event = on_event
         self._on_note = on_note
         self.update = 0  # done so far
@@ -50,6 +58,12 @@ class Losses:
     @property
     def num_restarts(self) -> int:
         return sum(self.restarts.values())
+
+    def started(self, process: str, where: dict[str, Any]) -> None:
+        """where: what it said of itself (`facts.whereabouts`)."""
+        self._logs.pop(process, None)
+        if where.get("log") is not None and where["host"] == socket.gethostname():
+            self._logs[process] = Path(where["log"])
 
     def lost(self, error: WorkerLostError) -> Loss:
         """Tells of a loss and counts it. Raises TooManyLossesError where that was one too many within an hour."""
@@ -63,8 +77,11 @@ class Losses:
             self._times.popleft()
         count = len(self._times)
         details = {"process": loss.process, "role": role, "section": loss.section, "update": loss.update}
-        self._on_event("process_lost", **details, error=str(error), restart=count)
+        kept = self._keep_logs(loss)
+        log = {"log": str(kept)} if kept is not None else {}
+        self._on_event("process_lost", **details, error=str(error), restart=count, **log)
         where = f" (section {loss.section!r})" if loss.section else ""
+        where += f"; what it wrote last is in {kept}" if kept is not None else ""
         if count > self._limit:
             raise TooManyLossesError(
                 f"{error}{where}; that is loss {count} within an hour, and run.max_restarts is {self._limit}"
@@ -72,6 +89,16 @@ class Losses:
         self.restarts[role] += 1
         self._on_note(f"{error}{where}; restart {count} of {self._limit} within an hour")
         return loss
+
+    def _keep_logs(self, loss: Loss) -> Path | None:
+        """Of the lost process and the others of its role: one that dies takes its group along. Where that of the lost
+        one is, if it wrote anything."""
+        found = None
+        for process, log in self._logs.items():
+            if process.split()[0] == loss.role and (text := _end_of(log)):
+                kept = self._on_log(process.replace(" ", "_"), text)
+                found = kept if process == loss.process else found
+        return found
 
     def recovered(self, loss: Loss, *, update: int) -> None:
         """The first new result after a loss is there. update: at which that is."""
@@ -87,3 +114,14 @@ class Losses:
         if self.recovery_seconds:
             found["runtime/recovery_seconds"] = max(self.recovery_seconds.values())
         return found | {f"runtime/recovery_seconds_{role}": value for role, value in self.recovery_seconds.items()}
+
+
+def _end_of(log: Path) -> str:
+    """The last lines of a file; empty where it cannot be read."""
+    try:
+        with log.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - MAX_LOG_BYTES))
+            return file.read().decode(errors="replace").strip()
+    except OSError:
+        return ""

@@ -215,7 +215,7 @@ class RayBackend:
             handle.pid = pid
         started = self._all(actors, [actor.prepare.remote() for actor in actors])
         for handle, where in zip(handles, started, strict=True):
-            self._on_event("process_started", process=handle.plan.name, **where)
+            self._note_started(handle, where)
         # Those that join nobody build first: they do so while the others ask for an address and wait for each other.
         calls: list[tuple[Any, Any]] = []
         for group in sorted(groups, key=_joins):
@@ -253,7 +253,11 @@ class RayBackend:
         if handle.pid is None and ray.wait(handle.starting[:1], timeout=0)[0]:
             where = self._supervisor.gather([(handle.starting[0], handle.actor)])[0]
             handle.pid = where["pid"]
-            self._on_event("process_started", process=handle.plan.name, **where)
+            self._note_started(handle, where)
+
+    def _note_started(self, handle: RayHandle, where: dict[str, Any]) -> None:
+        self.losses.started(handle.plan.name, where)
+        self._on_event("process_started", process=handle.plan.name, **where)
 
     def facts(self, handles: Sequence[RayHandle]) -> list[dict[str, Any]]:
         actors = [handle.actor for handle in handles]
