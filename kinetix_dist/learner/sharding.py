@@ -7,9 +7,11 @@ hands in the worlds of its own devices and gets a global array; with one process
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
@@ -31,6 +33,35 @@ def replicated(mesh: Mesh) -> NamedSharding:
 def sharded(mesh: Mesh, *, axis: int = 0) -> NamedSharding:
     """Axis number `axis` divided over the mesh: 0 for [W, ...], 1 for [T, W, ...], -1 is not supported."""
     return NamedSharding(mesh, PartitionSpec(*[None] * axis, DATA_AXIS))
+
+
+def on_devices(function: Callable[..., Any], mesh: Mesh, *, in_specs: Any, out_specs: Any) -> Callable[..., Any]:
+    """`jax.shard_map` of a function that may ignore some of its inputs. What is replicated is not checked.
+
+    The compiler of jax 0.11 ends the process (a fault in Shardy's ManualComputationUnusedInputsPattern) on some
+    programs of several devices that do not use all their inputs, or have inputs that hold nothing. So those that hold
+    nothing are left out, and a barrier, which costs nothing, uses the others.
+    """
+
+    def call(*inputs: Any) -> Any:
+        leaves, structure = jax.tree.flatten(inputs)
+        specs = jax.tree.leaves(jax.tree.broadcast(tuple(in_specs), inputs))
+        used = [index for index, leaf in enumerate(leaves) if np.size(leaf)]
+
+        def with_all_used(*values: Any) -> Any:
+            value_of = dict(zip(used, jax.lax.optimization_barrier(values), strict=True))
+            empty = {
+                index: jnp.zeros(NamedSharding(mesh, specs[index]).shard_shape(np.shape(leaf)), leaf.dtype)
+                for index, leaf in enumerate(leaves)
+                if index not in value_of
+            }
+            return function(*jax.tree.unflatten(structure, [(value_of | empty)[index] for index in range(len(leaves))]))
+
+        with_specs = tuple(specs[index] for index in used)
+        on_mesh = jax.shard_map(with_all_used, mesh=mesh, in_specs=with_specs, out_specs=out_specs, check_vma=False)
+        return on_mesh(*(leaves[index] for index in used))
+
+    return call
 
 
 def replicate(tree: Any, mesh: Mesh) -> Any:

@@ -33,7 +33,7 @@ from kinetix_dist.env.observations import Observation
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import LOSS_METRICS, Samples, ppo_terms, total_loss
-from kinetix_dist.learner.sharding import DATA_AXIS
+from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
 from kinetix_dist.learner.state import LearnerState, adam, add_env_steps
 from kinetix_dist.messages import Trajectory
 from kinetix_dist.models.gru import has_memory
@@ -148,12 +148,11 @@ def make_update(
         return _update(program, state, static_obs, trajectory, last_value)
 
     replicated, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
-    on_devices = jax.shard_map(
+    on_mesh = on_devices(  # gradients are summed by hand, all leaves in one psum
         local_update,
-        mesh=mesh,
+        mesh,
         in_specs=(replicated, worlds, PartitionSpec(None, DATA_AXIS), worlds),
         out_specs=(replicated, replicated),
-        check_vma=False,  # gradients are summed by hand, all leaves in one psum
     )
 
     def update(
@@ -162,7 +161,7 @@ def make_update(
         num_steps, num_rows = trajectory.rewards.shape
         num_worlds = _num_worlds(division, num_rows)
         config.check_batch(num_steps=num_steps, num_worlds=num_worlds, whole_worlds=program.is_recurrent)
-        return on_devices(state, static_obs, trajectory, last_value)
+        return on_mesh(state, static_obs, trajectory, last_value)
 
     return jax.jit(update)
 

@@ -15,7 +15,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.sharding import DATA_AXIS
+from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
 from kinetix_dist.messages import LevelOutcome
 from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, stream
 
@@ -59,12 +59,11 @@ class RolloutCore:
         self._groups_per_part = len(groups) // self.division.num_parts
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._play = jax.jit(
-            jax.shard_map(
+            on_devices(
                 self._play_shard,
-                mesh=mesh,
+                mesh,
                 in_specs=(whole, whole, whole),
                 out_specs=(Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds), worlds, whole),
-                check_vma=False,
             )
         )
 
