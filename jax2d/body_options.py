@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+import difflib
+from typing import Any, NamedTuple
 
 from jax2d.given import LARGEST, Point, SceneError, finite, flag, in_units, not_negative, number, positive
 from jax2d.scene import Capacity
@@ -37,6 +38,16 @@ class BodyOptions:
     mask: int = (
         2**FILTER_BITS - 1
     )  # bits of what it may touch: two touch where each one's mask has the other's category
+
+    @classmethod
+    def of(cls, **options: Any) -> BodyOptions:
+        """Raises SceneError for an option that there is none of."""
+        known = [field.name for field in dataclasses.fields(cls)]
+        if unknown := [name for name in options if name not in known]:
+            near = difflib.get_close_matches(unknown[0], known, 1)
+            meant = f"did you mean {near[0]}?" if near else f"options are {', '.join(known)}"
+            raise SceneError(f"a shape has no option {unknown[0]}; {meant}")
+        return cls(**options)
 
 
 class Filter(NamedTuple):

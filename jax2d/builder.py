@@ -83,7 +83,7 @@ class SceneBuilder:
         which comes to `position`; the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
         area, centroid, inertia = polygon_integrals(corners)
-        body = body_of(area, inertia, BodyOptions(**options), self.capacity, self.settings)
+        body = body_of(area, inertia, BodyOptions.of(**options), self.capacity, self.settings)
         index = self._take("polygons", self._polygons)
         self._polygons += 1
         padded = np.concatenate([corners, np.repeat(corners[-1:], self.capacity.vertices - len(corners), 0)])
@@ -103,7 +103,7 @@ class SceneBuilder:
         if radius < SMALLEST_RADIUS_M:
             raise SceneError(f"radius is {radius:g}; it must be at least {SMALLEST_RADIUS_M:.2g} m")
         area = math.pi * radius**2
-        body = body_of(area, 0.5 * area * radius**2, BodyOptions(**options), self.capacity, self.settings)
+        body = body_of(area, 0.5 * area * radius**2, BodyOptions.of(**options), self.capacity, self.settings)
         slot = self._take("circles", self._circles)
         self._circles += 1
         self._scene.shapes.radius[slot] = radius

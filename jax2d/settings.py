@@ -34,6 +34,14 @@ def _is_finite(value: float) -> bool:
         return False
 
 
+POSITIVE = {  # fields that cannot be 0, as others can
+    "max_speed": "nothing would move; the largest that a body may have, in m/s, is above 0",
+    "max_angular_speed": "nothing would turn; the largest that a body may have, in rad/s, is above 0",
+    "contact_hertz": "contacts would hold nothing apart; give their stiffness in Hz",
+    "joint_hertz": "joints would hold nothing together; give their stiffness in Hz",
+}
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver`,
@@ -100,6 +108,9 @@ class Settings:
             )
         if self.dt == 0:
             raise ValueError(f"Settings.dt is {self.dt}; a step must take a positive time in seconds")
+        for name, what in POSITIVE.items():
+            if getattr(self, name) == 0:
+                raise ValueError(f"Settings.{name} is {getattr(self, name)}; {what}")
         if self.substeps < 1:
             raise ValueError(f"Settings.substeps is {self.substeps}; at least 1 is needed")
         if self.blow_passes < 0:

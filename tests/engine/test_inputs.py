@@ -13,6 +13,7 @@ import pytest
 
 from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, Settings, State, preset, stack_worlds
 from jax2d.fields import as_dict, with_fields
+from jax2d.given import SceneError
 from tests.engine.worlds import CAPACITY, builder, engine
 
 
@@ -338,6 +339,8 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
         ({"dt": "0.1"}, "dt is '0.1'; it must be a number"),
         ({"dt": None}, "dt is None; it must be a number"),
         ({"dt": 0}, "dt is 0; a step must take a positive time"),
+        ({"max_speed": 0.0}, "max_speed is 0.0; nothing would move"),
+        ({"contact_hertz": 0}, "contact_hertz is 0; contacts would hold nothing apart"),
         ({"substeps": 2.5}, "substeps is 2.5; it must be a whole number"),
         ({"substeps": 0}, "substeps is 0; at least 1 is needed"),
         ({"solver": "sequential_impulses", "solver_batch_size": 16.0}, "solver_batch_size is 16.0; it must be a whole"),
@@ -359,6 +362,14 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
 def test_settings_of_another_kind_are_refused(settings: dict[str, Any], said: str):
     with pytest.raises(ValueError, match=rf"^Settings\.{said}"):
         Settings(**settings)
+
+
+def test_an_option_that_shapes_do_not_have_is_named():
+    builder = SceneBuilder(Capacity(polygons=1, circles=1, joints=0, thrusters=0))
+    with pytest.raises(SceneError, match=r"^a shape has no option resttitution; did you mean restitution\?$"):
+        builder.add_circle(radius=0.1, resttitution=0.5)
+    with pytest.raises(SceneError, match=r"^a shape has no option colour; options are position, angle"):
+        builder.add_box(width=1, height=1, colour="red")
 
 
 def test_settings_take_numbers_of_numpy():
