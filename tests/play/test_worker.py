@@ -39,6 +39,15 @@ def document(name: str = NAME) -> dict[str, Any]:
     return json.loads((levels_root() / f"{name}.json").read_text())
 
 
+# Attempts that go on until they are cancelled: the pendulum hangs still.
+LONG = {
+    "level": {"document": document("s/swing_up")},
+    "policy": "noop",
+    "attempts": 1024,
+    "env": {"max_steps": 100_000},
+}
+
+
 def level(name: str = NAME) -> Level:
     return load_level(levels_root() / f"{name}.json")[0]
 
@@ -320,13 +329,7 @@ def test_attempts_report_progress_and_end_when_cancelled(worker: Client) -> None
     assert answer["p"] == answer["solved"] / 64 and answer["low"] <= answer["p"] <= answer["high"]
     assert answer["learnability"] == pytest.approx(answer["p"] * (1 - answer["p"]))
     assert sum(answer[name] for name in ("solved", "failed", "timed_out", "unstable")) == 64
-    long = {
-        "level": {"document": document("s/swing_up")},
-        "policy": "noop",
-        "attempts": 1024,
-        "env": {"max_steps": 100_000},
-    }
-    running, waiting = worker.send("attempts", **long), worker.send("attempts", **long)
+    running, waiting = worker.send("attempts", **LONG), worker.send("attempts", **LONG)
     while not any(p["stage"] == "playing" for p in worker.progress.get(running, ())):
         worker.take()
     # Sessions and checks go on meanwhile.
@@ -459,15 +462,9 @@ def test_controls_that_make_no_sense_are_one_line(worker: Client) -> None:
 
 
 def test_an_id_twice_and_too_many_requests_are_refused(worker: Client) -> None:
-    long = {
-        "level": {"document": document("s/swing_up")},
-        "policy": "noop",
-        "attempts": 1024,
-        "env": {"max_steps": 100_000},
-    }
-    requests = [worker.send("attempts", **long) for _ in range(16)]
+    requests = [worker.send("attempts", **LONG) for _ in range(16)]
     assert refused(worker, "check", document=document()).code == wire.BUSY
-    worker.tell("attempts", id=requests[0], **long)
+    worker.tell("attempts", id=requests[0], **LONG)
     with pytest.raises(RequestError, match="in use"):
         worker.wait(requests[0])
     for request in requests:

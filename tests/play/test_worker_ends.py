@@ -16,7 +16,7 @@ import pytest
 from kinetix_dist.play.worker import IDLE_VARIABLE
 from tests.helpers import REPOSITORY, python_path
 from tests.play.client import WORKER, Client
-from tests.play.test_worker import document
+from tests.play.test_worker import LONG, document
 
 
 def wait_for_end(pid: int, seconds: float) -> None:
@@ -30,13 +30,7 @@ def test_it_ends_with_its_pipe_also_in_the_middle_of_work(tmp_path: Path) -> Non
     client = Client(log=tmp_path / "log")
     process = psutil.Process(client.process.pid)
     assert process.nice() >= 10
-    long = {
-        "level": {"document": document("s/swing_up")},
-        "policy": "noop",
-        "attempts": 1024,
-        "env": {"max_steps": 100_000},
-    }
-    request = client.send("attempts", **long)
+    request = client.send("attempts", **LONG)
     while not any(p["stage"] == "playing" for p in client.progress.get(request, ())):
         client.take()
     begin = time.monotonic()
@@ -72,40 +66,28 @@ def test_it_ends_when_its_parent_is_killed_though_the_pipe_stays_open(tmp_path: 
 
 def test_it_ends_after_a_while_without_work_but_not_while_a_session_runs(tmp_path: Path) -> None:
     client = Client(log=tmp_path / "log", environment={IDLE_VARIABLE: "1.5"})
-    session = client.ask("play.open", level={"document": document()}, env={"max_steps": 100_000}, running=True)
+    session = client.ask("play.open", level=LONG["level"], env=LONG["env"], running=True)
     time.sleep(3.0)
     client.ask("play.control", session=session["session"], do="pause")
     assert client.other("bye", seconds=15).content["reason"] == "idle"
     assert client.process.wait(timeout=10) == 0
 
 
-def test_a_killed_worker_is_the_end_of_the_pipe_and_another_one_starts(tmp_path: Path) -> None:
-    client = Client(log=tmp_path / "log")
-    request = client.send("play.open", level={"document": document()})
-    client.process.kill()
-    with pytest.raises(AssertionError, match="the worker ended"):
-        client.wait(request)
-    assert client.process.wait() == -signal.SIGKILL
-    again = Client(log=tmp_path / "log2")
-    assert again.ask("check", document=document(), play=False)["problems"] == []
-    assert again.close() == 0
-
-
-def test_a_hung_worker_is_silent_and_can_be_killed(tmp_path: Path) -> None:
+def test_a_hung_worker_is_silent_and_a_killed_one_is_the_end_of_the_pipe(tmp_path: Path) -> None:
     client = Client(log=tmp_path / "log")
     client.process.send_signal(signal.SIGSTOP)
     request = client.send("check", document=document())
     with pytest.raises(queue.Empty):
-        client.wait(request, seconds=2)
+        client.wait(request, seconds=1)
     client.process.kill()
+    with pytest.raises(AssertionError, match="the worker ended"):
+        client.wait(request)
     assert client.process.wait(timeout=10) == -signal.SIGKILL
 
 
-def test_ctrl_c_is_left_to_the_server(tmp_path: Path) -> None:
-    client = Client(log=tmp_path / "log")
-    client.process.send_signal(signal.SIGINT)
-    assert client.ask("check", document=document(), play=False)["problems"] == []
-    assert client.close() == 0
+def test_ctrl_c_is_left_to_the_server(worker: Client) -> None:
+    worker.process.send_signal(signal.SIGINT)
+    assert worker.ask("check", document=document(), play=False)["problems"] == []
 
 
 def test_it_sees_no_gpu_and_computes_on_the_cpu(tmp_path: Path) -> None:
