@@ -7,6 +7,7 @@ No call waits for a disk. What a disk does not take is dropped and counted (`tel
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -69,7 +70,7 @@ class RunData:
         self._close_sinks()
         self._resume_at = num_updates
         for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
-            if path.exists():
+            if os.path.exists(path):  # what cannot be looked at fails, and is told, with the first row
                 self._sink(path, opens_at_once=True)
         if self._window is not None:
             self._window.start(description, arrays, num_updates=num_updates)
