@@ -14,6 +14,7 @@ from kinetix_dist.curator.scores import learnability
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.training_run import train
@@ -358,6 +359,16 @@ def test_status_and_event_have_the_line_that_a_failed_run_ends_with(tmp_path):
     assert [row["error"] for row in events(run.path, "run_failed")] == [status.error]
 
 
+def test_a_curriculum_that_leaves_episodes_out_of_the_counts_is_refused(tmp_path):
+    run = RunDirectory.create(tmp_path / "run", numbered=False)
+    data = RunData(_config(), run, QuietReporter())
+    data.start({}, {}, num_updates=0)
+    episodes = {"finished": np.array([3, 1]), "solved": np.array([0, 0])}
+    with pytest.raises(ValueError, match="'sfl': of 5 episodes 4 have a source"):
+        data.played(1, episodes, num_finished=5.0, buffer=0)
+    run.close()
+
+
 @pytest.mark.slow  # starts three processes
 def test_in_processes_of_their_own_the_same_is_written(logged, tmp_path):
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
@@ -369,5 +380,7 @@ def test_in_processes_of_their_own_the_same_is_written(logged, tmp_path):
         backend.stop()
     _assert_same_data(tmp_path / "ray", logged[0])
     assert_same_bits(final_arrays(tmp_path / "ray"), final_arrays(logged[0]))
-    (line,) = read_lines(tmp_path / "ray" / "processes.jsonl").rows
-    assert "driver" in [process["name"] for process in line["processes"]]
+    processes = {one["name"]: one for one in read_lines(tmp_path / "ray" / "processes.jsonl").rows[-1]["processes"]}
+    assert processes.keys() == {"driver", "worker 0", "curator 0"}
+    assert len({one["pid"] for one in processes.values()}) == 3
+    assert processes["worker 0"]["device"] == "cpu" and "device" not in processes["driver"]

@@ -223,7 +223,8 @@ class Controller:
             metrics, seconds, episodes = self.trainer.run_update(self.num_updates)
         self._update_seconds = time.monotonic() - began
         self.clock.add(seconds)
-        self._data.played(self.num_updates + 1, episodes, self._refreshes.buffer_of(self.num_updates))
+        buffer = self._refreshes.buffer_of(self.num_updates)
+        self._data.played(self.num_updates + 1, episodes, num_finished=metrics["train/episodes"], buffer=buffer)
         self.num_updates += 1
         self._losses.update = self.num_updates
         self._note_recovery()
@@ -266,7 +267,7 @@ class Controller:
         if self._saver.seconds is not None:
             metrics["runtime/save_seconds"] = self._saver.seconds
         left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
-        self._data.processes(self.num_updates, self.backend.processes)
+        self._data.processes(self.num_updates, self.backend.processes())
         self.reporter.metrics(self.num_updates, metrics, left)
         physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):

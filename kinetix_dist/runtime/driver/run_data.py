@@ -7,6 +7,7 @@ No call waits for a disk. What a disk does not take is dropped and counted (`tel
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -61,7 +62,8 @@ class RunData:
         self._sinks: dict[Path, BackgroundSink[Any]] = {}
         self._num_dropped = 0  # by sinks that are closed
         self._resume_at = 0  # updates done when this session, or the part of it since the last loss, began
-        self._processes_at = float("-inf")  # s of time.monotonic(), of the last line
+        self._processes_at = 0.0  # s of time.monotonic(), of the last line
+        self._pids: set[tuple[str, int]] = set()  # in the last line
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
         """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
@@ -69,7 +71,7 @@ class RunData:
         self._close_sinks()
         self._resume_at = num_updates
         for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
-            if path.exists():
+            if os.path.exists(path):  # what cannot be looked at fails, and is told, with the first row
                 self._sink(path, opens_at_once=True)
         if self._window is not None:
             self._window.start(description, arrays, num_updates=num_updates)
@@ -104,10 +106,19 @@ class RunData:
         state = select_arrays(arrays, CURRICULUM)
         self._write_snapshot(BUFFER, num_updates, lambda: self._curriculum.buffer_log(state))
 
-    def played(self, num_updates: int, episodes: Mapping[str, np.ndarray], buffer: int | None) -> None:
-        """Episodes of the update that led to `num_updates`, see `Trainer.run_update`; buffer: see `OutcomeWindow`."""
-        if self._window is not None and episodes:
-            self._write_outcomes(self._window.add(num_updates, episodes, buffer))
+    def played(
+        self, num_updates: int, episodes: Mapping[str, np.ndarray], *, num_finished: float, buffer: int | None
+    ) -> None:
+        """Episodes of the update that led to `num_updates`, see `Trainer.run_update`; num_finished: in all; buffer: see
+        `OutcomeWindow`. Raises ValueError where the curriculum left some out."""
+        if self._window is None or not episodes:
+            return
+        if (counted := int(episodes["finished"].sum())) != num_finished:
+            raise ValueError(
+                f"curriculum {self._config.curriculum.name!r}: of {num_finished:.0f} episodes {counted} have a source; "
+                "Proposal.source must be 0 or more, and less than the number of its sources and places"
+            )
+        self._write_outcomes(self._window.add(num_updates, episodes, buffer))
 
     def trained(self, num_updates: int) -> None:
         """After the last update."""
@@ -127,13 +138,14 @@ class RunData:
 
         self._sink(self._run.evaluation_rows).write(reported_at, row)
 
-    def processes(self, num_updates: int, processes: Callable[[], Sequence[Mapping[str, Any]]]) -> None:
-        """Writes what `processes` are at, if the last line is old enough."""
+    def processes(self, num_updates: int, processes: Sequence[Mapping[str, Any]]) -> None:
+        """Writes what they are at, if the last line is old enough, or some came or went since."""
         now = time.monotonic()
-        if now - self._processes_at < PROCESSES_EVERY_S:
+        pids = {(process["host"], process["pid"]) for process in processes}
+        if pids == self._pids and now - self._processes_at < PROCESSES_EVERY_S:
             return
-        self._processes_at = now
-        row = {"format": FORMAT, "time": utc_text(), "update": num_updates, "processes": list(processes())}
+        self._processes_at, self._pids = now, pids
+        row = {"format": FORMAT, "time": utc_text(), "update": num_updates, "processes": list(processes)}
         self._sink(self._run.processes).write(num_updates, row)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
