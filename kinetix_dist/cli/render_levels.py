@@ -108,18 +108,18 @@ def _rollouts(args: Render) -> list[Rollout]:
 
     from kinetix_dist.cli import eval_command
     from kinetix_dist.evaluation.recordings import record_rollouts
-    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     assert args.by in ("noop", "random", "trained")
     asked = eval_command.Args(
         levels=args.levels, checkpoint=args.checkpoint, policy=args.by, preset=args.preset, baselines=False
     )
     eval_command.check(asked)
-    checkpoint, config = eval_command.checkpoint_of(asked)
-    enable_compile_cache("" if config is None else config.run.compile_cache)
+    trained = eval_command.trained_of(asked)
+    enable_compile_cache("" if trained is None else trained.config.run.compile_cache)
     levels, names = _levels(args)
-    env = eval_command.environment_of(asked, config, levels)
-    player = eval_command.players_of(asked, checkpoint, config, env, levels)[args.by]
+    env = eval_command.environment_of(asked, trained, levels)
+    player = eval_command.players_of(asked, trained, env, levels)[args.by]
     return record_rollouts(env, player, levels, jax.random.key(args.seed), names=names, seed=args.seed)
 
 

@@ -15,6 +15,7 @@ from bench import (
     compare_revisions,
     compile_time,
     control_plane,
+    engine_worker,
     export_policy,
     goal_following,
     gpu_session,
@@ -23,6 +24,7 @@ from bench import (
     plot_runs,
     public_package,
     published_steps,
+    run_data_sizes,
     soak,
 )
 from jax2d.fidelity import hard_table, references
@@ -32,6 +34,7 @@ PROGRAMS = [
     compare_revisions.main,
     compile_time.main,
     control_plane.main,
+    engine_worker.main,
     export_policy.main,
     goal_following.main,
     gpu_session.main,
@@ -42,6 +45,7 @@ PROGRAMS = [
     public_package.main,
     published_steps.main,
     references.main,
+    run_data_sizes.main,
     soak.main,
 ]
 
@@ -108,6 +112,8 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (public_package.main, ["--levels", "none", "--ways", "nosuch"], "--ways has 'nosuch': unknown preset 'nosuch'"),
         (public_package.main, ["--levels", "none", "--ways", "paper+mass"], "--ways has 'paper+mass'"),
         (public_package.main, ["--levels", "none", "--ways", "paper,decay=1"], "--ways has 'paper,decay=1'"),
+        (run_data_sizes.main, ["--recipes", "nosuch"], "--recipes has 'nosuch'"),
+        (run_data_sizes.main, ["--recipes", "plr_s"], "whose curriculum is sfl"),
         (soak.main, ["--worlds", "0"], "--worlds is 0"),
         (soak.main, ["--replay", "xl", "0", "0"], "--replay is xl 0 0"),
         (soak.main, ["--replay", "s", "first", "0"], "--replay is s first 0"),

@@ -18,7 +18,6 @@ from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.physics_watch import WARNINGS
-from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.names import METRICS
@@ -46,14 +45,14 @@ def worker():
 
 def test_a_healthy_rollout_counts_nothing_that_should_be_zero(worker):
     worker.adopt(worker.scored)
-    metrics, _ = worker.run_update(0)
+    metrics, *_ = worker.run_update(0)
     assert {name for name in METRICS if name.startswith("physics/")} <= metrics.keys()
     assert all(metrics[f"physics/{kind}"] == 0 for kind in WARNINGS)
 
 
 def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
     worker.adopt(_with_nan(worker.scored))
-    metrics, _ = worker.run_update(0)
+    metrics, *_ = worker.run_update(0)
     times = NUM_WORLDS // 2 * NUM_STEPS
     assert metrics["physics/unstable_worlds"] == times
     assert metrics["physics/unstable"] == pytest.approx(1e6 * times / PHYSICS_STEPS)
@@ -90,7 +89,7 @@ class _PoisonedCurator(CuratorClient):
         assert refresh is not None
         if self.num_taken:
             parts = [LocalTicket(_with_nan(part.fetch())) for part in refresh.parts]
-            refresh = Refresh(parts=parts, seconds=refresh.seconds)
+            refresh = dataclasses.replace(refresh, parts=parts)
         self.num_taken += 1
         return refresh
 
