@@ -12,6 +12,7 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import secrets
+import socket
 from collections.abc import Awaitable, Callable, Iterable
 from urllib.parse import urlsplit
 
@@ -45,20 +46,22 @@ class Access:
         self.cookie_name = f"kinetix_dist_{port}"
         self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
         self._allowed = {name.lower() for name in allowed_hosts}
-        self._own_names = LOOPBACK_NAMES | ({host.lower()} if not _is_any(host) else set())
+        self._own_names = LOOPBACK_NAMES | {socket.gethostname().lower() if _is_any(host) else host.lower()}
         self._open_paths = tuple(open_paths)
 
     @property
     def middleware(self) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
         @web.middleware
         async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
-            response = await self._answer(request, handler)
-            if not response.prepared:
-                for name, value in HEADERS.items():
-                    response.headers.setdefault(name, value)
-            return response
+            return await self._answer(request, handler)
 
         return check
+
+    @staticmethod
+    async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
+        """For `on_response_prepare`: every answer, errors too, says what a browser may do with it."""
+        for name, value in HEADERS.items():
+            response.headers.setdefault(name, value)
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         problem = self.refusal_of_place(request.headers.get("Host"), request.headers.get("Origin"))

@@ -21,6 +21,7 @@ from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.server.access import Access
 from kinetix_dist.server.answers import BadRequestError, error_response
 from kinetix_dist.server.channel import Channel
+from kinetix_dist.server.compare_pages import ComparePages
 from kinetix_dist.server.run_pages import RunPages
 from kinetix_dist.server.run_service import RunService, UnknownRunError
 from kinetix_dist.server.static_files import StaticFiles
@@ -58,9 +59,10 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
             await channel.close()
 
     app = web.Application(middlewares=[access.middleware, _errors_are_lines], client_max_size=MAX_BODY_BYTES)
-    app.add_routes(RunPages(service).routes())
+    app.on_response_prepare.append(access.add_headers)
+    for pages in (RunPages(service), ComparePages(service), StaticFiles()):
+        app.add_routes(pages.routes())
     app.add_routes([web.get("/channel", open_channel)])
-    app.add_routes(StaticFiles().routes())
     app.cleanup_ctx.append(_following(service))
     app.on_shutdown.append(close_channels)
     return app

@@ -3,6 +3,7 @@ import { addressOf, useAddress } from "./base/address.js";
 import { channel, useConnection } from "./base/channel.js";
 import { html, render } from "./base/html.js";
 import { restoreTheme, toggleTheme } from "./base/theme.js";
+import { ComparePage } from "./dashboard/compare.js";
 import { OverviewPage } from "./dashboard/overview.js";
 import { RunsPage } from "./dashboard/runs.js";
 
@@ -16,6 +17,7 @@ function App() {
   return html`<nav>
       <a class="name" href="#/runs">kinetix-dist</a>
       <a href="#/runs" aria-current=${area === "runs" ? "page" : null}>Runs</a>
+      <a href="#/compare" aria-current=${area === "compare" ? "page" : null}>Compare</a>
       ${run ? html`<span class="of">${run}</span>
         ${Object.entries(RUN_PAGES).map(([key, [label]]) => html`<a key=${key} href=${addressOf(["run", run, key], shared(query))}
           aria-current=${page === key ? "page" : null}>${label}</a>`)}` : null}
@@ -36,6 +38,7 @@ function shared(query) {
 /** @param {{ area: string, run: string | null, page: string }} props */
 function Page({ area, run, page }) {
   if (area === "runs") return html`<${RunsPage} />`;
+  if (area === "compare") return html`<${ComparePage} />`;
   if (run && page in RUN_PAGES) {
     document.title = `${run} · ${RUN_PAGES[page][0]}`;
     return html`<${RUN_PAGES[page][1]} key=${`${run} ${page}`} run=${run} />`;

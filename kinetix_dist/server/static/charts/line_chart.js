@@ -115,8 +115,9 @@ function options(props, width) {
         valueText(latest.get(u)?.lines[index], value, k),
     });
     if (line.low && line.high) {
-      series.push({ show: true, stroke: "transparent", points: { show: false } });
-      series.push({ show: true, stroke: "transparent", points: { show: false } });
+      // Edges of bands have no row in the legend: they stand beside their curve.
+      const edge = { stroke: "transparent", points: { show: false }, class: "hidden" };
+      series.push(edge, { ...edge });
       bands.push({ series: [own + 2, own + 1], fill: `${stroke}33` });
     }
   });
@@ -128,7 +129,7 @@ function options(props, width) {
     bands,
     padding: [8, 8, 0, 0],
     legend: { show: props.lines.length <= LEGEND_LINES, live: true },
-    scales: { x: { time: isDate }, y: props.log ? { distr: 3 } : {} },
+    scales: { x: { time: isDate }, y: props.log ? { distr: 3 } : { range: (_, low, high) => rangeOf(low, high) } },
     axes: [
       { stroke: ink, grid, ticks: grid, values: isDate ? undefined : (_, ticks) => ticks.map(short) },
       { stroke: ink, grid, ticks: grid, size: 56, values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : short(tick))) },
@@ -146,12 +147,20 @@ function options(props, width) {
         (u) => {
           latest.set(u, props);
           u.over.addEventListener("dblclick", () => latest.get(u)?.onZoom?.(null, null));
-          hideBandRows(u);
         },
       ],
       draw: [(u) => drawEvents(u, latest.get(u)?.events ?? [])],
     },
   };
+}
+
+/** Limits with room around the values; constants have 1 around them. @param {number | null} low @param {number | null} high
+ * @returns {[number, number]} */
+function rangeOf(low, high) {
+  if (low === null || high === null) return [0, 1];
+  if (low === high) return low === 0 ? [0, 1] : [Math.min(low, 0), Math.max(1.2 * high, 0)];
+  const room = 0.06 * (high - low);
+  return [low >= 0 && low < room ? 0 : low - room, high + room];
 }
 
 /** @param {Line | undefined} line @param {number | null} value @param {number | null} k */
@@ -160,13 +169,6 @@ function valueText(line, value, k) {
   const low = k === null ? null : line?.low?.[k];
   const high = k === null ? null : line?.high?.[k];
   return low === null || low === undefined ? short(value) : `${short(value)} (${short(low)} to ${short(high)})`;
-}
-
-/** Edges of bands have no line in the legend: they stand beside their curve. @param {uPlot} u */
-function hideBandRows(u) {
-  u.root.querySelectorAll(".u-series").forEach((row, index) => {
-    if (index && !u.series[index].label) row.classList.add("hidden");
-  });
 }
 
 /** @param {uPlot} u @param {{ x: number, event: string }[]} events */

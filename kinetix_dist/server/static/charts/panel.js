@@ -5,11 +5,11 @@ import { colour } from "../base/theme.js";
 
 /**
  * `rows` makes the table behind the picture, its first row the header. `missing`: a line instead of a picture, where a
- * run lacks what the panel shows. `canvas` gives the picture; left out: the first canvas in the panel.
+ * run lacks what the panel shows. The picture is the first canvas in the panel; `picture` false: there is none.
  * @param {{ title: string, help?: string, missing?: string | null, rows?: () => (string | number | null)[][],
- *   buttons?: any, wide?: boolean, name?: string, children?: any }} props
+ *   buttons?: any, wide?: boolean, picture?: boolean, name?: string, children?: any }} props
  */
-export function Panel({ title, help, missing, rows, buttons, wide, name, children }) {
+export function Panel({ title, help, missing, rows, buttons, wide, picture = true, name, children }) {
   const element = useRef(/** @type {HTMLElement | null} */ (null));
   const fileName = (name ?? title).replace(/\W+/g, "_");
   const saveCsv = () => rows && download(`${fileName}.csv`, csv(rows()));
@@ -24,7 +24,7 @@ export function Panel({ title, help, missing, rows, buttons, wide, name, childre
       <span class="buttons">
         ${missing ? null : buttons}
         ${rows && !missing ? html`<button onClick=${saveCsv} title="the numbers as CSV">CSV</button>` : null}
-        ${missing ? null : html`<button class="png" onClick=${savePng} title="the picture as PNG">PNG</button>`}
+        ${missing || !picture ? null : html`<button class="png" onClick=${savePng} title="the picture as PNG">PNG</button>`}
       </span>
     </header>
     ${missing ? html`<p class="missing">${missing}</p>` : children}

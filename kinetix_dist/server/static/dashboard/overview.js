@@ -20,8 +20,8 @@ export function OverviewPage({ run }) {
   const about = useRequest(() => get(`runs/${encodeURIComponent(run)}`), [run, described]);
   const names = Object.keys(about.data?.metrics ?? {});
   const { panels, others } = panelsOf(names);
-  const wanted = [...panels.flatMap((panel) => panel.names), ...(hasOthers ? others : [])];
-  const { curves, error, changes, bytesLeft, problems } = useSeries(run, wanted, view);
+  const wanted = ["progress/env_steps", ...panels.flatMap((panel) => panel.names), ...(hasOthers ? others : [])];
+  const { curves, error, changes, bytesLeft, problems } = useSeries(run, names.length ? wanted : [], view);
   if (changes > described && !about.isLoading) setTimeout(() => setDescribed(changes), 1000);
   const data = about.data;
   const notes = [about.error, error, ...(problems ?? data?.problems ?? [])].filter(Boolean);
@@ -55,7 +55,7 @@ function Facts({ data, curves }) {
   const facts = [
     ["state", html`<${State} status=${status} />`],
     ["why", status.text],
-    ["env steps", config?.config?.run?.total_env_steps ? `${short(status.env_steps ?? curves?.x.at(-1))} of ${short(config.config.run.total_env_steps)}` : "-"],
+    ["env steps", config?.config?.run?.total_env_steps ? `${short(status.env_steps ?? last("progress/env_steps"))} of ${short(config.config.run.total_env_steps)}` : "-"],
     ["speed", `${short(last("progress/env_steps_per_second"))} env steps/s`],
     ...(status.seconds_left !== undefined && status.seconds_left !== null ? [["time left", duration(status.seconds_left)]] : []),
     ["config", config?.hash ?? "-"],
@@ -123,13 +123,17 @@ function Events({ run, changes }) {
   const [filter, setFilter] = useState("");
   if (error || !data) return html`<${Notes} notes=${error ? [error] : []} />`;
   const shown = data.events.filter((/** @type {any} */ e) => JSON.stringify(e).includes(filter)).slice(-SHOWN_EVENTS).reverse();
-  return html`<section class="panel wide" data-panel="Events"><header><h3>Events</h3><span class="help">${data.count} in events.jsonl, newest first</span>
-    <span class="buttons"><input placeholder="filter" value=${filter} onInput=${(/** @type {any} */ e) => setFilter(e.target.value)} aria-label="filter events" /></span></header>
+  const rows = () => [["time", "update", "event", "details"], ...data.events.map((/** @type {any} */ event) => {
+    const { time, event: kind, update, ...details } = event;
+    return [time, update ?? "", kind, detailText(details)];
+  })];
+  return html`<${Panel} title="Events" help=${`${data.count} in events.jsonl, newest first`} rows=${rows} name=${`${run} events`} wide=${true} picture=${false}
+    buttons=${html`<input placeholder="filter" value=${filter} onInput=${(/** @type {any} */ e) => setFilter(e.target.value)} aria-label="filter events" />`}>
     ${data.count ? html`<div class="scroll short"><table><tbody>${shown.map((/** @type {any} */ event, /** @type {number} */ k) => {
       const { time, event: kind, update, ...details } = event;
       return html`<tr key=${k}><td class="soft">${time}</td><td>${update ?? ""}</td><td><b>${kind}</b></td><td>${detailText(details)}</td></tr>`;
     })}</tbody></table></div>` : html`<p class="missing">No events so far (events.jsonl).</p>`}
-  </section>`;
+  </${Panel}>`;
 }
 
 /** @param {Record<string, any>} details */

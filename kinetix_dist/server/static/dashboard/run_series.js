@@ -51,9 +51,9 @@ export function useSeries(run, names, view) {
       }
     };
     const askSoon = () => {
-      timer ??= setTimeout(ask, curves.current ? REFETCH_MS : 0);
+      if (names.length) timer ??= setTimeout(ask, REFETCH_MS);
     };
-    askSoon();
+    if (names.length) ask();
     const place = () => ({ since: curves.current?.rows ?? 0, revision: curves.current?.revision ?? null });
     const stop = channel.watch(run, place, (message) => {
       if (message.type === "reading") show({ bytesLeft: message.bytes_left });
