@@ -26,6 +26,7 @@ from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.update import PpoConfig
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
 from kinetix_dist.registry import import_plugins
+from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 PLACEMENTS = ("local", "colocated", "split")
 DEVICES = ("auto", "cpu", "gpu")
@@ -201,6 +202,7 @@ class TrainConfig:
     rollout: RolloutConfig = dataclasses.field(default_factory=RolloutConfig)
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
     recording: RecordingConfig = dataclasses.field(default_factory=RecordingConfig)
+    curriculum_log: CurriculumLogConfig = dataclasses.field(default_factory=CurriculumLogConfig)
     run: RunConfig
 
     def __post_init__(self) -> None:

@@ -29,6 +29,7 @@ class Accel(RobustPlr):
     """New levels of a group are children first, then fresh ones."""
 
     sections = ("plr", "accel")
+    sources = ("fresh", "replayed", "edited")
 
     @classmethod
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
@@ -57,6 +58,11 @@ class Accel(RobustPlr):
         keep = jax.vmap(lambda levels, trivial: keep_unsolved(levels, trivial, num_edited))
         children = keep(by_group(drawn, num_groups), is_trivial)
         return jax.tree.map(lambda *xs: jnp.concatenate(xs, axis=1), children, fresh)
+
+    def new_sources(self, num_groups: int) -> Array:
+        num_edited = _num_edited(self.tools.config, self.tools.worlds_per_group)
+        edited = jnp.full((num_groups, num_edited), self.sources.index("edited"))
+        return jnp.concatenate([edited, super().new_sources(num_groups)], axis=1)
 
 
 def _num_edited(config: CurriculumConfig, worlds_per_group: int) -> int:

@@ -23,10 +23,11 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
+import numpy as np
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist.curator.agents import Agents
@@ -44,6 +45,9 @@ class Proposal:
 
     levels: Level  # [W, ...]
     tags: Any = None  # any pytree, [W, ...] (or as many rows a group): where in the state a level comes from, say
+    # [W] int32, for the counts of outcomes.jsonl: an index into `Curriculum.sources`, or their number + a place in the
+    # buffer (`num_places`). None: all are of the first source.
+    source: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -88,6 +92,7 @@ class Curriculum(abc.ABC):
     shares_refresh: bool = False  # several curators can work it out: it has `refresh_part` and `join`
     takes_levels: bool = False  # needs `curriculum.levels`
     needs_whole_episodes: bool = False  # an episode ends in every world of an update: `num_steps` >= `max_steps`
+    sources: tuple[str, ...] = ("all",)  # where levels come from that are counted together in outcomes.jsonl
     sections: tuple[str, ...] = ()  # of `CurriculumConfig` that are its own: the hash of other runs leaves them out
 
     def __init__(self, tools: CurriculumTools) -> None:
@@ -103,6 +108,11 @@ class Curriculum(abc.ABC):
         """Worlds of a group that the policy learns from, the first ones; the others are played and observed only."""
         del config
         return worlds_per_group
+
+    @property
+    def num_places(self) -> int:
+        """Levels whose episodes are counted one by one, for outcomes.jsonl: those of a buffer."""
+        return 0
 
     def init(self) -> Any:
         """The first state, also the shapes and types of later ones; None: it has none.
@@ -167,3 +177,26 @@ class Curriculum(abc.ABC):
         or by `register_metric`."""
         del state, num_updates
         return {}
+
+    # What is written down for dashboards, see docs/run_data.md. None of it changes a number of training.
+
+    @classmethod
+    def refresh_log(cls, config: CurriculumConfig, parts: Sequence[Any]) -> dict[str, np.ndarray] | None:
+        """Arrays of a refresh_*.npz from the parts of a refresh, levels below "levels/"; None: nothing is written."""
+        del config, parts
+        return None
+
+    @classmethod
+    def buffer_log(cls, state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
+        """Arrays of a buffer_*.npz from the arrays of a state by path; None: nothing is written."""
+        del state
+        return None
+
+    def probe(self, state: Any, num_levels: int) -> Any:
+        """Levels of the state, as numpy, that the next refresh plays again: for `play_probe`; None: there are none."""
+        del state, num_levels
+        return None
+
+    def play_probe(self, params: Any, probe: Any, key: Array) -> dict[str, np.ndarray]:
+        """What became of them, by the names below "probe/" in a refresh_*.npz. Not inside jit."""
+        raise NotImplementedError

@@ -13,6 +13,8 @@ from kinetix_dist.curator.curriculum import Curriculum, Proposal
 class DomainRandomization(Curriculum):
     """No state."""
 
+    sources = ("fresh",)
+
     def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
         del state, groups
         fresh_keys = jax.vmap(jax.random.split)(group_keys)[:, 1]

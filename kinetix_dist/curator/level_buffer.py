@@ -10,8 +10,11 @@ import jax
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.curator.scores import learnability, solve_rate
+from kinetix_dist.level.features import FEATURES
 from kinetix_dist.level.level import Level
+from kinetix_dist.telemetry.curriculum_log import LEVELS
 
 
 @jax.tree_util.register_dataclass
@@ -37,6 +40,7 @@ class Scored:
     candidate: Array  # [n] int32, number of each among the candidates of the refresh
     num_solved: Array  # [n] int32
     num_finished: Array  # [n] int32
+    features: Array  # [n, F] uint8, `level_features` of all of them
     best: Array  # [k] int32, the numbers of its best ones, best first
     levels: Level  # [k, ...] of these
     policy_version: Array  # [] int32, that scored them
@@ -48,6 +52,7 @@ def scored(
     num_solved: np.ndarray,
     num_finished: np.ndarray,
     *,
+    features: np.ndarray,
     size: int,
     policy_version: int,
 ) -> Scored:
@@ -57,6 +62,7 @@ def scored(
         candidate=np.asarray(candidate, np.int32),
         num_solved=np.asarray(num_solved, np.int32),
         num_finished=np.asarray(num_finished, np.int32),
+        features=features,
         best=np.asarray(candidate, np.int32)[places],
         levels=jax.device_get(pick(places)),
         policy_version=np.int32(policy_version),
@@ -98,10 +104,33 @@ def _best_first(candidate: np.ndarray, num_solved: np.ndarray, num_finished: np.
     return np.lexsort((candidate, -solve_rate(solved, finished), -learnability(solved, finished)))
 
 
-def draw(key: Array, buffer: LevelBuffer, num_levels: int) -> Level:
-    """`num_levels` levels of the buffer, uniformly with replacement."""
+def draw(key: Array, buffer: LevelBuffer, num_levels: int) -> tuple[Level, Array]:
+    """`num_levels` levels of the buffer, uniformly with replacement, and their places [num_levels]."""
     index = jax.random.randint(key, (num_levels,), 0, buffer.score.shape[0])
-    return jax.tree.map(lambda x: x[index], buffer.levels)
+    return jax.tree.map(lambda x: x[index], buffer.levels), index
+
+
+def refresh_log(parts: Sequence[Scored], size: int) -> dict[str, np.ndarray]:
+    """What a refresh_*.npz says of the levels kept and of all candidates, see docs/run_data.md."""
+    buffer = keep_best(parts, size)
+    order = np.argsort(np.concatenate([part.candidate for part in parts]))
+    all_features = np.concatenate([part.features for part in parts])[order]
+    counts = {
+        f"candidates/{name}": np.concatenate([getattr(part, f"num_{name}") for part in parts])[order]
+        for name in ("solved", "finished")
+    }
+    return {
+        "policy_version": np.int32(buffer.policy_version),
+        "score": buffer.score,
+        "solved": buffer.num_solved,
+        "finished": buffer.num_finished,
+        "candidate": buffer.candidate,
+        "features": all_features[buffer.candidate],
+        "feature_names": np.array(FEATURES),
+        **counts,
+        "candidates/features": all_features,
+        **{f"{LEVELS}{path}": array for path, array in flatten_arrays(buffer.levels).items()},
+    }
 
 
 def buffer_metrics(buffer: LevelBuffer, num_updates: int) -> dict[str, Any]:

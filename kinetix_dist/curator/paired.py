@@ -73,6 +73,7 @@ class Paired(Curriculum):
 
     observes = True
     sections = ("paired",)
+    sources = ("protagonist", "antagonist")  # who plays: levels all come from the teacher
     needs_whole_episodes = True
 
     def __init__(self, tools: CurriculumTools) -> None:
@@ -104,8 +105,12 @@ class Paired(Curriculum):
         half = self.tools.worlds_per_group // 2
         keys = jax.vmap(lambda key: jax.random.split(key, half))(group_keys).reshape(-1)
         levels, trajectory = self._teacher.build(state.teacher.params, keys)
+        size = self.tools.worlds_per_group
+        players = (jnp.full(keys.size, student) for student in (PROTAGONIST, ANTAGONIST))
         return Proposal(
-            levels=in_groups(levels, levels, self.tools.worlds_per_group), tags=_swap_time_and_worlds(trajectory)
+            levels=in_groups(levels, levels, size),
+            tags=_swap_time_and_worlds(trajectory),
+            source=in_groups(*players, size),
         )
 
     def summarise(self, trajectory: Trajectory, last_value: Array) -> PairedSummary:

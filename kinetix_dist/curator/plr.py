@@ -14,6 +14,7 @@ the fresh levels of their group.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -27,6 +28,7 @@ from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.curator.replay_buffer import (
     NEVER,
     ReplayBuffer,
+    buffer_log,
     empty_buffer,
     played_again,
     replay_chances,
@@ -44,6 +46,7 @@ class Plr(Curriculum):
 
     observes = True
     sections = ("plr",)
+    sources = ("fresh", "replayed")
 
     @classmethod
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
@@ -80,7 +83,9 @@ class Plr(Curriculum):
             {"place": place.astype(jnp.int32), "born": state.born[place], "is_new": jnp.zeros(place.shape, bool)},
             {"place": no_place, "born": no_place + NEVER, "is_new": jnp.ones(no_place.shape, bool)},
         )
-        return Proposal(levels=join_by_group(replayed, new), tags=join_by_group(*tags))
+        replayed_from = jnp.where(is_empty, self.sources.index("fresh"), self.sources.index("replayed"))
+        sources = jnp.broadcast_to(replayed_from, place.shape), self.new_sources(num_groups)
+        return Proposal(levels=join_by_group(replayed, new), tags=join_by_group(*tags), source=join_by_group(*sources))
 
     @classmethod
     def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
@@ -91,6 +96,11 @@ class Plr(Curriculum):
         """What a group plays beside levels of the buffer, [groups, new, ...]. replayed, fresh: [groups, ...]."""
         del group_keys, replayed
         return fresh
+
+    def new_sources(self, num_groups: int) -> Array:
+        """[groups, new] int32, where `new_levels` come from."""
+        num_fresh = self.num_fresh(self.tools.config, self.tools.worlds_per_group)
+        return jnp.full((num_groups, num_fresh), self.sources.index("fresh"))
 
     def summarise(self, trajectory: Trajectory, last_value: Array) -> ValueSummary:
         return summarise_values(trajectory, self.tools.advantages(trajectory, last_value))
@@ -104,6 +114,10 @@ class Plr(Curriculum):
         state = played_again(state, tags["place"], score, is_there)
         state = taken_in(state, proposal.levels, score, best_return, tags["is_new"], config)
         return dataclasses.replace(state, num_updates=state.num_updates + 1)
+
+    @classmethod
+    def buffer_log(cls, state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return buffer_log(state)
 
     def metrics(self, state: ReplayBuffer, num_updates: int) -> dict[str, Any]:
         del num_updates

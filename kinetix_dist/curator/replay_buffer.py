@@ -13,14 +13,19 @@ bits.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist.checkpoint import select_arrays
 from kinetix_dist.curator.config import PlrConfig
 from kinetix_dist.curator.replay_scores import UNKNOWN
+from kinetix_dist.level.features import FEATURES, features_of_arrays
 from kinetix_dist.level.level import Level
+from kinetix_dist.telemetry.curriculum_log import LEVELS
 
 NEVER = -1  # `born` of a place that holds no level yet
 
@@ -143,3 +148,17 @@ def mean_by_place(place: Array, value: Array, size: int) -> tuple[Array, Array]:
     into = jnp.where(is_last, place, size)
     mean = jnp.zeros(size, value.dtype).at[into].set(total / count, mode="drop")
     return mean, jnp.zeros(size, bool).at[into].set(True, mode="drop")
+
+
+def buffer_log(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What a buffer_*.npz says, from the arrays of a `ReplayBuffer` by path: of places that hold a level, in order."""
+    place = np.flatnonzero(state["born"] != NEVER)
+    levels = {path: array[place] for path, array in select_arrays(state, "levels").items()}
+    return {
+        "policy_version": np.int32(state["num_updates"]),
+        "place": place.astype(np.int32),
+        **{name: state[name][place] for name in ("score", "best_return", "born", "last_played")},
+        "features": features_of_arrays(levels),
+        "feature_names": np.array(FEATURES),
+        **{f"{LEVELS}{path}": array for path, array in levels.items()},
+    }

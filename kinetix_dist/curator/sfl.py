@@ -9,6 +9,7 @@ the bit however many these are.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,25 +21,51 @@ from jax2d.scene import Array
 from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
-from kinetix_dist.curator.level_buffer import LevelBuffer, Scored, buffer_metrics, draw, keep_best, scored
+from kinetix_dist.curator.level_buffer import (
+    LevelBuffer,
+    Scored,
+    buffer_metrics,
+    draw,
+    keep_best,
+    refresh_log,
+    scored,
+)
+from kinetix_dist.level.features import level_features
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Probe:
+    """Some levels of a buffer, to be played again."""
+
+    policy_version: Any  # [] int32, that scored the buffer
+    index: Any  # [m] int32, places in the buffer
+    levels: Level  # [m, ...]
+
+
 class Sfl(Curriculum):
-    """Its state is the `LevelBuffer`. Each of the two programs of a refresh is compiled once."""
+    """Its state is the `LevelBuffer`. Each program of a refresh is compiled once."""
 
     refreshes = True
     shares_refresh = True
+    sources = ("fresh",)
 
     def __init__(self, tools: CurriculumTools) -> None:
         super().__init__(tools)
         self._score_batch = jax.jit(self._score)
         self._pick = jax.jit(_pick)
+        self._features = jax.jit(level_features)
+        self._play = jax.jit(tools.play, static_argnums=3)
 
     @classmethod
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
         num_from_buffer(config, worlds_per_group)
+
+    @property
+    def num_places(self) -> int:
+        return self.tools.config.buffer_size
 
     def init(self) -> LevelBuffer:
         config = self.tools.config
@@ -65,12 +92,15 @@ class Sfl(Curriculum):
         num_buffered = num_from_buffer(self.tools.config, size)
         num_fresh = size - num_buffered
         split = jax.vmap(jax.random.split)(group_keys)
-        parts = []
+        parts, sources = [], []
         if num_buffered:
-            parts.append(jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0]))
+            levels, places = jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0])
+            parts.append(levels)
+            sources.append(len(self.sources) + places)
         if num_fresh:
             parts.append(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups))
-        return Proposal(levels=join_by_group(*parts))
+            sources.append(jnp.full((num_groups, num_fresh), self.sources.index("fresh")))
+        return Proposal(levels=join_by_group(*parts), source=join_by_group(*sources))
 
     def refresh_part(self, params: Any, policy_version: int, key: Array, part: int, num_parts: int) -> Scored:
         """Every `num_parts`-th batch of the candidates, scored by `params`."""
@@ -85,13 +115,15 @@ class Sfl(Curriculum):
 
         # Asked of all devices before any is waited for.
         levels, *counts = zip(*(score(index, batch) for index, batch in enumerate(batches)), strict=True)
-        num_solved, num_finished = (np.concatenate(jax.device_get(count)) for count in counts)
+        counts.append([self._features(batch) for batch in levels])
+        num_solved, num_finished, features = (np.concatenate(jax.device_get(count)) for count in counts)
         one_batch = np.arange(config.scoring_batch)
         return scored(
             lambda places: self._pick(jax.device_put(levels, devices[0]), places),
             np.concatenate([batch * config.scoring_batch + one_batch for batch in batches]),
             num_solved,
             num_finished,
+            features=features,
             size=config.buffer_size,
             policy_version=policy_version,
         )
@@ -102,6 +134,30 @@ class Sfl(Curriculum):
 
     def metrics(self, state: LevelBuffer | None, num_updates: int) -> dict[str, Any]:
         return {} if state is None else buffer_metrics(state, num_updates)
+
+    @classmethod
+    def refresh_log(cls, config: CurriculumConfig, parts: Sequence[Scored]) -> dict[str, np.ndarray]:
+        return refresh_log(parts, config.buffer_size)
+
+    def probe(self, state: LevelBuffer | None, num_levels: int) -> Probe | None:
+        """Of the buffer in use, evenly spread over its ranks; all where it has fewer. None before there is one."""
+        if state is None or not num_levels:
+            return None
+        size = len(state.score)
+        num_levels = min(num_levels, size)
+        index = np.arange(num_levels) * size // num_levels
+        levels = jax.tree.map(lambda x: np.asarray(x)[index], state.levels)
+        return Probe(policy_version=state.policy_version, index=index.astype(np.int32), levels=levels)
+
+    def play_probe(self, params: Any, probe: Probe, key: Array) -> dict[str, np.ndarray]:
+        """As candidates are played, by the new policy."""
+        outcome = self._play(params, probe.levels, key, self.tools.config.scoring_steps)
+        return {
+            "policy_version": np.int32(probe.policy_version),
+            "index": probe.index,
+            "solved": np.asarray(outcome.num_solved),
+            "finished": np.asarray(outcome.num_finished),
+        }
 
     def _score(self, params: Any, key: Array) -> tuple[Level, Array, Array]:
         level_key, play_key = jax.random.split(key)

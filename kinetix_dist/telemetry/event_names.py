@@ -15,10 +15,13 @@ EVENTS: dict[str, str] = {
     "resized": "nodes were lost or came: from and to how many processes of a role, and at which update",
     "straggler": "a rollout actor took over twice the median of the others, five batches in a row: which, and seconds",
     "token_secured": "Ray's token file could be read by others, and cannot any more",
+    "run_started": "the command began: its process, the number of this session, and whether it goes on with a run",
+    "run_finished": "the run came to its end: after which update",
     "stopped": "SIGTERM or Ctrl-C ended the run: after which update, and whether that is saved",
     "run_failed": "the run ended by an error: which",
     # Evaluation
-    "evaluated": "an evaluation beside training is there: of which update, its solve rates, and the seconds it took",
+    "evaluated": "an evaluation during training is there: of which update, its solve rates, and the seconds it took",
+    "recorded": "rollouts were recorded: of which update, how many, and into which file",
     "evaluation_left_out": "an evaluation or a recording was due while four waited for the evaluator",
     # Curriculum
     "buffer_adopted": "a refresh of the curriculum is used from an update on",
@@ -26,6 +29,7 @@ EVENTS: dict[str, str] = {
     "refresh_lost": "a refresh was given up, since the next one is due; the buffer before it stays in use",
     # Checkpoints
     "resumed": "training goes on from a checkpoint; `differs` lists other devices and versions than made it",
+    "checkpoint_saved": "a checkpoint was written and verified: of which update, and the seconds that took",
     "checkpoint_failed": "a checkpoint could not be saved: why; older ones stay",
     "checkpoint_rejected": "a checkpoint cannot be used: why",
     "drafts_removed": "unfinished checkpoints of processes that are gone were removed",

@@ -7,6 +7,7 @@ flushed to the disk and then renamed, so that at every moment the old or the new
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -97,12 +98,20 @@ def set_aside_file(path: Path) -> Path:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Gives a file new content: whoever reads it, and whenever this is killed, has the old or the new one, whole."""
+    """Gives a file new content: whoever reads it, and whenever this is killed, has the old or the new one, whole.
+
+    Raises OSError, and leaves no draft then.
+    """
     draft = path.with_name(f".{path.name}.draft")
-    with draft.open("wb") as file:
-        file.write(content)
-        _flush_to_disk(file)
-    os.replace(draft, path)
+    try:
+        with draft.open("wb") as file:
+            file.write(content)
+            _flush_to_disk(file)
+        os.replace(draft, path)
+    except OSError:
+        with contextlib.suppress(OSError):  # the first error is the one to report
+            draft.unlink()  # a full disk has better uses
+        raise
     directory = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(directory)

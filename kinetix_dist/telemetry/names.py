@@ -185,6 +185,11 @@ _ALL = (
         "rows",
         "rows of metrics that metrics.jsonl or TensorBoard did not take, since the start of this session",
     ),
+    Metric(
+        "telemetry/dropped_writes",
+        "writes",
+        "of the files for dashboards (docs/run_data.md) that the disk did not take, since the start of this session",
+    ),
     # Evaluation
     Metric(
         "evaluation/update", "updates", "done by the policy that was evaluated; a row can hold that of an earlier one"
@@ -237,6 +242,7 @@ RED: dict[str, tuple[str, str]] = {
     "memory/host_share": ("above 0.9", "the kernel may soon kill a process: fewer processes, or what else runs there?"),
     "memory/gpu_share": ("above 0.98", "another program is on the GPU: run.gpu_memory_gib leaves it room"),
     "memory/pool_share": ("above 0.95", "lower rollout.num_envs, or raise ppo.minibatches, before it runs out"),
+    "telemetry/dropped_writes": ("above 0", "the same of curriculum/, evaluations.jsonl and processes.jsonl"),
     "telemetry/dropped_rows": ("above 0", "the disk of the run directory is full or hangs: see sink_failing"),
 }
 

@@ -36,7 +36,9 @@ def buffer():
     def pick(places):
         return jax.tree.map(lambda x: x[places], levels)
 
-    return keep_best([scored(pick, np.arange(6), *counts, size=6, policy_version=0)], 6)
+    return keep_best(
+        [scored(pick, np.arange(6), *counts, features=np.zeros((6, 1), np.uint8), size=6, policy_version=0)], 6
+    )
 
 
 def _is_in(level_positions, positions):

@@ -26,7 +26,8 @@ def test_nothing_is_claimed_of_a_level_without_a_finished_episode():
 def _scored(candidate, solved, finished, size=4):
     """A level is its number."""
     counts = np.asarray(solved)[candidate], np.asarray(finished)[candidate]
-    return scored(lambda places: {"number": candidate[places]}, candidate, *counts, size=size, policy_version=7)
+    others = {"features": np.stack([candidate], axis=1).astype(np.uint8), "size": size, "policy_version": 7}
+    return scored(lambda places: {"number": candidate[places]}, candidate, *counts, **others)
 
 
 def test_the_most_learnable_are_kept_and_ties_prefer_the_higher_solve_rate():

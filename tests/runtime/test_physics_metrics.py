@@ -46,14 +46,14 @@ def worker():
 
 def test_a_healthy_rollout_counts_nothing_that_should_be_zero(worker):
     worker.adopt(worker.scored)
-    metrics, _ = worker.run_update(0)
+    metrics, *_ = worker.run_update(0)
     assert {name for name in METRICS if name.startswith("physics/")} <= metrics.keys()
     assert all(metrics[f"physics/{kind}"] == 0 for kind in WARNINGS)
 
 
 def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
     worker.adopt(_with_nan(worker.scored))
-    metrics, _ = worker.run_update(0)
+    metrics, *_ = worker.run_update(0)
     times = NUM_WORLDS // 2 * NUM_STEPS
     assert metrics["physics/unstable_worlds"] == times
     assert metrics["physics/unstable"] == pytest.approx(1e6 * times / PHYSICS_STEPS)

@@ -50,7 +50,7 @@ def test_a_policy_is_trained(observation: str, space: str):
     worker.start(None)
     before = worker.weights()
     for update in range(3):
-        metrics, _ = worker.run_update(update)
+        metrics, *_ = worker.run_update(update)
         assert all(np.isfinite(value) for value in metrics.values()), metrics
         assert metrics["learner/skipped_steps"] == 0 and metrics["learner/grad_norm"] > 0
         assert metrics["physics/invalid_actions"] == 0

@@ -12,7 +12,7 @@ from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.streams import CURATE, stream
+from kinetix_dist.runtime.cores.streams import CURATE, PROBE, stream
 
 
 class CuratorCore:
@@ -24,10 +24,18 @@ class CuratorCore:
         self._seed = config.run.seed
         self._curriculum = make_curriculum(config, env, policy, data_mesh())
 
-    def refresh(self, params: Any, policy_version: int, part: int, num_parts: int) -> tuple[dict[str, float], Any]:
-        """({"seconds": how long it took}, this part of what the curriculum joins and adopts, as numpy)."""
+    def refresh(
+        self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None
+    ) -> tuple[dict[str, Any], Any]:
+        """({"seconds": how long it took, "probe": what became of `probe`}, this part of what the curriculum joins and
+        adopts, as numpy). probe: levels of the buffer in use, played again with a key of their own; None: no such."""
         began = time.monotonic()
+        params = jax.device_put(params)
         key = jax.random.fold_in(stream(self._seed, CURATE), policy_version)
-        refreshed = self._curriculum.refresh_part(jax.device_put(params), policy_version, key, part, num_parts)
+        refreshed = self._curriculum.refresh_part(params, policy_version, key, part, num_parts)
         refreshed = jax.device_get(refreshed)
-        return {"seconds": time.monotonic() - began}, refreshed
+        played = {}
+        if probe is not None:
+            probe_key = jax.random.fold_in(stream(self._seed, PROBE), policy_version)
+            played = self._curriculum.play_probe(params, probe, probe_key)
+        return {"seconds": time.monotonic() - began, "probe": played}, refreshed

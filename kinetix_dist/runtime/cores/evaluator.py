@@ -31,8 +31,10 @@ class Evaluator:
         self._network = NetworkPolicy(module, env.action_distribution)
         self._sets: dict[str, tuple[Level, list[str]]] | None = None
 
-    def evaluate(self, params: Any | None) -> dict[str, dict[str, float]]:
-        """{set: {"rate", "attempts", "low", "high"}} of a network's parameters; None: of random actions.
+    def evaluate(self, params: Any | None) -> dict[str, dict[str, Any]]:
+        """{set: {"rate", "attempts", "low", "high", "levels"}} of a network's parameters; None: of random actions.
+
+        "levels" is a set's part of a line of evaluations.jsonl: {"names", "solved", "attempts"}, by level.
 
         The levels, attempts and keys are the same every time, so that before and after are paired.
         """
@@ -44,10 +46,19 @@ class Evaluator:
         rates = evaluate(self._env, player, batch, attempts=1, key=self._key())
         result, start = {}, 0
         for name, (_, level_names) in sets.items():
-            attempts = len(level_names) * self._attempts(level_names)
-            solved = sum(level.solved for level in rates.levels[start : start + attempts])
+            a_level = self._attempts(level_names)
+            attempts = len(level_names) * a_level
+            tried = [attempt.solved for attempt in rates.levels[start : start + attempts]]
+            by_level = [sum(tried[first : first + a_level]) for first in range(0, attempts, a_level)]
+            solved = sum(tried)
             low, high = wilson_interval(solved, attempts)
-            result[name] = {"rate": solved / attempts, "attempts": attempts, "low": low, "high": high}
+            result[name] = {
+                "rate": solved / attempts,
+                "attempts": attempts,
+                "low": low,
+                "high": high,
+                "levels": {"names": level_names, "solved": by_level, "attempts": a_level},
+            }
             start += attempts
         return result
 

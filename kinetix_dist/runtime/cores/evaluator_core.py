@@ -19,8 +19,8 @@ class EvaluatorCore:
         self._num_rollouts = config.recording.num_rollouts
         self._evaluator = Evaluator(config, env, make_policy(config.policy, env.action_distribution.head_sizes))
 
-    def evaluate(self, params: Any, num_updates: int) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-        """({"seconds": how long it took}, {set: {"rate", "attempts", "low", "high"}})."""
+    def evaluate(self, params: Any, num_updates: int) -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
+        """({"seconds": how long it took}, as `Evaluator.evaluate` gives it)."""
         del num_updates
         began = time.monotonic()
         rates = self._evaluator.evaluate(params)

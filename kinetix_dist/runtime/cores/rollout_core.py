@@ -20,6 +20,7 @@ from kinetix_dist.messages import LevelOutcome
 from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, stream
 
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
+EPISODES = "episodes"  # in the sums of an update: those of each source and place of `Proposal.source`
 
 
 class Batch(NamedTuple):
@@ -55,6 +56,7 @@ class RolloutCore:
         self._env = env
         self._policy = policy
         self._curriculum = curriculum
+        self._num_counted = len(curriculum.sources) + curriculum.num_places  # see `Proposal.source`
         self._first_group = groups.start
         self._groups_per_part = len(groups) // self.division.num_parts
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
@@ -104,11 +106,16 @@ class RolloutCore:
             config.rollout.num_steps,
             numbers=by_part(groups, worlds_per_group),
         )
-        seen = (proposal, self._summarised(played)) if self._curriculum.observes else None
+        seen = None
+        if self._curriculum.observes:
+            seen = dataclasses.replace(proposal, source=None), self._summarised(played)
         batch = Batch(prepared.static_obs, played.trajectory, played.last_value)
         batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
         is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.places)
-        return batch, seen, _sums(played.outcome, played.trajectory.rewards, is_counted)
+        sums = _sums(played.outcome, played.trajectory.rewards, is_counted)
+        if config.curriculum_log.outcomes_every:
+            sums[EPISODES] = _episodes_by_source(played.outcome, proposal.source, is_counted, self._num_counted)
+        return batch, seen, sums
 
     def _summarised(self, played: Played) -> LevelOutcome:
         summary = self._curriculum.summarise(played.trajectory, played.last_value)
@@ -146,3 +153,15 @@ def _sums(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str,
         "physics": jax.tree.map(lambda count: count.sum(dtype=jnp.float32), outcome.physics),  # beyond an int32
     }
     return jax.lax.psum(local, DATA_AXIS)
+
+
+def _episodes_by_source(
+    outcome: LevelOutcome, source: Array | None, is_counted: Array, num_counted: int
+) -> dict[str, Array]:
+    """Solved and finished episodes over the worlds of all devices, each once: [num_counted] int32."""
+    source = jnp.zeros(is_counted.shape, jnp.int32) if source is None else source
+
+    def total(count: Array) -> Array:
+        return jnp.zeros(num_counted, jnp.int32).at[source].add(jnp.where(is_counted, count, 0))
+
+    return jax.lax.psum({"solved": total(outcome.num_solved), "finished": total(outcome.num_finished)}, DATA_AXIS)

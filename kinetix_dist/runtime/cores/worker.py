@@ -20,7 +20,7 @@ from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.memory import check_memory
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.rollout_core import EPISODES, RolloutCore
 from kinetix_dist.runtime.cores.staging import Staging, Stored
 from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
@@ -53,6 +53,10 @@ class LearnerWorker:
     def curriculum_state(self) -> Any:
         """As numpy: what rollout actors propose levels from."""
         return self._state.values
+
+    def probe(self, num_levels: int) -> Any:
+        """As numpy: levels of the buffer in use, which the next refresh plays again; None where there is no buffer."""
+        return self._curriculum.probe(self._state.values, num_levels)
 
     def state_from(self, arrays: Mapping[str, np.ndarray]) -> Any:
         """A state of the curriculum from arrays of a checkpoint; not the one in use."""
@@ -90,7 +94,7 @@ class LearnerWorker:
         """Arrays of a checkpoint."""
         return flatten_arrays({LEARNER: local_values(self._learner.state), CURRICULUM: self._state.values})
 
-    def evaluate(self, use_policy: bool) -> dict[str, dict[str, float]]:
+    def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
         return self._evaluator.evaluate(self.weights() if use_policy else None)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
@@ -119,8 +123,8 @@ class Worker(LearnerWorker):
             config, self._env, self._policy, self._curriculum, mesh, groups=groups, division=division
         )
 
-    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
-        """(metrics, seconds of "rollout" and "learn")."""
+    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
+        """(metrics, seconds of "rollout" and "learn", episodes by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()
         batch, seen, sums = self._rollout.play(self._learner.params, self._state.placed, num_updates)
         sums = local_values(sums)  # waits for the rollout
@@ -131,4 +135,4 @@ class Worker(LearnerWorker):
             jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)
-        return metrics, {"rollout": played - began, "learn": learned - played}
+        return metrics, {"rollout": played - began, "learn": learned - played}, sums.get(EPISODES, {})

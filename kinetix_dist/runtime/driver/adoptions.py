@@ -27,6 +27,10 @@ class Adoptions:
         """None where nothing is recorded yet."""
         return self._at.get(policy_version)
 
+    def in_use(self, update: int) -> int | None:
+        """The newest version that was adopted by that update; None where none was."""
+        return max((version for version, at in self._at.items() if at <= update), default=None)
+
     def record(self, policy_version: int, update: float) -> None:
         """A disk that does not take it is an event: the record is complete with the next one that is written."""
         if self._at.get(policy_version) == update:

@@ -52,16 +52,19 @@ class ColocatedTrainer:
     def adopt(self, parts: Sequence[Any]) -> None:
         self._all("adopt", *parts)
 
-    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
+    def probe(self, num_levels: int) -> Ticket:
+        return self._handles[0].call("probe", num_levels)
+
+    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         answers = self._all("run_update", num_updates)
-        metrics, _ = answers[0]
-        slowest = {role: max(seconds[role] for _, seconds in answers) for role in answers[0][1]}
-        return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest
+        metrics, _, episodes = answers[0]
+        slowest = {role: max(seconds[role] for _, seconds, _ in answers) for role in answers[0][1]}
+        return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest, episodes
 
     def snapshot(self) -> dict[str, np.ndarray]:
         return self._first("snapshot")
 
-    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
+    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
         return self._first("evaluate", use_policy)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:

@@ -34,12 +34,19 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.runtime.driver.clock import RoleClock, seconds_left
-from kinetix_dist.runtime.driver.evaluations import Evaluations, EvaluationsHere
+from kinetix_dist.runtime.driver.evaluations import (
+    Evaluated,
+    Evaluations,
+    EvaluationsHere,
+    evaluation_metrics,
+    summaries,
+)
 from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
 from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.refreshes import Refreshes
 from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
+from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY, RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.saving import Saver
 from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
@@ -71,6 +78,7 @@ class Controller:
         resizing: Resizing | None = None,
     ) -> None:
         """evaluations: those during training, beside it; None: the trainer makes them."""
+        self._data = RunData(config, run, reporter)
         self.config = config
         self.run = run
         self.trainer = trainer
@@ -83,7 +91,9 @@ class Controller:
         self.training_seconds_at_end = 0.0
         self.backend = trainer.backend
         self._on_rollouts = on_rollouts
-        self._refreshes = Refreshes(config, run, reporter, trainer, curator, clock=self.clock, stop=self.stop)
+        self._refreshes = Refreshes(
+            config, run, reporter, trainer, curator, clock=self.clock, stop=self.stop, data=self._data
+        )
         self._physics = PhysicsWatch()
         self._losses = Losses(limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note)
         self.backend.losses = self._losses
@@ -127,13 +137,16 @@ class Controller:
             self._step()
         self._skipped.check_end()
         self._refreshes.end(self.num_updates)
+        self._data.trained(self.num_updates)
         self.training_seconds_at_end = self.training_seconds
         with self.stop.deferred():
             self.save_now()
 
-    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
-        """Solve rates by level set."""
-        return self._repeated(lambda: self._evaluate(use_policy=use_policy))
+    def evaluate(self, phase: str) -> dict[str, dict[str, float]]:
+        """Solve rates by level set. phase: what evaluations.jsonl calls it; "random_policy" plays random actions."""
+        rates = self._repeated(lambda: self._evaluate(use_policy=phase != RANDOM_POLICY))
+        self._data.evaluated(phase, self.num_updates, rates, reported_at=self.num_updates)
+        return summaries(rates)
 
     def record(self, num_rollouts: int) -> None:
         """Hands rollouts of the current policy to whoever writes them."""
@@ -187,7 +200,7 @@ class Controller:
             except WorkerLostError as error:
                 self._recover(error)
 
-    def _evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
+    def _evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
         with self._section("evaluate"), self.clock.role("evaluate"):
             return self.trainer.evaluate(use_policy=use_policy)
 
@@ -207,9 +220,10 @@ class Controller:
         self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
         began = time.monotonic()
         with self._section("update"):
-            metrics, seconds = self.trainer.run_update(self.num_updates)
+            metrics, seconds, episodes = self.trainer.run_update(self.num_updates)
         self._update_seconds = time.monotonic() - began
         self.clock.add(seconds)
+        self._data.played(self.num_updates + 1, episodes, self._refreshes.buffer_of(self.num_updates))
         self.num_updates += 1
         self._losses.update = self.num_updates
         self._note_recovery()
@@ -217,12 +231,20 @@ class Controller:
         if self.stop.requested is not None:
             self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
             return
-        metrics |= self._evaluations.after_update(self.num_updates, self.clock, is_last=self._is_over())
+        for evaluated in self._evaluations.after_update(self.num_updates, self.clock, is_last=self._is_over()):
+            metrics |= evaluation_metrics(evaluated.rates, evaluated.update)
+            self._tell_of(evaluated)
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
         # What the updates that are skipped began from is what to go back to.
         is_well = self._skipped.in_a_row == 0
         if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._save()
+
+    def _tell_of(self, evaluated: Evaluated) -> None:
+        update, rates = evaluated.update, evaluated.rates
+        self._data.evaluated("training", update, rates, reported_at=self.num_updates)
+        seconds = round(evaluated.seconds, 3)
+        self.run.event("evaluated", update=update, seconds=seconds, solve_rate=summaries(rates))
 
     def _report(self, metrics: dict[str, float]) -> None:
         self._saver.collect()
@@ -237,12 +259,14 @@ class Controller:
             **self._losses.metrics(),
             **self._refreshes.metrics(),
             **self.backend.measures(),
+            **self._data.metrics(self.num_updates),
             "learner/skipped_updates": self._skipped.num_skipped,
             **{f"time/{role}": share for role, share in shares.items()},
         }
         if self._saver.seconds is not None:
             metrics["runtime/save_seconds"] = self._saver.seconds
         left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
+        self._data.processes(self.num_updates, self.backend.processes)
         self.reporter.metrics(self.num_updates, metrics, left)
         physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):
@@ -279,7 +303,9 @@ class Controller:
     def _save(self) -> None:
         """Begins a save of this update. A failed one is an event: the older checkpoints are still there."""
         with self._section("save"), self.clock.role("checkpoint"):
-            arrays = self.trainer.snapshot() | self._refreshes.in_flight() | self._evaluations.in_flight()
+            trained = self.trainer.snapshot()
+            self._data.saved(self.num_updates, trained)
+            arrays = trained | self._refreshes.in_flight() | self._evaluations.in_flight() | self._data.in_flight()
             description = {
                 "config": to_dict(self.config),
                 "config_hash": self.config.hash,
@@ -287,6 +313,7 @@ class Controller:
                 "training_seconds": self.training_seconds,
                 **self._refreshes.description(),
                 **self._evaluations.description(),
+                **self._data.description(),
                 "versions": versions(),
                 "topology": self._topology,
             }
@@ -327,14 +354,16 @@ class Controller:
         return self._saver.error
 
     def close(self) -> None:
-        """Lets a save in flight come to its end."""
+        """Lets what is being written come to its end."""
         self._saver.close()
+        self._data.close(self.num_updates)
 
     def _start_from(self, checkpoint: Checkpoint | None) -> None:
         if checkpoint is None:
             self.num_updates = 0
             self.trainer.start(0, starting_arrays(self.config))
             self._topology = self.trainer.topology()
+            self._data.start({}, {}, num_updates=0)
             self._refreshes.start({}, {})
             self._evaluations.start({}, {})
             return
@@ -346,6 +375,7 @@ class Controller:
         self.run.event("resumed", update=self.num_updates, differs=differs)
         if differs:
             self.reporter.note(f"resumed with {', '.join(differs)}: works, but is not bit for bit the unbroken run")
+        self._data.start(description, checkpoint.arrays, num_updates=self.num_updates)
         self._refreshes.start(description, checkpoint.arrays)
         self._evaluations.start(description, checkpoint.arrays)
 

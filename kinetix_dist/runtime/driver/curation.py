@@ -38,10 +38,11 @@ class CuratorClient:
         ]
         self.cancel()
 
-    def request(self, weights: Any, policy_version: int) -> None:
+    def request(self, weights: Any, policy_version: int, probe: Any) -> None:
         stored = weights if hasattr(weights, "fetch") else self._backend.put(weights)
         for process in self.processes:
-            process.request(stored, policy_version)
+            # The last one has no more batches to score than the others.
+            process.request(stored, policy_version, probe if process is self.processes[-1] else None)
         self._missing, self._parts = set(self.processes), {}
 
     def watch(self) -> None:
@@ -60,15 +61,15 @@ class CuratorClient:
                 time.sleep(POLL_S)
         if not self._parts:
             return None
-        parts, seconds = zip(*(self._parts[process] for process in self.processes), strict=True)
+        parts, stamps = zip(*(self._parts[process] for process in self.processes), strict=True)
         self._parts = {}
-        return Refresh(parts=parts, seconds=max(seconds))
+        return Refresh(parts=parts, seconds=max(stamp["seconds"] for stamp in stamps), probe=stamps[-1]["probe"])
 
     def cancel(self) -> None:
         for process in self.processes:
             process.cancel()
         self._missing: set[CuratorProcess] = set()  # of what was asked for last, those that have not answered
-        self._parts: dict[CuratorProcess, tuple[Ticket, float]] = {}  # those that have: parts, seconds
+        self._parts: dict[CuratorProcess, tuple[Ticket, dict[str, Any]]] = {}  # those that have: parts, stamps
 
     def facts(self) -> list[dict[str, Any]]:
         return [fact for process in self.processes for fact in process.facts()]

@@ -26,14 +26,15 @@ class CuratorProcess(ProcessBeside):
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan, *, part: int, num_parts: int) -> None:
         super().__init__(config, backend, plan)
         self._part, self._num_parts = part, num_parts
-        self._asked: tuple[Ticket, int] | None = None  # weights, version of the refresh that is wanted
+        # Of the refresh that is wanted: weights, version, levels to play again or None.
+        self._asked: tuple[Ticket, int, Any] | None = None
         self._is_wanted = False  # whether what the process is at is the refresh that is wanted
         self.is_late = False  # it was lost or waited for in vain, and has not answered since
 
-    def request(self, weights: Ticket, policy_version: int) -> None:
+    def request(self, weights: Ticket, policy_version: int, probe: Any) -> None:
         """Starts a refresh; does not wait where there is a process to do it."""
         self.cancel()
-        self._asked = (weights, policy_version)
+        self._asked = (weights, policy_version, probe)
         if self._call is None:
             self._ask()
         else:
@@ -44,8 +45,8 @@ class CuratorProcess(ProcessBeside):
         if self._call is not None:
             self._look()
 
-    def poll(self, patience_s: float | None) -> tuple[Ticket, float] | None:
-        """What was asked for and the seconds that it took; None where it is not there yet. Does not wait.
+    def poll(self, patience_s: float | None) -> tuple[Ticket, dict[str, Any]] | None:
+        """What was asked for and its stamp, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
 
         The process `is_late` where it was lost, or is silent for more than `patience_s`.
         """
@@ -54,7 +55,7 @@ class CuratorProcess(ProcessBeside):
         is_ready = self._is_wanted and stamp.is_ready()
         silence = self._look()
         if is_ready and silence is not None:
-            return refreshed, self._seconds_of(stamp)
+            return refreshed, self._taken(stamp)
         if patience_s is not None and (silence is None or silence > patience_s):
             self.is_late = True
         return None
@@ -92,18 +93,18 @@ class CuratorProcess(ProcessBeside):
                 self._ask()
         return silence
 
-    def _seconds_of(self, stamp: Ticket) -> float:
-        seconds = self._backend.gather([stamp])[0]["seconds"]
+    def _taken(self, stamp: Ticket) -> dict[str, Any]:
+        taken = self._backend.gather([stamp])[0]
         self._call = self._asked = None
         self._is_wanted = self.is_late = False
         self._note_recovery()
-        return seconds
+        return taken
 
     def _ask(self) -> None:
         assert self._asked is not None
-        weights, policy_version = self._asked
+        weights, policy_version, probe = self._asked
         part = (self._part, self._num_parts)
-        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version, *part)
+        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version, *part, probe)
         self._is_wanted = True
 
     def _replace(self, error: WorkerLostError) -> None:
@@ -118,7 +119,9 @@ class CuratorProcess(ProcessBeside):
         self.stop()
         if self._asked is None:  # the next request starts it
             return
-        weights, policy_version = self._asked
-        self._asked = (self._backend.put(resolve(weights)), policy_version)  # its first copy may be gone
+        weights, policy_version, probe = self._asked
+        put, again = self._backend.put, resolve(probe)
+        # Their first copies may be gone.
+        self._asked = put(resolve(weights)), policy_version, None if again is None else put(again)
         self._backend.sections.begin_again()
         self._ask()

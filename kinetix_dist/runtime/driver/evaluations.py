@@ -41,6 +41,15 @@ class _Job:
     weights: Any
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Evaluated:
+    """An evaluation that has come."""
+
+    update: int  # whose weights
+    rates: Mapping[str, Mapping[str, Any]]  # as `Evaluator.evaluate` gives them
+    seconds: float
+
+
 class Evaluations(ProcessBeside):
     """Of one run."""
 
@@ -67,8 +76,8 @@ class Evaluations(ProcessBeside):
         put = self._backend.put
         self._jobs = [_Job(kind, update, put(tree)) for (kind, update), tree in zip(asked, weights, strict=True)]
 
-    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> dict[str, float]:
-        """Asks for what is due. Metrics of one evaluation that has come since; after the last update waits for all."""
+    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> list[Evaluated]:
+        """Asks for what is due. One evaluation that has come since, if any; after the last update waits for all."""
         with self._backend.sections.section("evaluate"), clock.role("evaluate"):
             self._ask_for_due(num_updates)
             return self._collected(must_wait=is_last)
@@ -84,18 +93,18 @@ class Evaluations(ProcessBeside):
             else:
                 self._on_event("evaluation_left_out", what=kind, update=num_updates)
 
-    def _collected(self, *, must_wait: bool) -> dict[str, float]:
-        metrics: dict[str, float] = {}
-        while self._jobs and (must_wait or not metrics):
+    def _collected(self, *, must_wait: bool) -> list[Evaluated]:
+        evaluated: list[Evaluated] = []
+        while self._jobs and (must_wait or not evaluated):
             if self._call is None:
                 self._ask()
             if self._is_answered(must_wait=must_wait):
-                metrics |= self._taken()
+                evaluated += self._taken()
             elif must_wait:
                 time.sleep(POLL_S)
             else:
                 break
-        return metrics
+        return evaluated
 
     def description(self) -> dict[str, Any]:
         """For a checkpoint."""
@@ -118,7 +127,7 @@ class Evaluations(ProcessBeside):
             self._replace(error)
             return False
 
-    def _taken(self) -> dict[str, float]:
+    def _taken(self) -> list[Evaluated]:
         assert self._call is not None
         job = self._jobs[0]
         stamp, content = self._backend.gather(self._call)
@@ -127,9 +136,8 @@ class Evaluations(ProcessBeside):
         self._note_recovery()
         if job.kind == RECORD:
             self._on_rollouts(content)
-            return {}
-        self._on_event("evaluated", update=job.update, seconds=round(stamp["seconds"], 3), solve_rate=content)
-        return evaluation_metrics(content, job.update)
+            return []
+        return [Evaluated(update=job.update, rates=content, seconds=stamp["seconds"])]
 
     def _replace(self, error: WorkerLostError) -> None:
         """The next look starts another process, which does again what this one was at."""
@@ -148,7 +156,7 @@ class EvaluationsHere:
     def __init__(
         self,
         config: TrainConfig,
-        evaluate: Callable[..., Mapping[str, Mapping[str, float]]],
+        evaluate: Callable[..., Mapping[str, Mapping[str, Any]]],
         record: Callable[[int], None],
     ) -> None:
         self._config = config
@@ -158,14 +166,16 @@ class EvaluationsHere:
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Nothing is ever in flight."""
 
-    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> dict[str, float]:
+    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> list[Evaluated]:
         del clock, is_last
-        due, metrics = due_after(self._config, num_updates), {}
+        due, evaluated = due_after(self._config, num_updates), []
         if EVALUATE in due:
-            metrics = evaluation_metrics(self._evaluate(use_policy=True), num_updates)
+            began = time.monotonic()
+            rates = self._evaluate(use_policy=True)
+            evaluated.append(Evaluated(update=num_updates, rates=rates, seconds=time.monotonic() - began))
         if RECORD in due:
             self._record(self._config.recording.num_rollouts)
-        return metrics
+        return evaluated
 
     def description(self) -> dict[str, Any]:
         return {}
@@ -180,7 +190,7 @@ def due_after(config: TrainConfig, num_updates: int) -> list[str]:
     return [kind for kind in every if every[kind] and num_updates % every[kind] == 0]
 
 
-def evaluation_metrics(rates: Mapping[str, Mapping[str, float]], num_updates: int) -> dict[str, float]:
+def evaluation_metrics(rates: Mapping[str, Mapping[str, Any]], num_updates: int) -> dict[str, float]:
     """By the names of `telemetry.names`. rates: by level set, of the weights after so many updates."""
     metrics = {
         f"evaluation/{name}/{metric}": rate[field]
@@ -188,3 +198,8 @@ def evaluation_metrics(rates: Mapping[str, Mapping[str, float]], num_updates: in
         for metric, field in (("solve_rate", "rate"), ("low", "low"), ("high", "high"))
     }
     return metrics | {"evaluation/update": float(num_updates)}
+
+
+def summaries(rates: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """The same for reports and events: without the counts of each level."""
+    return {name: {k: v for k, v in rate.items() if k != "levels"} for name, rate in rates.items()}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
 from kinetix_dist.telemetry.event_names import check_event
 from kinetix_dist.telemetry.json_lines import append_line
+from kinetix_dist.telemetry.utc import utc_text
 
 MAX_PENDING = 1000  # events kept in memory until they can be written; about 200 kB
 
@@ -24,7 +24,7 @@ class EventLog:
 
     def add(self, kind: str, **details: Any) -> None:
         """Writes an event now, or as soon as the disk takes it. Raises UnknownEventError for a kind without a name."""
-        row = {"time": now(), "event": check_event(kind), **details}
+        row = {"time": utc_text(), "event": check_event(kind), **details}
         with self._lock:
             if len(self._pending) < MAX_PENDING:
                 self._pending.append(row)
@@ -43,11 +43,7 @@ class EventLog:
                 append_line(self._path, self._pending[0])
                 del self._pending[0]
             if self._num_dropped:
-                append_line(self._path, {"time": now(), "event": "events_dropped", "events": self._num_dropped})
+                append_line(self._path, {"time": utc_text(), "event": "events_dropped", "events": self._num_dropped})
                 self._num_dropped = 0
         except OSError:
             return  # kept: nothing is lost while there is memory, and `sink_failing` says what the disk does
-
-
-def now() -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

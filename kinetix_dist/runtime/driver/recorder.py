@@ -41,6 +41,8 @@ class Recorder:
             for rollout in rollouts:
                 sink.write(rollout)
         self.last_file = path
+        update = rollouts[0].policy_version
+        self._run.event("recorded", update=update, file=path.name, rollouts=len(rollouts))
 
     def make_pictures(self) -> str | None:
         """`solved.rrd`, `solved.png`, `failed.rrd`, `failed.png` of the last recording, where it has such rollouts. One

@@ -17,6 +17,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.driver.adoptions import NEVER, Adoptions
 from kinetix_dist.runtime.driver.clock import RoleClock
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
+from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import StopSignals
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
@@ -39,8 +40,11 @@ class Refreshes:
         *,
         clock: RoleClock,
         stop: StopSignals,
+        data: RunData,
     ) -> None:
         self._config = config.curriculum
+        self._num_probed = config.curriculum_log.probe_levels
+        self._data = data
         self._run = run
         self._reporter = reporter
         self._trainer = trainer
@@ -100,6 +104,10 @@ class Refreshes:
             return {}
         return flatten_arrays({PENDING: resolve(self._pending[1])})
 
+    def buffer_of(self, batch: int) -> int | None:
+        """Policy version of the buffer that the levels of a batch were drawn from; None where there is no such."""
+        return self._adoptions.in_use(batch)
+
     def metrics(self) -> dict[str, float]:
         metrics = {}
         if self._curator is not None:
@@ -112,7 +120,9 @@ class Refreshes:
         assert self._curator is not None
         self._pending = (policy_version, weights)
         with self._clock.role("curate"):
-            self._curator.request(weights, policy_version)
+            # Of the buffer that is in use now: what this refresh replaces.
+            probe = self._trainer.probe(self._num_probed) if policy_version and self._num_probed else None
+            self._curator.request(weights, policy_version, probe)
 
     def _adopt_if_due(self, num_updates: int, update_seconds: float) -> None:
         if self._pending is None:
@@ -139,6 +149,7 @@ class Refreshes:
         self._scoring_seconds = refresh.seconds
         self._adoptions.record(version, drawn_next)
         self._run.event("buffer_adopted", policy_version=version, update=drawn_next)
+        self._data.adopted(refresh, num_updates=num_updates, first_batch=drawn_next)
 
     def _note_late(self, version: int, num_updates: int) -> None:
         if not self._is_stale:

@@ -31,14 +31,18 @@ class Trainer(Protocol):
     def adopt(self, parts: Sequence[Any]) -> None:
         """Uses what curators worked out, `Refresh.parts`, for every batch drawn from now on."""
 
-    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
-        """One rollout and one policy update: (metrics, seconds by role). Raises WorkerLostError."""
+    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
+        """One rollout and one policy update: (metrics, seconds by role, episodes "solved" and "finished" by
+        `Proposal.source`, empty where they are not counted). Raises WorkerLostError."""
+
+    def probe(self, num_levels: int) -> Any:
+        """Levels of the buffer in use, or a reference to them, for `Curator.request`."""
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """All arrays that `start` needs to go on from here bit for bit."""
 
-    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
-        """Solve rates by level set, of the current policy or of random actions."""
+    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
+        """Solve rates by level set, as `Evaluator.evaluate` gives them, of the current policy or of random actions."""
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
         """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
@@ -58,13 +62,14 @@ class Refresh:
 
     parts: Sequence[Any]  # for the curriculum to join and adopt, of each curator: a reference to it
     seconds: float  # that the slowest took
+    probe: Mapping[str, np.ndarray]  # what became of levels of the buffer before, see `Curriculum.play_probe`
 
 
 class Curator(Protocol):
     """Whatever refreshes the curriculum: one process or several, each with a part of it."""
 
-    def request(self, weights: Any, policy_version: int) -> None:
-        """Starts a refresh; does not wait where there is a process to do it."""
+    def request(self, weights: Any, policy_version: int, probe: Any) -> None:
+        """Starts a refresh; does not wait where there is a process to do it. probe: of `Trainer.probe`, or None."""
 
     def watch(self) -> None:
         """Replaces processes that died, without waiting; their parts are asked for again."""

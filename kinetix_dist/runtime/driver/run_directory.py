@@ -7,6 +7,7 @@
         metrics/             metrics.jsonl and TensorBoard events
         events.jsonl         what happened: restarts, rejected checkpoints, adopted buffers
         adoptions.json       from which update on each buffer of the curriculum was used
+        curriculum/, evaluations.jsonl, processes.jsonl, status.json    for dashboards, see docs/run_data.md
         recordings/          rollouts (.mcap), .rrd and pictures
         logs/                tracebacks of processes that failed
         report.json          written when the run is complete
@@ -26,7 +27,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from kinetix_dist.errors import one_line
-from kinetix_dist.runtime.driver.event_log import EventLog, now
+from kinetix_dist.runtime.driver.event_log import EventLog
+from kinetix_dist.telemetry import curriculum_log
 from kinetix_dist.telemetry.json_lines import (
     damaged_path,
     mend_lines,
@@ -34,6 +36,11 @@ from kinetix_dist.telemetry.json_lines import (
     set_aside_file,
     set_aside_unless_readable,
 )
+from kinetix_dist.telemetry.status import STATUS
+from kinetix_dist.telemetry.utc import utc_text
+
+EVALUATIONS = "evaluations.jsonl"  # evaluations.json has the summaries of three of them
+PROCESSES = "processes.jsonl"
 
 
 class RunDirectoryError(Exception):
@@ -79,6 +86,26 @@ class RunDirectory:
     @property
     def recordings(self) -> Path:
         return self.path / "recordings"
+
+    @property
+    def curriculum(self) -> Path:
+        return self.path / curriculum_log.DIRECTORY
+
+    @property
+    def outcomes(self) -> Path:
+        return self.curriculum / curriculum_log.OUTCOMES
+
+    @property
+    def evaluation_rows(self) -> Path:
+        return self.path / EVALUATIONS
+
+    @property
+    def processes(self) -> Path:
+        return self.path / PROCESSES
+
+    @property
+    def status(self) -> Path:
+        return self.path / STATUS
 
     @classmethod
     def create(cls, path: Path, *, numbered: bool) -> RunDirectory:
@@ -152,7 +179,7 @@ class RunDirectory:
         path = self.path / "logs" / f"{name}.log"
         path.parent.mkdir(exist_ok=True)
         with path.open("a") as file:
-            file.write(f"{now()}\n{text.rstrip()}\n")
+            file.write(f"{utc_text()}\n{text.rstrip()}\n")
         return path
 
     def write_json(self, path: Path, content: Any) -> None:

@@ -54,6 +54,7 @@ class Saver:
         error = future.exception()
         if error is None:
             self.saved_at, self.seconds, self.error = num_updates, future.result(), None
+            self._run.event("checkpoint_saved", update=num_updates, seconds=round(self.seconds, 3))
             return
         # Whatever it is: Orbax has errors of many kinds for a disk that is full. Training goes on from memory.
         self.error = one_line(error)

@@ -30,6 +30,7 @@ import numpy as np
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
+from kinetix_dist.runtime.cores.rollout_core import EPISODES
 from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.stragglers import Stragglers
@@ -102,7 +103,10 @@ class SplitTrainer:
         self._ask_learners("adopt", *parts)
         self._state = self._learners[0].call("curriculum_state")
 
-    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float]]:
+    def probe(self, num_levels: int) -> Ticket:
+        return self._learners[0].call("probe", num_levels)
+
+    def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         began = time.monotonic()
         if num_updates not in self._orders:
             self._issue(num_updates, num_updates, self._state)
@@ -133,7 +137,10 @@ class SplitTrainer:
             **copy_metrics([_copied(learned[0], "weights_put")]),
         }
         seconds = {"learn": learned, "rollout": played}
-        return metrics, {role: max(stamp["seconds"] for stamp in stamps) for role, stamps in seconds.items()}
+        slowest = {role: max(stamp["seconds"] for stamp in stamps) for role, stamps in seconds.items()}
+        by_part = [part[EPISODES] for part in sums if EPISODES in part]
+        episodes = {name: sum(part[name] for part in by_part) for name in by_part[0]} if by_part else {}
+        return metrics, slowest, episodes
 
     def snapshot(self) -> dict[str, np.ndarray]:
         arrays = self._ask_first("snapshot")
@@ -145,7 +152,7 @@ class SplitTrainer:
             arrays |= flatten_arrays({PROPOSING: resolve(state)})
         return arrays
 
-    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, float]]:
+    def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
         return self._ask_first("evaluate", use_policy)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:

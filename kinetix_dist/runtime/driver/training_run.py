@@ -6,6 +6,7 @@ config -> placement -> backend (this process or Ray) -> trainer, curator -> cont
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +24,9 @@ from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
 from kinetix_dist.runtime.driver.roles import Trainer
+from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.run_status import STARTED
 from kinetix_dist.runtime.driver.skipped_updates import NotFiniteError
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.backend import Backend
@@ -31,6 +34,7 @@ from kinetix_dist.runtime.processes.failures import ProcessFailedError, TooManyL
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.runtime.processes.ray_access import use_token
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
+from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
 
 if TYPE_CHECKING:
     from kinetix_dist.runtime.driver.resizing import Resizing
@@ -53,10 +57,34 @@ def train(
     Raises PlacementError, PortTakenError, CheckpointError, ValueError for what cannot run, before anything is computed,
     RunFailedError where a process failed, and StoppedError where `stop` was asked for.
     """
-    began = time.monotonic()
     stop = stop or StopSignals()
-    console = console or ConsoleSink(total_env_steps=config.run.total_env_steps or None)
-    reporter = RunReporter(run, console, metrics_port=config.run.metrics_port)
+    total_env_steps = config.run.total_env_steps
+    console = console or ConsoleSink(total_env_steps=total_env_steps or None)
+    reporter = RunReporter(run, console, total_env_steps=total_env_steps, metrics_port=config.run.metrics_port)
+    about = {"pid": os.getpid(), "host": socket.gethostname(), "session": reporter.session}
+    run.event(STARTED, **about, resume=resume, config_hash=config.hash)
+    try:
+        report = _train(config, run, reporter, stop, resume=resume)
+    except StoppedError as error:
+        reporter.ended(STOPPED, one_line(error))
+        raise
+    except Exception as error:
+        reporter.ended(FAILED, one_line(error))
+        run.event("run_failed", error=one_line(error))
+        raise
+    else:
+        reporter.ended(FINISHED)
+        run.event("run_finished", update=report["policy_updates"])
+        return report
+    finally:
+        with stop.deferred():
+            reporter.close()
+
+
+def _train(
+    config: TrainConfig, run: RunDirectory, reporter: RunReporter, stop: StopSignals, *, resume: bool
+) -> dict[str, Any]:
+    began = time.monotonic()
     recorder = Recorder(run)
     started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
@@ -83,7 +111,6 @@ def train(
     except (ProcessFailedError, TooManyLossesError) as error:
         raise _failed_run(run, error) from error
     except NotFiniteError as error:
-        run.event("run_failed", error=str(error))
         raise RunFailedError(f"{error}; checkpoints before them are kept in {run.checkpoints}") from error
     except StopFailedError as error:
         raise RunFailedError(f"{error} with --run {run.path} --resume") from error
@@ -98,7 +125,6 @@ def train(
         with stop.deferred():
             for end in started:
                 end()
-            reporter.close()
 
 
 def _from_first_to_last_update(controller: Controller, run: RunDirectory, reporter: RunReporter) -> dict[str, Any]:
@@ -106,12 +132,12 @@ def _from_first_to_last_update(controller: Controller, run: RunDirectory, report
     evaluations = _earlier_evaluations(run) if controller.num_updates else {}
     if controller.num_updates == 0:
         reporter.phase("evaluating")
-        evaluations["random_policy"] = controller.evaluate(use_policy=False)
-        evaluations["before"] = controller.evaluate(use_policy=True)
+        evaluations[RANDOM_POLICY] = controller.evaluate(RANDOM_POLICY)
+        evaluations["before"] = controller.evaluate("before")
         _write_evaluations(run, reporter, evaluations)
     controller.train()
     reporter.phase("evaluating")
-    evaluations["after"] = controller.evaluate(use_policy=True)
+    evaluations["after"] = controller.evaluate("after")
     _write_evaluations(run, reporter, evaluations)
     if num_rollouts := controller.config.recording.num_rollouts:
         reporter.phase("recording")
@@ -162,7 +188,6 @@ def hold_to_cpu(config: TrainConfig) -> None:
 
 def _failed_run(run: RunDirectory, error: ProcessFailedError | TooManyLossesError) -> RunFailedError:
     """One line for the console; the traceback of a process goes to a file that the line names."""
-    run.event("run_failed", error=str(error))
     where = ""
     if isinstance(error, ProcessFailedError):
         try:

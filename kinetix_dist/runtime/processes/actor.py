@@ -66,7 +66,7 @@ class ProcessActor:
         self._arguments = arguments
         self._budget: Budget | None = None
         self._core: Any = None
-        self._meter = Meter(plan.role)
+        self._meter = Meter(plan.name, plan.role)
         self._working: dict[int, tuple[str, float]] = {}  # by thread: method, since
 
     def __repr__(self) -> str:
@@ -124,7 +124,7 @@ class ProcessActor:
 
     def call(self, method: str, *arguments: Any) -> Any:
         """`core.method(*arguments)`. What it returns is numpy or plain Python."""
-        with self._failures(method), self._meter.calling():
+        with self._failures(method), self._meter.calling(method):
             answer = getattr(self._core, method)(*arguments)
             self._meter.moved(arguments, answer)
             return answer
@@ -134,7 +134,7 @@ class ProcessActor:
 
         Ray stores what a generator gives before it asks for more.
         """
-        with self._failures(method), self._meter.calling():
+        with self._failures(method), self._meter.calling(method):
             stamp, content = getattr(self._core, method)(*arguments)
             self._meter.moved(arguments, content)
             began = time.monotonic()

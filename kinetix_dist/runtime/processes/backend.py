@@ -21,6 +21,10 @@ class Ticket(Protocol):
     def fetch(self) -> Any:
         """The answer; waits for it. Raises as `Backend.gather` does."""
 
+    def fetch_in_thread(self) -> Any:
+        """The same for other threads than that of the run: nobody watches the process meanwhile, and what is lost
+        raises an error of the backend's own."""
+
     def is_ready(self) -> bool: ...
 
 
@@ -95,6 +99,9 @@ class Backend(Protocol):
 
     def measures(self) -> dict[str, float]:
         """Metrics of all processes: idle shares, memory, what was compiled and moved. Does not wait."""
+
+    def processes(self) -> list[dict[str, Any]]:
+        """Of each process what processes.jsonl says, as old as `measures`."""
 
     def kill(self, handles: Sequence[Handle]) -> None:
         """Ends processes and returns when they are gone."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from typing import NamedTuple
 
 
 class _Memory(ctypes.Structure):
@@ -49,10 +50,22 @@ def gpu_used_share() -> float | None:
     return memory.used / memory.total
 
 
-def pool_peak_share() -> float | None:
-    """The most that was in use of XLA's pool so far, as a share of it; None on a CPU."""
+class Pool(NamedTuple):
+    """XLA's pool of GPU memory, bytes."""
+
+    used: int
+    peak: int  # the most that was in use so far
+    limit: int
+
+    @property
+    def peak_share(self) -> float:
+        return self.peak / self.limit
+
+
+def pool_use() -> Pool | None:
+    """Of this process's GPU; None on a CPU, or where JAX does not say."""
     import jax
 
     statistics = (jax.local_devices()[0].memory_stats() if jax.default_backend() == "gpu" else None) or {}
-    limit, peak = statistics.get("bytes_limit"), statistics.get("peak_bytes_in_use")
-    return peak / limit if limit and peak is not None else None
+    used, peak, limit = (statistics.get(name) for name in ("bytes_in_use", "peak_bytes_in_use", "bytes_limit"))
+    return Pool(used, peak, limit) if limit and used is not None and peak is not None else None

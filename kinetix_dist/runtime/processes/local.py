@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.facts import facts_of
 from kinetix_dist.runtime.processes.losses import Losses
-from kinetix_dist.runtime.processes.measures import Meter, summary
+from kinetix_dist.runtime.processes.measures import Meter, Reading, description, summary
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.runtime.processes.sections import Sections
 
@@ -21,6 +22,9 @@ class LocalTicket:
     value: Any
 
     def fetch(self) -> Any:
+        return self.value
+
+    def fetch_in_thread(self) -> Any:
         return self.value
 
     def is_ready(self) -> bool:
@@ -54,7 +58,8 @@ class LocalBackend:
     def __init__(self) -> None:
         self.sections = Sections()
         self.losses = Losses()
-        self._meter = Meter("driver")
+        self._meter = Meter("driver", "driver")
+        self._reading: Reading | None = None
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle]:
         return [LocalHandle(plan, build(plan.index, 1, *arguments)) for plan in plans]
@@ -84,8 +89,13 @@ class LocalBackend:
 
     def measures(self) -> dict[str, float]:
         """Of this process. How busy it is says `time/idle`; nothing is moved between processes."""
-        found = summary([(None, self._meter.read(has_device=True))])
+        self._reading = self._meter.read(has_device=True)
+        found = summary([(None, self._reading)])
         return {name: value for name, value in found.items() if not name.startswith("runtime/moved_mib")}
+
+    def processes(self) -> list[dict[str, Any]]:
+        reading = self._reading or self._meter.read(has_device=True)
+        return [description(None, reading, age_seconds=time.monotonic() - reading.at)]
 
     def kill(self, handles: Sequence[LocalHandle]) -> None:
         del handles

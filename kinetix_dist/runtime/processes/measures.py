@@ -9,24 +9,31 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import socket
 import time
 from collections import defaultdict
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from typing import Any
 
-from kinetix_dist.runtime.processes.gpu_use import gpu_used_share, pool_peak_share
+from kinetix_dist.runtime.processes.gpu_use import Pool, gpu_used_share, pool_use
 from kinetix_dist.telemetry.compile_time import compile_seconds
 from kinetix_dist.telemetry.sizes import bytes_of
 
 GIB, MIB = 1 << 30, 1 << 20
+_POOL = (("", "used"), ("peak_", "peak"), ("limit_", "limit"))  # parts of names in processes.jsonl, fields of Pool
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Reading:
     """Of one process, at one time."""
 
+    name: str  # of the process
     role: str
+    pid: int
+    host: str
+    device: str | None  # "cpu" or "gpu" that it computes on; None where JAX has not started
+    doing: str | None  # the call that it is in
     at: float  # s, time.monotonic() of that process
     busy_seconds: float  # in calls so far, the one that runs included
     compile_seconds: float
@@ -34,26 +41,30 @@ class Reading:
     resident_bytes: int  # of host memory
     host_share: float  # of the memory of its host, by all programs
     gpu_share: float | None  # of the memory of its GPU, by all programs; None on a CPU
-    pool_share: float | None  # the most that was in use of XLA's pool
+    pool: Pool | None  # XLA's; None on a CPU
 
 
 class Meter:
     """Counts in one process. `calling` is for the thread that works, `read` for any."""
 
-    def __init__(self, role: str) -> None:
+    def __init__(self, name: str, role: str) -> None:
+        self._name = name
         self._role = role
+        self._host = socket.gethostname()
+        self._doing: str | None = None
         self._busy = 0.0
         self._since: float | None = None
         self._moved = 0
 
     @contextmanager
-    def calling(self) -> Generator[None]:
+    def calling(self, method: str) -> Generator[None]:
         """Around a call."""
-        self._since = time.monotonic()
+        self._doing, self._since = method, time.monotonic()
         try:
             yield
         finally:
             self._busy, self._since = self._busy + time.monotonic() - self._since, None
+            self._doing = None
 
     def moved(self, *values: Any) -> None:
         """Arguments or an answer, which cross between processes: arrays in nested containers are counted."""
@@ -61,11 +72,17 @@ class Meter:
 
     def read(self, *, has_device: bool) -> Reading:
         """has_device: whether JAX has started in this process; asking it would start it."""
+        import jax
         import psutil
 
         now, since = time.monotonic(), self._since
         return Reading(
+            name=self._name,
             role=self._role,
+            pid=os.getpid(),
+            host=self._host,
+            device=jax.default_backend() if has_device else None,
+            doing=self._doing,
             at=now,
             busy_seconds=self._busy + (0.0 if since is None else now - since),
             compile_seconds=compile_seconds(),
@@ -73,7 +90,7 @@ class Meter:
             resident_bytes=psutil.Process(os.getpid()).memory_info().rss,
             host_share=psutil.virtual_memory().percent / 100,
             gpu_share=gpu_used_share() if has_device else None,
-            pool_share=pool_peak_share() if has_device else None,
+            pool=pool_use() if has_device else None,
         )
 
 
@@ -94,11 +111,27 @@ def summary(readings: Iterable[tuple[Reading | None, Reading]]) -> dict[str, flo
         ("runtime/compile_seconds", [reading.compile_seconds for reading in last]),
         ("memory/host_share", [reading.host_share for reading in last]),
         ("memory/gpu_share", [reading.gpu_share for reading in last if reading.gpu_share is not None]),
-        ("memory/pool_share", [reading.pool_share for reading in last if reading.pool_share is not None]),
+        ("memory/pool_share", [reading.pool.peak_share for reading in last if reading.pool is not None]),
     ):
         if values:
             metrics[name] = max(values)
     return metrics
+
+
+def description(before: Reading | None, last: Reading, *, age_seconds: float) -> dict[str, Any]:
+    """One process of a line of processes.jsonl, see docs/run_data.md; what it does not have is absent."""
+    known = {
+        "device": last.device,
+        **({f"pool_{name}bytes": getattr(last.pool, field) for name, field in _POOL} if last.pool is not None else {}),
+        "gpu_share": last.gpu_share,
+        "busy": 1.0 - _idle(before, last) if before is not None and last.at > before.at else None,
+        "doing": last.doing,
+    }
+    return {
+        **{name: getattr(last, name) for name in ("name", "role", "pid", "host", "resident_bytes")},
+        **{name: value for name, value in known.items() if value is not None},
+        "age_seconds": age_seconds,
+    }
 
 
 def _idle(before: Reading, last: Reading) -> float:

@@ -47,6 +47,9 @@ class RayTicket:
             return ray.get(self.reference)
         return self.backend.gather([self])[0]
 
+    def fetch_in_thread(self) -> Any:
+        return ray.get(self.reference)
+
     def is_ready(self) -> bool:
         return bool(ray.wait([self.reference], timeout=0)[0])
 
@@ -261,6 +264,9 @@ class RayBackend:
 
     def measures(self) -> dict[str, float]:
         return self._readings.metrics()
+
+    def processes(self) -> list[dict[str, Any]]:
+        return self._readings.processes()
 
     def _options(self, plan: ProcessPlan) -> dict[str, Any]:
         environment = {

@@ -1,0 +1,195 @@
+"""What training writes for dashboards, see docs/run_data.md: written by threads, read by nobody here.
+
+    controller --rows--> [queue, bounded] --> a thread a file --> curriculum/*.npz, outcomes, evaluations, processes
+
+No call waits for a disk. What a disk does not take is dropped and counted (`telemetry/dropped_writes`), with an event.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.checkpoint import select_arrays
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.curriculum import Curriculum
+from kinetix_dist.runtime.cores.stored import CURRICULUM
+from kinetix_dist.runtime.driver.line_file import LineFile
+from kinetix_dist.runtime.driver.outcome_window import OutcomeWindow
+from kinetix_dist.runtime.driver.reporting import DROPPED_WRITES
+from kinetix_dist.runtime.driver.roles import Refresh, Reporter
+from kinetix_dist.runtime.driver.run_directory import EVALUATIONS, PROCESSES, RunDirectory
+from kinetix_dist.runtime.driver.sink_news import SinkNews
+from kinetix_dist.runtime.driver.snapshots import SnapshotSink, UnfinishedSnapshot
+from kinetix_dist.telemetry.curriculum_log import BUFFER, OUTCOMES, REFRESH, is_outcomes
+from kinetix_dist.telemetry.json_lines import Row
+from kinetix_dist.telemetry.sinks.background import BackgroundSink, close_sinks
+from kinetix_dist.telemetry.sinks.jsonl import LinesSink
+from kinetix_dist.telemetry.utc import utc_text
+
+FORMAT = 1  # of evaluations.jsonl and processes.jsonl
+RANDOM_POLICY = "random_policy"  # a phase in evaluations.jsonl
+MAX_QUEUED_SNAPSHOTS = 8  # each keeps a refresh in memory, 2 MB a thousand levels of size L
+PROCESSES_EVERY_S = 30.0
+
+# By name of a file of lines: whether an object is a line of it, and whether that is not later than so many updates.
+_FILES: dict[str, tuple[Callable[[Row], bool], Callable[[Row, int], bool]]] = {
+    OUTCOMES: (is_outcomes, lambda row, num_updates: row["update"] <= num_updates),
+    EVALUATIONS: (
+        lambda row: row.get("format") == FORMAT and isinstance(row.get("reported_at"), int),
+        lambda row, num_updates: row["reported_at"] <= num_updates,
+    ),
+    PROCESSES: (lambda row: isinstance(row.get("processes"), list), lambda row, num_updates: True),
+}
+
+
+class RunData:
+    """Of one run. All methods are for the thread that drives it."""
+
+    def __init__(self, config: TrainConfig, run: RunDirectory, reporter: Reporter) -> None:
+        self._config = config
+        self._run = run
+        self._curriculum: type[Curriculum] = config.curriculum_class
+        log = config.curriculum_log
+        self._has_snapshots = log.max_snapshots > 0
+        self._window = OutcomeWindow(self._curriculum.sources, log.outcomes_every) if log.outcomes_every else None
+        self._news = SinkNews(run, reporter.note)
+        self._sinks: dict[Path, BackgroundSink[Any]] = {}
+        self._num_dropped = 0  # by sinks that are closed
+        self._resume_at = 0  # updates done when this session, or the part of it since the last loss, began
+        self._processes_at = float("-inf")  # s of time.monotonic(), of the last line
+
+    def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
+        """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
+        is removed."""
+        self._close_sinks()
+        self._resume_at = num_updates
+        for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
+            if path.exists():
+                self._sink(path, opens_at_once=True)
+        if self._window is not None:
+            self._window.start(description, arrays, num_updates=num_updates)
+
+    def description(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {} if self._window is None else self._window.description()
+
+    def in_flight(self) -> dict[str, np.ndarray]:
+        """Arrays of a checkpoint."""
+        return {} if self._window is None else self._window.in_flight()
+
+    def adopted(self, refresh: Refresh, *, num_updates: int, first_batch: int) -> None:
+        """A refresh is used from `first_batch` on. Its parts are fetched by the thread that writes them."""
+        if not self._has_snapshots:
+            return
+
+        def arrays() -> dict[str, np.ndarray] | None:
+            parts = [part.fetch_in_thread() for part in refresh.parts]
+            log = self._curriculum.refresh_log(self._config.curriculum, parts)
+            if log is None:
+                return None
+            known = {"first_batch": np.int32(first_batch), "scoring_seconds": np.float64(refresh.seconds)}
+            return log | known | {f"probe/{name}": array for name, array in refresh.probe.items()}
+
+        self._write_snapshot(REFRESH, num_updates, arrays)
+
+    def saved(self, num_updates: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """A checkpoint of these arrays is taken after so many updates."""
+        if not self._has_snapshots:
+            return
+        state = select_arrays(arrays, CURRICULUM)
+        self._write_snapshot(BUFFER, num_updates, lambda: self._curriculum.buffer_log(state))
+
+    def played(self, num_updates: int, episodes: Mapping[str, np.ndarray], buffer: int | None) -> None:
+        """Episodes of the update that led to `num_updates`, see `Trainer.run_update`; buffer: see `OutcomeWindow`."""
+        if self._window is not None and episodes:
+            self._write_outcomes(self._window.add(num_updates, episodes, buffer))
+
+    def trained(self, num_updates: int) -> None:
+        """After the last update."""
+        if self._window is not None:
+            self._write_outcomes(self._window.end(num_updates))
+
+    def evaluated(self, phase: str, update: int, rates: Mapping[str, Mapping[str, Any]], *, reported_at: int) -> None:
+        """An evaluation of all sets is there; rates: as `Evaluator.evaluate` gives them."""
+        row = {
+            "format": FORMAT,
+            "phase": phase,
+            "update": update,
+            "env_steps": update * self._config.rollout.steps_per_update,
+            "reported_at": reported_at,
+            "sets": {name: rate["levels"] for name, rate in rates.items()},
+        }
+
+        self._sink(self._run.evaluation_rows).write(reported_at, row)
+
+    def processes(self, num_updates: int, processes: Callable[[], Sequence[Mapping[str, Any]]]) -> None:
+        """Writes what `processes` are at, if the last line is old enough."""
+        now = time.monotonic()
+        if now - self._processes_at < PROCESSES_EVERY_S:
+            return
+        self._processes_at = now
+        row = {"format": FORMAT, "time": utc_text(), "update": num_updates, "processes": list(processes())}
+        self._sink(self._run.processes).write(num_updates, row)
+
+    def metrics(self, num_updates: int) -> dict[str, float]:
+        """Also says what the threads have to say."""
+        self._news.tell(num_updates)
+        dropped = self._num_dropped + sum(sink.num_dropped for sink in self._sinks.values())
+        return {DROPPED_WRITES: float(dropped)}
+
+    def close(self, num_updates: int) -> None:
+        """Writes what is queued, as `BackgroundSink.close` does."""
+        self._close_sinks()
+        self._news.tell(num_updates)
+
+    def _write_outcomes(self, lines: Sequence[Row]) -> None:
+        for line in lines:
+            self._sink(self._run.outcomes).write(line["update"], line)
+
+    def _write_snapshot(self, kind: str, num_updates: int, arrays: Callable[[], dict[str, np.ndarray] | None]) -> None:
+        self._sink(self._run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
+
+    def _sink(self, path: Path, *, opens_at_once: bool = False) -> BackgroundSink[Any]:
+        """That of a file, or of the directory of snapshots."""
+        if path not in self._sinks:
+            bound = {"max_queued": MAX_QUEUED_SNAPSHOTS} if path == self._run.curriculum else {}
+            self._sinks[path] = BackgroundSink(
+                str(path.relative_to(self._run.path)),
+                self._snapshots() if path == self._run.curriculum else self._lines(path),
+                self._news.put,
+                patience_s=0.0,
+                opens_at_once=opens_at_once,
+                **bound,
+            )
+        return self._sinks[path]
+
+    def _lines(self, path: Path) -> Callable[[], LinesSink]:
+        is_row, is_earlier = _FILES[path.name]
+        resume_at = self._resume_at
+
+        def open_sink(is_first: bool) -> LinesSink:
+            keep = (lambda row: is_earlier(row, resume_at)) if is_first else None
+            return LinesSink(path, is_row=is_row, keep=keep)
+
+        return LineFile(self._run.path, open_sink, self._news.put, path).open
+
+    def _snapshots(self) -> Callable[[], SnapshotSink]:
+        sink = SnapshotSink(
+            self._run.curriculum,
+            curriculum=self._config.curriculum.name,
+            size=self._config.env.size,
+            max_snapshots=self._config.curriculum_log.max_snapshots,
+            resume_at=self._resume_at,
+            tell=self._news.put,
+        )
+        return sink.open
+
+    def _close_sinks(self) -> None:
+        close_sinks(list(self._sinks.values()))
+        self._num_dropped += sum(sink.num_dropped for sink in self._sinks.values())
+        self._sinks = {}

@@ -1,0 +1,98 @@
+"""status.json of a run: whether it goes on, how far it is, why it ended. docs/run_data.md describes every field."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.telemetry.json_lines import replace_file
+from kinetix_dist.telemetry.utc import utc_seconds
+
+FORMAT = 1
+STATUS = "status.json"
+RUNNING, FINISHED, STOPPED, FAILED = STATES = ("running", "finished", "stopped", "failed")
+SILENT = "silent"  # what readers call a run that says it is running, and is not heard of
+SILENT_AFTER_S = 60.0
+SILENT_AFTER_UPDATES = 10
+SILENT_AFTER_OTHERWISE_S = 1800.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Status:
+    """What status.json holds."""
+
+    format: int = FORMAT
+    state: str = RUNNING  # of STATES
+    phase: str  # "starting", "evaluating", "compiling", "curating", "training", "recording" or "done"
+    pid: int
+    host: str
+    session: int  # 1, and 1 more with every resume
+    started: str  # UTC, of this session
+    time: str  # UTC, when it was written
+    update: int | None  # updates done; None before the first one of the session
+    env_steps: int | None
+    total_env_steps: int  # at which the run ends; 0: it ends by time
+    seconds_left: float | None
+    update_seconds: float | None  # that the last update took, everything included
+    error: str | None = None  # the line that the command ended with
+
+
+class StatusError(ValueError):
+    """A status.json that is damaged, or of another format; which, in one line."""
+
+
+def write_status(path: Path, status: Status) -> None:
+    """Replaces the file by a rename. Raises OSError."""
+    replace_file(path, (json.dumps(dataclasses.asdict(status)) + "\n").encode())
+
+
+def read_status(path: Path) -> Status | None:
+    """None where there is no file: an older run, or one that has not started. Raises StatusError, and OSError where it
+    cannot be read."""
+    try:
+        content: Any = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (ValueError, RecursionError) as error:
+        raise StatusError(f"{path} is damaged: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format") if isinstance(content, dict) else None
+        raise StatusError(f"{path} has format {found}; this version reads format {FORMAT}")
+    fields = {field.name for field in dataclasses.fields(Status)}
+    try:
+        return Status(**{name: value for name, value in content.items() if name in fields})
+    except TypeError as error:
+        raise StatusError(f"{path} is damaged: {error}") from None
+
+
+def judged(status: Status, now: float | None = None) -> str:
+    """One of STATES, or SILENT: it says that it is running, but its process is gone from this host, or it has written
+    nothing for longer than its phase explains. now: s since the epoch."""
+    if status.state != RUNNING:
+        return status.state
+    if status.host == socket.gethostname() and not _is_alive(status.pid):
+        return SILENT
+    age = (time.time() if now is None else now) - utc_seconds(status.time)
+    return SILENT if age > silent_after_seconds(status) else RUNNING
+
+
+def silent_after_seconds(status: Status) -> float:
+    """s without news after which a run that trains may be lost; other phases compile, or play for long."""
+    if status.phase != "training" or status.update_seconds is None:
+        return SILENT_AFTER_OTHERWISE_S
+    return max(SILENT_AFTER_S, SILENT_AFTER_UPDATES * status.update_seconds)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # of another user
+        return True
+    return True
