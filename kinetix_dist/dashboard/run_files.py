@@ -5,23 +5,24 @@ A shared lock, even for a moment, would refuse a driver that starts.
 
 from __future__ import annotations
 
-import calendar
 import json
 import os
-import time
 from pathlib import Path
 from typing import Any
+
+from kinetix_dist.telemetry import curriculum_log, status
 
 CONFIG = "config.json"
 METRICS = "metrics/metrics.jsonl"
 EVENTS = "events.jsonl"
 EVALUATIONS = "evaluations.json"
 EVALUATION_LINES = "evaluations.jsonl"
-OUTCOMES = "curriculum/outcomes.jsonl"
-PROCESSES = "processes.jsonl"
-STATUS = "status.json"
 REPORT = "report.json"
 RECORDINGS = "recordings"
+STATUS = status.STATUS
+CURRICULUM = curriculum_log.DIRECTORY
+OUTCOMES = f"{CURRICULUM}/{curriculum_log.OUTCOMES}"
+PROCESSES = "processes.jsonl"
 
 MAX_JSON_BYTES = 64 << 20
 
@@ -60,12 +61,4 @@ def modified_at(path: Path) -> float | None:
     try:
         return os.stat(path).st_mtime
     except OSError:
-        return None
-
-
-def unix_time(text: Any) -> float | None:
-    """Of a time as events have it, "2026-11-22T13:57:01Z"; None for anything else."""
-    try:
-        return float(calendar.timegm(time.strptime(text, "%Y-%m-%dT%H:%M:%SZ")))
-    except (ValueError, TypeError):
         return None

@@ -15,27 +15,39 @@ from typing import Any
 
 from kinetix_dist.dashboard import run_files
 from kinetix_dist.dashboard.run_files import RunFileError, read_object
-from kinetix_dist.errors import UserError
+from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.telemetry.json_lines import parse_line
+from kinetix_dist.telemetry.status import (
+    FAILED,
+    FINISHED,
+    RUNNING,
+    SILENT,
+    SILENT_AFTER_S,
+    STOPPED,
+    StatusError,
+    judged,
+    read_status,
+)
+from kinetix_dist.telemetry.utc import utc_seconds
 
 DEPTH = 2  # levels of directories below a path in which runs are looked for
 MAX_RUNS = 5000
-SILENT_AFTER_S = 60.0  # without a change of its files, where the run does not say how it is
 LAST_BYTES = 64 << 10  # of metrics.jsonl, in which the last row is looked for; a row has 1 to 4 kB
 
 NO_RUN = "is no run (it has no config.json) and holds none; name a run directory, or a directory of runs"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Status:
-    """How a run is: `state`, one line of why, and where that was read."""
+class RunStatus:
+    """How a run is, one line of why, and where that was read. What status.json does not say is None."""
 
-    state: str  # one of STATES
+    state: str  # "running", "silent", "finished", "stopped", "failed" or "not started"
     text: str
     source: str  # the file that says so; "files" where it follows from their times
-
-
-STATES = ("running", "silent", "finished", "stopped", "failed", "not started")
+    phase: str | None = None
+    update: int | None = None
+    env_steps: int | None = None
+    seconds_left: float | None = None
 
 
 class RunIndex:
@@ -121,23 +133,45 @@ def summary(run_id: str, path: Path) -> dict[str, Any]:
     }
 
 
-def status_of(path: Path) -> Status:
-    """How a run is, by what its files say; by their times where none says it."""
+def status_of(path: Path) -> RunStatus:
+    """How a run is, by its status.json; by other files and their times where there is none (an older run)."""
+    try:
+        status = read_status(path / run_files.STATUS)
+    except (StatusError, OSError) as error:
+        return dataclasses.replace(_status_by_files(path), text=one_line(error))
+    if status is None:
+        return _status_by_files(path)
+    state = judged(status)
+    age = _age(time.time() - utc_seconds(status.time))
+    text = {
+        RUNNING: f"{status.phase}, written {age} ago by process {status.pid} on {status.host}",
+        SILENT: f"says {status.phase}, but was last heard of {age} ago (process {status.pid} on {status.host})",
+    }.get(state, status.error or f"ended {age} ago")
+    return RunStatus(
+        state=state,
+        text=text,
+        source=run_files.STATUS,
+        phase=status.phase,
+        update=status.update,
+        env_steps=status.env_steps,
+        seconds_left=status.seconds_left if state == RUNNING else None,
+    )
+
+
+def _status_by_files(path: Path) -> RunStatus:
     report, metrics = run_files.modified_at(path / run_files.REPORT), run_files.modified_at(path / run_files.METRICS)
-    last_event = last_row(path / run_files.EVENTS)
-    event = last_event.get("event") if last_event else None
-    if event == "run_failed":
-        return Status(state="failed", text=_text_of(last_event), source=run_files.EVENTS)
-    if event == "stopped":
-        return Status(state="stopped", text=_text_of(last_event), source=run_files.EVENTS)
+    last_event = last_row(path / run_files.EVENTS) or {}
+    if last_event.get("event") in ("run_failed", "stopped"):
+        state = FAILED if last_event["event"] == "run_failed" else STOPPED
+        return RunStatus(state=state, text=_text_of(last_event), source=run_files.EVENTS)
     if report is not None and (metrics is None or report >= metrics):
-        return Status(state="finished", text="report.json is there", source=run_files.REPORT)
+        return RunStatus(state=FINISHED, text="report.json is there", source=run_files.REPORT)
     changed = max(filter(None, (metrics, run_files.modified_at(path / run_files.EVENTS))), default=None)
     if changed is None:
-        return Status(state="not started", text="no metrics and no events so far", source="files")
+        return RunStatus(state="not started", text="no metrics and no events so far", source="files")
     age = time.time() - changed
-    state = "running" if age < SILENT_AFTER_S else "silent"
-    return Status(state=state, text=f"metrics or events written {_age(age)} ago", source="files")
+    state = RUNNING if age < SILENT_AFTER_S else SILENT
+    return RunStatus(state=state, text=f"metrics or events written {_age(age)} ago", source="files")
 
 
 def last_row(path: Path) -> dict[str, Any] | None:
@@ -179,8 +213,8 @@ def _get(config: dict[str, Any], section: str, field: str) -> Any:
     return values.get(field) if isinstance(values, dict) else None
 
 
-def _text_of(event: dict[str, Any] | None) -> str:
-    return ", ".join(f"{k} {v}" for k, v in (event or {}).items() if k not in ("event", "time"))
+def _text_of(event: dict[str, Any]) -> str:
+    return ", ".join(f"{k} {v}" for k, v in event.items() if k not in ("event", "time"))
 
 
 def _age(seconds: float) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from kinetix_dist.dashboard import run_files
 from kinetix_dist.dashboard.series import SeriesTable
 from kinetix_dist.telemetry.tail import Tail
+from kinetix_dist.telemetry.utc import utc_seconds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,12 +60,11 @@ class RunReader:
 
     def anchors(self) -> list[tuple[int, float]]:
         """(update, unix time) of the events that have both."""
-        found = []
-        for event in self.events:
-            time = run_files.unix_time(event.get("time"))
-            if time is not None and isinstance(event.get("update"), int):
-                found.append((event["update"], time))
-        return found
+        return [
+            (event["update"], time)
+            for event in self.events
+            if isinstance(event.get("update"), int) and (time := _time_of(event)) is not None
+        ]
 
     def _poll_metrics(self) -> tuple[int | None, float | None, int]:
         try:
@@ -103,6 +103,14 @@ class RunReader:
         if tail.num_damaged:
             lines = "line is" if tail.num_damaged == 1 else "lines are"
             self.problems[name] = f"{tail.num_damaged} {lines} damaged in {name} and left out"
+
+
+def _time_of(event: dict[str, Any]) -> float | None:
+    """Unix time s; None for an event without one, or of another writer."""
+    try:
+        return utc_seconds(event["time"])
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _num_equal(before: SeriesTable, after: SeriesTable) -> int:

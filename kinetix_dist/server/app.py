@@ -15,6 +15,7 @@ from pathlib import Path
 
 from aiohttp import web
 
+from kinetix_dist.dashboard.levels import LevelQueryError
 from kinetix_dist.dashboard.run_files import RunFileError
 from kinetix_dist.dashboard.series import AxisError
 from kinetix_dist.errors import UserError, one_line
@@ -22,9 +23,11 @@ from kinetix_dist.server.access import Access
 from kinetix_dist.server.answers import BadRequestError, error_response
 from kinetix_dist.server.channel import Channel
 from kinetix_dist.server.compare_pages import ComparePages
+from kinetix_dist.server.curriculum_pages import CurriculumPages
 from kinetix_dist.server.run_pages import RunPages
 from kinetix_dist.server.run_service import RunService, UnknownRunError
 from kinetix_dist.server.static_files import StaticFiles
+from kinetix_dist.telemetry.curriculum_log import SnapshotError
 
 DEFAULT_PORT = 8650
 MAX_BODY_BYTES = 8 << 20
@@ -60,7 +63,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 
     app = web.Application(middlewares=[access.middleware, _errors_are_lines], client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
-    for pages in (RunPages(service), ComparePages(service), StaticFiles()):
+    for pages in (RunPages(service), ComparePages(service), CurriculumPages(service), StaticFiles()):
         app.add_routes(pages.routes())
     app.add_routes([web.get("/channel", open_channel)])
     app.cleanup_ctx.append(_following(service))
@@ -77,9 +80,9 @@ async def _errors_are_lines(
         return await handler(request)
     except UnknownRunError as error:
         return error_response(404, one_line(error.args[0]))
-    except (BadRequestError, AxisError, UserError) as error:
+    except (BadRequestError, AxisError, LevelQueryError, UserError) as error:
         return error_response(400, str(error))
-    except RunFileError as error:
+    except (RunFileError, SnapshotError) as error:
         return error_response(422, str(error))
 
 

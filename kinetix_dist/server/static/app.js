@@ -4,11 +4,17 @@ import { channel, useConnection } from "./base/channel.js";
 import { html, render } from "./base/html.js";
 import { restoreTheme, toggleTheme } from "./base/theme.js";
 import { ComparePage } from "./dashboard/compare.js";
+import { CurriculumPage } from "./dashboard/curriculum.js";
+import { EvaluationPage } from "./dashboard/evaluation.js";
 import { OverviewPage } from "./dashboard/overview.js";
 import { RunsPage } from "./dashboard/runs.js";
 
 /** Pages of a run, in the order of the navigation. @type {Record<string, [string, any]>} */
-const RUN_PAGES = { overview: ["Overview", OverviewPage] };
+const RUN_PAGES = {
+  overview: ["Overview", OverviewPage],
+  curriculum: ["Curriculum", CurriculumPage],
+  evaluation: ["Evaluation", EvaluationPage],
+};
 
 function App() {
   const { parts, query } = useAddress();
