@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jax2d.draw import BACKGROUND, INK
+from jax2d.palette import BACKGROUND, INK
 
 GUTTER_PX = 8
 CAPTION_PX = 26

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jax2d.contact_report import ContactReport
-from jax2d.draw import Box, check_view
 from jax2d.draw import draw as draw_world
 from jax2d.fields import as_dict, from_dict
 from jax2d.images import write_gif, write_png
+from jax2d.rasteriser import Box, check_view
 from jax2d.scene import Scene
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from typing import Any
 from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import user_errors
-from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import train
 from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
+from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 
 

@@ -70,7 +70,7 @@ def run(args: Args) -> int:
     checkpoint, config = checkpoint_of(args)
     from kinetix_dist.env.physics import describe
     from kinetix_dist.level.sets import load_level_set
-    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     enable_compile_cache("" if config is None else config.run.compile_cache)
     with user_errors(ValueError, OSError):

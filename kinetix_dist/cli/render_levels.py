@@ -108,7 +108,7 @@ def _rollouts(args: Render) -> list[Rollout]:
 
     from kinetix_dist.cli import eval_command
     from kinetix_dist.evaluation.recordings import record_rollouts
-    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     assert args.by in ("noop", "random", "trained")
     asked = eval_command.Args(

@@ -77,7 +77,7 @@ class ProofTask:
 def run_solve(args: Solve) -> int:
     """0, or 1 where a level is without a good proof at the end."""
     _check(args)
-    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     enable_compile_cache("")
     with user_errors(ValueError, OSError):

@@ -109,10 +109,10 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
-    from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
     from kinetix_dist.runtime.driver.training_run import hold_to_cpu, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
 
     config = args.config

@@ -126,13 +126,33 @@ def evaluate(
         chunks.append(jax.device_get(_attempt_chunk(env, *player, levels, key, index, index // attempts)))
     episodes = jax.tree.map(lambda *parts: np.concatenate(parts)[:total].reshape(num_levels, attempts), *chunks)
     return SolveRates(
-        total=_solve_rate("all", episodes),
-        levels=tuple(_solve_rate(name, index_worlds(episodes, i)) for i, name in enumerate(names)),
+        total=solve_rate("all", episodes),
+        levels=tuple(solve_rate(name, index_worlds(episodes, i)) for i, name in enumerate(names)),
     )
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Playing:
+    """How first episodes stand after some steps. [W, ...] but for the number of steps."""
+
+    num_steps: Array  # [] int32, environment steps played
+    env_state: EnvState
+    obs: Any
+    memory: Array | None
+    episodes: Episodes
 
 
 def first_episodes(env: Environment, policy: Policy, params: Any, prepared: PreparedLevels, keys: Array) -> Episodes:
     """Plays until every world has finished one episode. keys [W]. Pure; `env` and `policy` are static under jit."""
+    # A time limit finishes whatever is left.
+    return play_on(
+        env, policy, params, prepared, keys, begin_play(env, policy, prepared), env.config.max_steps
+    ).episodes
+
+
+def begin_play(env: Environment, policy: Policy, prepared: PreparedLevels) -> Playing:
+    """Before the first step."""
     env_state, obs = env.reset(prepared)
     zeros = jnp.zeros_like(env_state.distance)
     no = zeros.astype(bool)
@@ -145,20 +165,43 @@ def first_episodes(env: Environment, policy: Policy, params: Any, prepared: Prep
         episode_return=zeros,
         episode_length=zeros.astype(jnp.int32),
     )
+    memory = first_memory(policy, zeros.shape[0])
+    return Playing(num_steps=jnp.int32(0), env_state=env_state, obs=obs, memory=memory, episodes=episodes)
 
-    def some_play_on(carry: tuple[Array, EnvState, Any, Array | None, Episodes]) -> Array:
-        return ~carry[4].finished.all()
 
-    def play(carry: tuple[Array, EnvState, Any, Array | None, Episodes]) -> tuple:
-        step, env_state, obs, memory, episodes = carry
-        step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
-        actions, memory = act(policy, params, env.observe(prepared, obs), step_keys, memory)
-        env_state, obs, _, done, info = env.step(prepared, env_state, actions)
-        return step + 1, env_state, obs, memory, _record_first(episodes, done, info)
+def play_on(
+    env: Environment,
+    policy: Policy,
+    params: Any,
+    prepared: PreparedLevels,
+    keys: Array,
+    playing: Playing,
+    num_steps: int,
+) -> Playing:
+    """`num_steps` steps more, fewer where every world has finished an episode. Pure, as `first_episodes`."""
+    end = playing.num_steps + num_steps
 
-    # Ends after `max_steps` at the latest: a time limit finishes whatever is left.
-    carry = (jnp.int32(0), env_state, obs, first_memory(policy, keys.shape[0]), episodes)
-    return jax.lax.while_loop(some_play_on, play, carry)[4]
+    def some_play_on(now: Playing) -> Array:
+        return ~now.episodes.finished.all() & (now.num_steps < end)
+
+    def play(now: Playing) -> Playing:
+        step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, now.num_steps)
+        actions, memory = act(policy, params, env.observe(prepared, now.obs), step_keys, now.memory)
+        env_state, obs, _, done, info = env.step(prepared, now.env_state, actions)
+        return Playing(
+            num_steps=now.num_steps + 1,
+            env_state=env_state,
+            obs=obs,
+            memory=memory,
+            episodes=_record_first(now.episodes, done, info),
+        )
+
+    return jax.lax.while_loop(some_play_on, play, playing)
+
+
+def attempt_keys(key: Array, index: Array) -> Array:
+    """[W] keys of attempts `index` [W], counted over all levels. The key is consumed."""
+    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, index)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
@@ -166,9 +209,8 @@ def _attempt_chunk(
     env: Environment, policy: Policy, params: Any, levels: Level, key: Array, index: Array, level_index: Array
 ) -> Episodes:
     """Attempts `index` [W], each on level `level_index` [W]."""
-    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, index)
     chosen = jax.tree.map(lambda x: jnp.asarray(x)[level_index], levels)
-    return first_episodes(env, policy, params, env.prepare(chosen), keys)
+    return first_episodes(env, policy, params, env.prepare(chosen), attempt_keys(key, index))
 
 
 def _record_first(episodes: Episodes, done: Array, info: StepInfo) -> Episodes:
@@ -185,7 +227,8 @@ def _record_first(episodes: Episodes, done: Array, info: StepInfo) -> Episodes:
     )
 
 
-def _solve_rate(name: str, episodes: Episodes) -> SolveRate:
+def solve_rate(name: str, episodes: Episodes) -> SolveRate:
+    """Of all episodes (numpy) together."""
     solved, attempts = int(episodes.solved.sum()), int(episodes.solved.size)
     low, high = wilson_interval(solved, attempts)
     return SolveRate(

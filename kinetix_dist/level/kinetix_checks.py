@@ -11,7 +11,7 @@ from typing import Any
 
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M
 from kinetix_dist.level.roles import Role
-from kinetix_dist.level.validate import LevelFormatError, check_numbers
+from kinetix_dist.level.structure import LevelFormatError, number_problems, raise_first
 from kinetix_dist.level.walls import COLLIDES_WITH_ALL, FLOOR_TOP_M, WALL_NAMES
 
 VERSION = "kinetix-env 3.0.2"
@@ -94,7 +94,7 @@ def _active_rows(state: dict[str, Any], part: str, fields: tuple[str, ...]) -> d
             if field in _PAIRS:
                 _check_pair(row[field], f"{path}.{field}")
             elif field == "vertices":
-                check_numbers(row[field], f"{path}.{field}")
+                raise_first(number_problems(row[field], f"{path}.{field}"))
             else:
                 _check_number(row[field], f"{path}.{field}")
         rows[slot] = (path, row)
@@ -104,7 +104,7 @@ def _active_rows(state: dict[str, Any], part: str, fields: tuple[str, ...]) -> d
 def _check_number(value: Any, path: str) -> None:
     if not isinstance(value, int | float):
         raise LevelFormatError(path, f"is {value!r}", "give a number")
-    check_numbers(value, path)
+    raise_first(number_problems(value, path))
 
 
 def _check_pair(value: Any, path: str) -> None:

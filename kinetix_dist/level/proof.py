@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.validate import LevelFormatError, check_structure, read_document
+from kinetix_dist.level.structure import LevelFormatError, check_structure, read_document
 
 FORMAT_NAME = "kinetix-dist-proof"
 FORMAT_VERSION = 1

@@ -23,7 +23,7 @@ from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo,
 from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.roles import ROLE_NAMES
-from kinetix_dist.level.validate import LevelFormatError, check_anchor_gap, read_document, validate_document
+from kinetix_dist.level.validate import LevelFormatError, read_document, validate_document
 from kinetix_dist.level.walls import WALL_NAMES, empty_level, pad_vertices
 
 __all__ = ["LevelFormatError", "LevelInfo", "level_from_json", "level_to_json", "load_level", "save_level"]
@@ -137,9 +137,6 @@ def _fill_joint(level: Level, slot: int, joint: dict[str, Any], slots: dict[str,
         scene.joints.anchor_b[slot] = _to_local(level, b, joint["anchor"])
     else:
         scene.joints.anchor_a[slot], scene.joints.anchor_b[slot] = joint["anchor_a"], joint["anchor_b"]
-        x, y = _to_world(level, b, joint["anchor_b"]) - _to_world(level, a, joint["anchor_a"])
-        axis = float(level.angle[a]) + joint["axis"] if "axis" in joint else None
-        check_anchor_gap((float(x), float(y)), f"joints[{slot}]", axis=axis)
     scene.joints.kind[slot] = JOINT_KINDS[joint["type"]]
     scene.joints.rest_angle[slot] = joint.get("rest_angle", float(level.angle[b] - level.angle[a]))
     scene.joints.axis_angle[slot] = joint.get("axis", 0.0)
@@ -162,7 +159,3 @@ def _rotation(level: Level, slot: int) -> np.ndarray:
 
 def _to_local(level: Level, slot: int, point: Any) -> np.ndarray:
     return _rotation(level, slot).T @ (np.asarray(point, np.float64) - level.position[slot])
-
-
-def _to_world(level: Level, slot: int, point: Any) -> np.ndarray:
-    return level.position[slot] + _rotation(level, slot) @ np.asarray(point, np.float64)

@@ -13,7 +13,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.proof import read_proof
 
-GREEN, BLUE = (70, 178, 98), (58, 118, 224)  # jax2d.draw.ROLE_PALETTE
+GREEN, BLUE = (70, 178, 98), (58, 118, 224)  # jax2d.palette.ROLE_PALETTE
 
 
 def render(*argv: str) -> int:

@@ -10,8 +10,10 @@ import pytest
 from PIL import Image, ImageSequence
 
 from jax2d import Capacity, SceneBuilder
-from jax2d.draw import BACKGROUND, ROLE_PALETTE, belt_arrows, draw, shape_colours
+from jax2d.display_list import belt_arrows, shape_colours
+from jax2d.draw import draw
 from jax2d.images import film_strip, write_gif, write_png
+from jax2d.palette import BACKGROUND, ROLE_PALETTE
 from tests.telemetry.worlds import CAPACITY, START, rectangle, scene
 
 GREY = ROLE_PALETTE[0]

@@ -23,9 +23,10 @@ from jax2d import (
     preset,
     touch_matrix,
 )
-from jax2d.draw import BACKGROUND, draw
+from jax2d.draw import draw
 from jax2d.effects import Effects
 from jax2d.fidelity import Trajectory, record
+from jax2d.palette import BACKGROUND
 from jax2d.warp.layout import Layout
 
 CAPACITY = Capacity(polygons=2, circles=6, joints=1, thrusters=0, springs=6)

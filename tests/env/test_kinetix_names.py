@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d.draw import ROLE_PALETTE
+from jax2d.palette import ROLE_PALETTE
 from kinetix_dist.env.wrappers.kinetix import (
     ActionType,
     EnvParams,

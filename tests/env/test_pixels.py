@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d.draw import BACKGROUND, ROLE_PALETTE, draw
+from jax2d.draw import draw
+from jax2d.palette import BACKGROUND, ROLE_PALETTE
 from jax2d.scene import JointKind
 from kinetix_dist.env import device_memory
 from kinetix_dist.env.device_memory import DeviceMemoryError

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ import pytest
 
 from kinetix_dist.level.document import LevelInfo, level_to_json
 from kinetix_dist.level.fit import usage
+from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.roles import Role
 from kinetix_dist.level.schema import LevelFormatError, level_from_json, load_level, save_level
+from kinetix_dist.level.validate import problems_of
 from tests.level.documents import cart_document
 
 
@@ -187,6 +190,12 @@ MISTAKES = {
 }
 
 
+# What else is wrong after one of them, for the same reason: the wedge has another name, and a thruster refers to it.
+CONSEQUENCES = dict.fromkeys(
+    ("same name twice", "wall's name"), (r"^thrusters\[0\]\.shape: there is no shape 'wedge'",)
+)
+
+
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_named_with_its_field_and_remedy_in_one_line(mistake: str) -> None:
     change, message = MISTAKES[mistake]
@@ -195,6 +204,34 @@ def test_a_mistake_is_named_with_its_field_and_remedy_in_one_line(mistake: str) 
     with pytest.raises(LevelFormatError, match=message) as error:
         level_from_json(document)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_an_editor_hears_of_the_mistake_too_and_of_nothing_that_is_none(mistake: str) -> None:
+    change, message = MISTAKES[mistake]
+    document = copy.deepcopy(cart_document())
+    change(document)
+    problems = [str(problem) for problem in problems_of(document, SIZES["m"], "m")]
+    assert [text for text in problems if re.search(message, text)]
+    assert len(problems) == 1 + len(CONSEQUENCES.get(mistake, ())), problems
+    for text in CONSEQUENCES.get(mistake, ()):
+        assert any(re.search(text, problem) for problem in problems)
+
+
+def test_an_editor_hears_of_many_mistakes_at_once() -> None:
+    document = copy.deepcopy(cart_document())
+    mistakes = ("missing name", "unknown field", "clockwise", "limits crossed", "negative radius", "thruster on nobody")
+    for mistake in mistakes:
+        MISTAKES[mistake][0](document)
+    problems = [str(problem) for problem in problems_of(document, SIZES["m"], "m")]
+    assert len(problems) == len(mistakes)
+    for mistake in mistakes:
+        assert sum(bool(re.search(MISTAKES[mistake][1], problem)) for problem in problems) == 1
+
+
+@pytest.mark.parametrize("document", [None, 3, [], {"shapes": 3}, {"shapes": [3, None]}, {"shapes": [], "joints": 3}])
+def test_what_is_no_level_at_all_has_problems_and_nothing_breaks(document: Any) -> None:
+    assert list(problems_of(document, SIZES["m"], "m"))
 
 
 def test_local_anchors_far_apart_are_refused() -> None:

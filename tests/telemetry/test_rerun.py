@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import signal
 import socket
@@ -16,10 +17,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jax2d.draw import ROLE_PALETTE
+from jax2d.palette import ROLE_PALETTE
+from jax2d.scene import JointKind
 from kinetix_dist.level.roles import Role
 from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
-from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout
+from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout, level
 
 
 @pytest.fixture(scope="module")
@@ -59,15 +61,29 @@ def test_times_are_simulated_seconds(rrd: Path) -> None:
 
 
 def test_a_flame_shows_only_while_its_thruster_fires(rrd: Path) -> None:
-    flames = column(rrd, f"/world/shape_{GREEN_BOX:02d}/flame_0", "vertex_positions")
+    flames = column(rrd, f"/world/shape_{GREEN_BOX:02d}/thruster_0/part_0", "vertex_positions")
     assert [len(vertices) for vertices in flames] == [0, 3] * 10
 
 
 def test_a_motor_is_coloured_while_it_drives(rrd: Path) -> None:
     rollout = falling_rollout(20)
-    colours = np.array(column(rrd, "/world/shape_02/joint_0/motor", "albedo_factor"))[:, 0]
+    colours = np.array(column(rrd, "/world/shape_02/joint_0/part_1/fill", "albedo_factor"))[:, 0]
     forward = int.from_bytes([*MOTOR_FORWARD, 255], "big")
     np.testing.assert_array_equal(colours == forward, rollout.motor[:, 0] > 0)
+
+
+def test_crosses_of_welds_stand_upright_where_the_body_goes(tmp_path: Path) -> None:
+    rollout = falling_rollout(20)
+    joints = rollout.level.scene.joints
+    fixed = {"kind": np.full_like(joints.kind, JointKind.FIXED), "a": np.full_like(joints.a, GREY_TRIANGLE)}
+    welded = dataclasses.replace(level(), scene=rollout.level.scene.replace(joints=fixed))
+    rollout_to_rrd(dataclasses.replace(rollout, level=welded), tmp_path / "weld.rrd")
+    ends = np.array(column(tmp_path / "weld.rrd", "/world/joint_0/part_0", "strips"))[:, 0, :, :2]  # [states, 2, 2]
+    anchor = np.array([-0.4, 0.0])
+    turned = np.stack([np.cos(rollout.angle[:, GREY_TRIANGLE]), np.sin(rollout.angle[:, GREY_TRIANGLE])], axis=-1)
+    middle = rollout.position[:, GREY_TRIANGLE] + anchor[0] * turned
+    np.testing.assert_allclose(ends.mean(axis=1), middle, atol=1e-6)
+    np.testing.assert_allclose(ends[:, 1] - ends[:, 0], np.full((21, 2), 0.12 / np.sqrt(2)), atol=1e-6)
 
 
 def test_rewards_and_actions_are_plotted(rrd: Path) -> None:

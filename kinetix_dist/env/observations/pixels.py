@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d import draw
+from jax2d import palette
 from jax2d.scene import Array, JointKind
 from kinetix_dist.env.observations.observation import IMAGE, Moving, Observation
 from kinetix_dist.env.observations.rasteriser import (
@@ -34,10 +34,9 @@ from kinetix_dist.env.observations.rasteriser import (
 )
 from kinetix_dist.level.level import NUM_WALLS, Level
 
-_LINE_M = draw.LINE_WIDTH / 100  # at the 100 pixels a metre of which these are pixels
-_WELD_M = draw.WELD_WIDTH / 100
+_LINE_M = palette.LINE_WIDTH / 100  # at the 100 pixels a metre of which these are pixels
+_WELD_M = palette.WELD_WIDTH / 100
 FAR_M = 1e4  # outside of every picture, and its square is a number
-_WHITE = (255.0, 255.0, 255.0)
 
 
 @jax.tree_util.register_dataclass
@@ -112,11 +111,11 @@ def static_picture(levels: Level) -> PixelStatic:
     has_no_mass = jnp.asarray(shapes.inverse_mass) == 0
     is_fixed = has_no_mass & ~jnp.asarray(shapes.kinematic)
     active = jnp.asarray(shapes.active, jnp.float32)
-    shade = jnp.where(is_fixed, draw.FIXED_SHADE, jnp.where(has_no_mass, draw.KINEMATIC_SHADE, 1.0))
-    palette = jnp.asarray(draw.ROLE_PALETTE, jnp.float32)
+    shade = jnp.where(is_fixed, palette.FIXED_SHADE, jnp.where(has_no_mass, palette.KINEMATIC_SHADE, 1.0))
+    role_colours = jnp.asarray(palette.ROLE_PALETTE, jnp.float32)
     static = PixelStatic(
         background=blank(is_fixed.shape[:1]),
-        colours=jnp.floor(palette[levels.shape_role] * shade[..., None]),
+        colours=jnp.floor(role_colours[levels.shape_role] * shade[..., None]),
         moves=active * ~is_fixed,
         edges=edges_of(_used_vertices(shapes.vertices, shapes.num_vertices)),
         radius=jnp.asarray(shapes.radius),
@@ -129,11 +128,11 @@ def static_picture(levels: Level) -> PixelStatic:
         rail=_rails(levels),
         rail_follows=~jnp.asarray(joints.has_limits),
         motor_on=jnp.asarray(joints.motor_on, jnp.float32),
-        motor_colour=jnp.asarray(draw.MOTOR_PALETTE, jnp.float32)[levels.motor_colour],
+        motor_colour=jnp.asarray(palette.MOTOR_PALETTE, jnp.float32)[levels.motor_colour],
         thruster_active=jnp.asarray(scene.thrusters.active, jnp.float32),
         thruster_body=jnp.asarray(scene.thrusters.body),
         thruster_edges=_nozzles(levels),
-        thruster_colour=jnp.asarray(draw.THRUSTER_PALETTE, jnp.float32)[levels.thruster_colour],
+        thruster_colour=jnp.asarray(palette.THRUSTER_PALETTE, jnp.float32)[levels.thruster_colour],
     )
     fixed = _shapes(static, jnp.asarray(levels.position), jnp.asarray(levels.angle), active * is_fixed, first=0)
     return dataclasses.replace(static, background=paint(fixed, static.background))
@@ -148,15 +147,15 @@ def _used_vertices(vertices: Array, num_vertices: Array) -> Array:
 def _rails(levels: Level) -> Array:
     joints = levels.scene.joints
     limits = (
-        jnp.where(joints.has_limits, joints.lower_limit, -draw.RAIL_M),
-        jnp.where(joints.has_limits, joints.upper_limit, draw.RAIL_M),
+        jnp.where(joints.has_limits, joints.lower_limit, -palette.RAIL_M),
+        jnp.where(joints.has_limits, joints.upper_limit, palette.RAIL_M),
     )
     return jnp.stack([jnp.asarray(joints.axis_angle), *limits], axis=-1)
 
 
 def _nozzles(levels: Level) -> Array:
-    thrusters, length = levels.scene.thrusters, draw.THRUSTER_LENGTH_M
-    half = draw.NOZZLE_SHARE * length
+    thrusters, length = levels.scene.thrusters, palette.THRUSTER_LENGTH_M
+    half = palette.NOZZLE_SHARE * length
     corners = np.array([[0.0, -half], [length, 0.0], [0.0, half]], np.float32)
     edges = jnp.broadcast_to(edges_of(jnp.asarray(corners)), (*thrusters.active.shape, 3, 3))
     return turn(edges, jnp.asarray(thrusters.angle), jnp.asarray(thrusters.position))
@@ -167,7 +166,7 @@ def _shapes(static: PixelStatic, position: Array, angle: Array, opacity: Array, 
     num_polygons, num_shapes = static.edges.shape[-3], static.moves.shape[-1]
     layers = []
     for i in range(first, num_shapes):
-        colour, outline = static.colours[..., i, :], static.colours[..., i, :] * draw.OUTLINE_SHADE
+        colour, outline = static.colours[..., i, :], static.colours[..., i, :] * palette.OUTLINE_SHADE
         place, turned, there = position[..., i, :], angle[..., i], opacity[..., i]
         if i < num_polygons:
             edges = turn(static.edges[..., i, :, :], turned, place)
@@ -177,7 +176,7 @@ def _shapes(static: PixelStatic, position: Array, angle: Array, opacity: Array, 
         layers.append(
             Primitive(centre=place, radius=radius, colour=colour, outline=outline, outline_width=_LINE_M, opacity=there)
         )
-        length = draw.SPOKE_SHARE * radius
+        length = palette.SPOKE_SHARE * radius
         edges, faint = line_edges(length, _LINE_M, turned)
         middle = place + 0.5 * length[..., None] * _direction(turned)
         layers.append(_plain(turn(edges, jnp.zeros_like(turned), middle), outline, faint * there))
@@ -205,7 +204,7 @@ def _joints(static: PixelStatic, position: Array, angle: Array) -> list[Primitiv
         place_b, angle_b = _body(position, angle, static.joint_b[..., k])
         at = place_a + _rotate(static.anchor_a[..., k, :], angle_a)
         at_b = place_b + _rotate(static.anchor_b[..., k, :], angle_b)
-        ink = jnp.broadcast_to(jnp.asarray(draw.INK, jnp.float32), (*there.shape, 3))
+        ink = jnp.broadcast_to(jnp.asarray(palette.INK, jnp.float32), (*there.shape, 3))
         has_motor, motor = static.motor_on[..., k], static.motor_colour[..., k, :]
         # The rail, or one arm of the cross.
         axis_angle = angle_a + static.rail[..., k, 0]
@@ -213,7 +212,9 @@ def _joints(static: PixelStatic, position: Array, angle: Array) -> list[Primitiv
         slid = jnp.sum((at_b - at) * _direction(axis_angle), axis=-1)
         middle = 0.5 * (lower + upper) + jnp.where(static.rail_follows[..., k], slid, 0.0)
         rail, rail_faint = line_edges(upper - lower, _LINE_M, axis_angle)
-        arms = [line_edges(2 * draw.JOINT_RADIUS_M, _WELD_M, jnp.full(there.shape, turn)) for turn in draw.WELD_ANGLES]
+        arms = [
+            line_edges(2 * palette.JOINT_RADIUS_M, _WELD_M, jnp.full(there.shape, turn)) for turn in palette.WELD_ANGLES
+        ]
         first = jnp.where(slides[..., None, None], rail, arms[0][0])
         middle_of_first = at + jnp.where(slides, middle, 0.0)[..., None] * _direction(axis_angle)
         faint = jnp.where(slides, rail_faint, arms[0][1]) * ~is_hinge
@@ -224,19 +225,19 @@ def _joints(static: PixelStatic, position: Array, angle: Array) -> list[Primitiv
         layers.append(
             Primitive(
                 centre=at,
-                radius=jnp.full(there.shape, draw.JOINT_RADIUS_M),
-                colour=jnp.broadcast_to(jnp.asarray(_WHITE), ink.shape),
+                radius=jnp.full(there.shape, palette.JOINT_RADIUS_M),
+                colour=jnp.broadcast_to(jnp.asarray(palette.HINGE, jnp.float32), ink.shape),
                 outline=ink,
                 outline_width=_LINE_M,
                 opacity=there * is_hinge,
             )
         )
         colour = jnp.where((has_motor > 0)[..., None], motor, ink)
-        share = jnp.where(slides, draw.SLIDER_SHARE, draw.MOTOR_SHARE)
+        share = jnp.where(slides, palette.SLIDER_SHARE, palette.MOTOR_SHARE)
         layers.append(
             Primitive(
                 centre=at,
-                radius=share * draw.JOINT_RADIUS_M,
+                radius=share * palette.JOINT_RADIUS_M,
                 colour=colour,
                 outline=colour,
                 opacity=there * jnp.where(is_hinge, has_motor, slides),

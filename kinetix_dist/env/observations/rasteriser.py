@@ -1,7 +1,7 @@
 """Pictures of very many worlds at once, on the device: JAX inside jit, uint8 [..., 125, 125, 3] out.
 
 A picture is a stack of convex primitives, painted one over another. Each is painted from its signed distance d in
-pixels, negative inside, as in `jax2d.draw`:
+pixels, negative inside, as in `jax2d.rasteriser`:
 
     cover = opacity clip(1/2 - d, 0, 1)      inner = opacity clip(1/2 - (d + outline width), 0, 1)
     picture = (1 - cover) picture + (cover - inner) outline colour + inner colour
@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.draw import BACKGROUND
+from jax2d.palette import BACKGROUND
 from jax2d.scene import Array
 from kinetix_dist.level.level import WORLD_SIZE_M
 

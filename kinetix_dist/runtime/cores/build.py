@@ -12,11 +12,11 @@ from __future__ import annotations
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.registry import import_plugins
-from kinetix_dist.runtime.cores.compile_cache import enable_compile_cache
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.evaluator_core import EvaluatorCore
 from kinetix_dist.runtime.cores.rollout_worker import RolloutWorker
 from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
+from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
 
 def build_worker(index: int, num_processes: int, config: TrainConfig) -> Worker:

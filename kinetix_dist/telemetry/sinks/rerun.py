@@ -5,7 +5,9 @@ polygon, so shapes are meshes in 3D, seen by a `Pinhole` camera inside a 2D view
 
     /camera               the pinhole: LENS pixels focal length; a 2D view with this origin projects the rest
     /world                metres to camera space: x right, y down, LENS away, so that 1 m is PIXELS_PER_METRE pixels
-    /world/shape_03       moves (Transform3D columns); below it, in its own frame, `fill`, `outline`, `joint_0`, ...
+    /world/shape_03       moves (Transform3D columns); below it, in its own frame, its primitives of the display list:
+                          `part_0`, and of what is fixed to it `joint_0/part_0`, `thruster_0/part_0`, ...
+    /world/joint_0/part_0     what moves with no body: crosses of welds, rails without ends, springs
     /reward /return /motor /thruster /actions     plots
     /summary              what this rollout is
 
@@ -21,20 +23,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jax2d.draw import (
-    BACKGROUND,
-    DEFAULT_VIEW,
-    FLAME_CORE,
-    INK,
-    JOINT_RADIUS_M,
-    MOTOR_PALETTE,
-    OUTLINE_SHADE,
-    THRUSTER_PALETTE,
-    Colour,
-    shape_colours,
-    thruster_outline,
+from jax2d.display_list import (
+    DISC,
+    JOINT,
+    LINE,
+    POLYGON,
+    SHAPE,
+    DisplayList,
+    Primitive,
+    display_list,
+    world_points,
 )
-from jax2d.scene import JointKind
+from jax2d.palette import BACKGROUND, HINGE, MOTOR_PALETTE, THRUSTER_PALETTE, Colour
+from jax2d.rasteriser import DEFAULT_VIEW
 from kinetix_dist.telemetry.recording import Rollout
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ PIXELS_PER_METRE = 100.0
 CIRCLE_CORNERS = 48
 # Depths, camera units nearer than the plane of the shapes: lines of a shape behind another must not shine through.
 SHAPE_SPACING, OUTLINE_DEPTH, MARK_DEPTH = 1.0, 0.2, 40.0
-MOTOR_IDLE = (255, 255, 255)
+PART_DEPTH = 0.02  # of a primitive of a body over the one before it
 REWARD_COLOUR, RETURN_COLOUR = (240, 170, 50), (90, 170, 250)
 ACTION_PALETTE = MOTOR_PALETTE + THRUSTER_PALETTE  # of six action dimensions: four motor colours, two thruster colours
 MOTOR_FORWARD, MOTOR_BACKWARD = MOTOR_PALETTE[0], MOTOR_PALETTE[1]
@@ -96,11 +97,8 @@ def log_rollout(stream: rr.RecordingStream, rollout: Rollout) -> None:
     _log_camera(stream)
     scene = rollout.level.scene
     for i in np.flatnonzero(np.asarray(scene.shapes.active)):
-        _log_shape(stream, rollout, int(i))
-    for k in np.flatnonzero(np.asarray(scene.joints.active)):
-        _log_joint(stream, rollout, int(k))
-    for k in np.flatnonzero(np.asarray(scene.thrusters.active)):
-        _log_thruster(stream, rollout, int(k))
+        _log_body(stream, rollout, int(i))
+    _log_display(stream, rollout, display_list(scene, rollout.level.shape_role))
     _log_plots(stream, rollout)
 
 
@@ -189,10 +187,12 @@ def _at_depth(points: np.ndarray, nearer: float) -> np.ndarray:
     return np.concatenate([points, depth], axis=-1).astype(np.float32)
 
 
-def _circle(radius: float) -> np.ndarray:
-    """Corners of a circle, [CIRCLE_CORNERS, 2] m, counter-clockwise."""
+def _outline(primitive: Primitive) -> np.ndarray:
+    """Corners [k, 2] m of a polygon or a disc, counter-clockwise."""
+    if primitive.kind == POLYGON:
+        return primitive.points
     turn = np.linspace(0, 2 * np.pi, CIRCLE_CORNERS, endpoint=False)
-    return radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    return primitive.points[0] + primitive.radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
 
 def _filled(corners: np.ndarray, nearer: float) -> dict[str, np.ndarray]:
@@ -202,32 +202,15 @@ def _filled(corners: np.ndarray, nearer: float) -> dict[str, np.ndarray]:
     return {"vertex_positions": _at_depth(corners, nearer), "triangle_indices": fan.astype(np.uint32)}
 
 
-def _log_shape(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
+def _colour(colour: Any) -> np.ndarray:
+    return np.asarray(colour).astype(np.uint8)  # floats would be 0..1
+
+
+def _log_body(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
+    """How a shape moves, with all that lies in its frame. Fixed shapes are behind the others, each in its own plane."""
     import rerun as rr
 
-    scene, path = rollout.level.scene, _shape_path(i)
-    num_polygons = np.asarray(scene.shapes.vertices).shape[0]
-    if i < num_polygons:
-        outline = np.asarray(scene.shapes.vertices)[i, : int(np.asarray(scene.shapes.num_vertices)[i])]
-        spokes = []
-    else:
-        radius = float(np.asarray(scene.shapes.radius)[i - num_polygons])
-        outline = _circle(radius)
-        spokes = [_at_depth(np.array([[0.0, 0.0], [0.9 * radius, 0.0]]), OUTLINE_DEPTH)]
-    colour = shape_colours(scene, rollout.level.shape_role)[i]
-    fill = rr.Mesh3D(
-        **_filled(outline, 0.0), vertex_colors=np.tile(colour, (len(outline), 1))
-    )  # uint8: floats are 0..1
-    stream.log(f"{path}/fill", fill, static=True)
-    ring = _at_depth(np.concatenate([outline, outline[:1]]), OUTLINE_DEPTH)
-    ink = (colour * OUTLINE_SHADE).astype(np.uint8)
-    stream.log(
-        f"{path}/outline",
-        rr.LineStrips3D([ring, *spokes], colors=[ink], radii=rr.Radius.ui_points(1.0)),
-        static=True,
-    )
-    # Fixed shapes lie behind the others, and every shape in a plane of its own.
-    is_fixed = np.asarray(scene.shapes.inverse_mass)[i] == 0
+    is_fixed = np.asarray(rollout.level.scene.shapes.inverse_mass)[i] == 0
     depth = (SHAPE_SPACING * rollout.num_shapes if is_fixed else 0.0) - SHAPE_SPACING * i
     translation = np.concatenate(
         [rollout.position[:, i], np.full((rollout.num_steps + 1, 1), depth, np.float32)], axis=-1
@@ -235,66 +218,92 @@ def _log_shape(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
     half = rollout.angle[:, i] / 2
     quaternion = np.stack([np.zeros_like(half), np.zeros_like(half), np.sin(half), np.cos(half)], axis=-1)
     if is_fixed:
-        stream.log(path, rr.Transform3D(translation=translation[0], quaternion=quaternion[0]), static=True)
+        stream.log(_shape_path(i), rr.Transform3D(translation=translation[0], quaternion=quaternion[0]), static=True)
     else:
         columns = rr.Transform3D.columns(translation=translation, quaternion=quaternion)
-        stream.send_columns(path, indexes=_times(rollout, slice(None)), columns=columns)
+        stream.send_columns(_shape_path(i), indexes=_times(rollout, slice(None)), columns=columns)
 
 
-def _log_joint(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
-    """A hinge is a disc, coloured while its motor drives forward or backward; a weld is a cross."""
+def _log_display(stream: rr.RecordingStream, rollout: Rollout, display: DisplayList) -> None:
+    """Every primitive of the display list, what belongs to shapes in their planes, the rest in front of all."""
+    num_of_part: dict[tuple[str, int], int] = {}
+    for primitive in display.primitives:
+        place = num_of_part.get(primitive.part, 0)
+        num_of_part[primitive.part] = place + 1
+        kind, number = primitive.part
+        name = f"part_{place}" if kind == SHAPE else f"{kind}_{number}/part_{place}"
+        path = f"{_shape_path(primitive.body)}/{name}"
+        depth = PART_DEPTH * place + (0.0 if kind == SHAPE else MARK_DEPTH)
+        if primitive.thruster is not None:
+            _log_flame(stream, rollout, primitive, path, depth)
+        elif primitive.kind in (POLYGON, DISC):
+            _log_filled(stream, rollout, primitive, path, depth)
+        elif primitive.kind == LINE and primitive.upright is None:
+            _log_line(stream, primitive, path, depth)
+        else:
+            _log_moving_line(stream, rollout, primitive, f"world/{kind}_{number}/part_{place}", depth)
+
+
+def _log_filled(stream: rr.RecordingStream, rollout: Rollout, primitive: Primitive, path: str, depth: float) -> None:
+    """A polygon or a disc with its outline. That of a motor is coloured while it drives forward or backward."""
     import rerun as rr
 
-    scene = rollout.level.scene
-    path = f"{_shape_path(int(np.asarray(scene.joints.a)[k]))}/joint_{k}"
-    anchor = np.asarray(scene.joints.anchor_a, float)[k]
-    if np.asarray(scene.joints.is_kind(JointKind.FIXED))[k]:
-        arms = JOINT_RADIUS_M * np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]]) / np.sqrt(2)
-        strips = [_at_depth(anchor + arm, MARK_DEPTH) for arm in arms]
-        stream.log(path, rr.LineStrips3D(strips, colors=[INK], radii=rr.Radius.ui_points(1.5)), static=True)
+    corners, fill = _outline(primitive), _colour(primitive.fill)
+    if primitive.outline is not None:
+        ring = _at_depth(np.concatenate([corners, corners[:1]]), depth + OUTLINE_DEPTH)
+        lines = rr.LineStrips3D([ring], colors=[_colour(primitive.outline)], radii=rr.Radius.ui_points(1.0))
+        stream.log(f"{path}/outline", lines, static=True)
+    mesh = _filled(corners, depth)
+    kind, number = primitive.part
+    is_motor = kind == JOINT and primitive.outline is None and bool(rollout.level.scene.joints.motor_on[number])
+    if not is_motor or rollout.num_steps == 0:
+        stream.log(f"{path}/fill", rr.Mesh3D(**mesh, vertex_colors=np.tile(fill, (len(corners), 1))), static=True)
         return
-    rim, middle = (
-        _filled(_circle(radius) + anchor, MARK_DEPTH + nearer)
-        for radius, nearer in ((JOINT_RADIUS_M, 0.0), (0.65 * JOINT_RADIUS_M, 1.0))
-    )
-    stream.log(f"{path}/rim", rr.Mesh3D(**rim, albedo_factor=INK), static=True)
-    motor_path = f"{path}/motor"
-    if not np.asarray(scene.joints.motor_on)[k]:
-        stream.log(motor_path, rr.Mesh3D(**middle, albedo_factor=MOTOR_IDLE), static=True)
-        return
-    stream.log(motor_path, rr.Mesh3D(**middle), static=True)
-    drive = rollout.motor[:, k, None]
-    colours = np.where(drive > 0, MOTOR_FORWARD, np.where(drive < 0, MOTOR_BACKWARD, MOTOR_IDLE)).astype(np.uint8)
+    stream.log(f"{path}/fill", rr.Mesh3D(**mesh), static=True)
+    drive = rollout.motor[:, number, None]
+    colours = np.where(drive > 0, MOTOR_FORWARD, np.where(drive < 0, MOTOR_BACKWARD, HINGE)).astype(np.uint8)
     columns = rr.Mesh3D.columns(albedo_factor=colours)
-    stream.send_columns(motor_path, indexes=_times(rollout, slice(None, -1)), columns=columns)
+    stream.send_columns(f"{path}/fill", indexes=_times(rollout, slice(None, -1)), columns=columns)
 
 
-def _log_thruster(stream: rr.RecordingStream, rollout: Rollout, k: int) -> None:
-    """A nozzle that is always there and a flame, as long as the thruster's share of its power, while it fires."""
+def _log_line(stream: rr.RecordingStream, primitive: Primitive, path: str, depth: float) -> None:
     import rerun as rr
 
-    scene = rollout.level.scene
-    path = _shape_path(int(np.asarray(scene.thrusters.body)[k]))
-    nozzle, flame = (_at_depth(part, MARK_DEPTH) for part in thruster_outline(scene, k))
-    stream.log(
-        f"{path}/thruster_{k}",
-        rr.Mesh3D(vertex_positions=nozzle, vertex_colors=np.tile(np.array(INK, np.uint8), (3, 1))),
-        static=True,
+    strip = _at_depth(primitive.points, depth + OUTLINE_DEPTH)
+    radius = rr.Radius.ui_points(primitive.width / 2)
+    stream.log(path, rr.LineStrips3D([strip], colors=[_colour(primitive.fill)], radii=radius), static=True)
+
+
+def _log_moving_line(
+    stream: rr.RecordingStream, rollout: Rollout, primitive: Primitive, path: str, depth: float
+) -> None:
+    """What is rigid in the frame of no body: in the world, state by state."""
+    import rerun as rr
+
+    places = [world_points(primitive, *pose) for pose in zip(rollout.position, rollout.angle)]
+    strips = [[_at_depth(points, depth)] for points in places if points is not None]
+    style = rr.LineStrips3D.from_fields(
+        colors=[_colour(primitive.fill)], radii=rr.Radius.ui_points(primitive.width / 2)
     )
+    stream.log(path, style, static=True)
+    columns = rr.LineStrips3D.columns(strips=[strip for (strip,) in strips])
+    stream.send_columns(path, indexes=_times(rollout, slice(None)), columns=columns)
+
+
+def _log_flame(stream: rr.RecordingStream, rollout: Rollout, primitive: Primitive, path: str, depth: float) -> None:
+    """As long as the thruster's share of its power, while it fires."""
+    import rerun as rr
+
     if rollout.num_steps == 0:
         return
-    base = (flame[0] + flame[2]) / 2
-    for name, size, colour, nearer in (("flame", 1.0, THRUSTER_PALETTE[0], 0.0), ("core", 0.5, FLAME_CORE, 0.1)):
-        fire = rollout.thruster[:, k]
-        shown = base + (flame - base) * size * fire[fire > 0, None, None] - np.array([0.0, 0.0, nearer])
-        columns = rr.Mesh3D.columns(
-            vertex_positions=shown.reshape(-1, 3),
-            vertex_colors=np.tile(np.array(colour, np.uint8), (3 * len(shown), 1)),
-        )
-        lengths = np.where(fire > 0, 3, 0)  # no vertices: nothing drawn in that step
-        stream.send_columns(
-            f"{path}/{name}_{k}", indexes=_times(rollout, slice(None, -1)), columns=columns.partition(lengths=lengths)
-        )
+    fire = rollout.thruster[:, primitive.thruster]
+    corners, start = _at_depth(primitive.points, depth), _at_depth(np.asarray(primitive.scale_from), depth)
+    shown = start + (corners - start) * primitive.size * fire[fire > 0, None, None]
+    columns = rr.Mesh3D.columns(
+        vertex_positions=shown.reshape(-1, 3), vertex_colors=np.tile(_colour(primitive.fill), (3 * len(shown), 1))
+    )
+    lengths = np.where(fire > 0, 3, 0)  # no vertices: nothing drawn in that step
+    stream.send_columns(path, indexes=_times(rollout, slice(None, -1)), columns=columns.partition(lengths=lengths))
 
 
 def _log_plots(stream: rr.RecordingStream, rollout: Rollout) -> None:

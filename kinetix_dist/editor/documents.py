@@ -1,0 +1,77 @@
+"""Level documents for an editor: everything that is wrong with one, what is odd, what it holds."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.editor.start_warnings import StartWarning, shape_paths, start_warnings
+from kinetix_dist.level.fit import capacity_of_size, usage
+from kinetix_dist.level.kinetix_format import is_kinetix_document
+from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
+from kinetix_dist.level.schema import level_from_json
+from kinetix_dist.level.validate import LevelFormatError, problems_of
+
+MAX_THINGS = 1000  # shapes, joints or thrusters of a document that is looked at: the largest size has 16
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Checked:
+    """What there is to say of a document. Without problems there is a level."""
+
+    problems: tuple[LevelFormatError, ...]
+    level: Level | None = None  # numpy
+    warnings: tuple[StartWarning, ...] = ()
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def check_document(document: Any) -> Checked:
+    """All complaints at once; without any the level, warnings and facts. Nothing is simulated."""
+    problems = tuple(_problems(document))
+    if problems:
+        return Checked(problems=problems)
+    level = level_from_json(document)
+    return Checked(
+        problems=(),
+        level=level,
+        warnings=tuple(start_warnings(level, document)),
+        facts=facts_of(level, document),
+    )
+
+
+def _problems(document: Any) -> list[LevelFormatError]:
+    if is_kinetix_document(document):
+        return [LevelFormatError("", "is a level of the public package", "convert it to this format first")]
+    if not isinstance(document, dict):
+        return [LevelFormatError("", f"is {type(document).__name__}", "give a JSON object")]
+    for part in ("shapes", "joints", "thrusters"):
+        things = document.get(part)
+        if isinstance(things, list) and len(things) > MAX_THINGS:
+            return [LevelFormatError(part, f"has {len(things)} entries", f"give at most {MAX_THINGS}")]
+    size = document.get("size")
+    # What depends on the room of a size is asked of the largest where the document names none: that is said already.
+    known = isinstance(size, str) and size in SIZES
+    name = size if known else list(SIZES)[-1]
+    return list(problems_of(document, capacity_of_size(name), name))
+
+
+def facts_of(level: Level, document: dict[str, Any]) -> dict[str, Any]:
+    """Counts and room of each kind, masses (kg, by path; none: fixed), and colours that something obeys."""
+    scene, capacity, used = level.scene, SIZES[document["size"]], usage(level)
+    inverse_mass = np.asarray(scene.shapes.inverse_mass, float)
+    masses = {
+        path: 1 / inverse_mass[slot] if inverse_mass[slot] > 0 else None
+        for slot, path in shape_paths(level, document).items()
+        if slot >= NUM_WALLS
+    }
+    driven = np.asarray(scene.joints.active) & np.asarray(scene.joints.motor_on) & ~np.asarray(level.motor_auto)
+    pushed = np.asarray(scene.thrusters.active)
+    return {
+        "counts": used | {"polygons": used["polygons"] - NUM_WALLS},
+        "room": {kind: getattr(capacity, kind) - count for kind, count in used.items()},
+        "masses": masses,
+        "motor_colours": sorted(set(np.asarray(level.motor_colour)[driven].tolist())),
+        "thruster_colours": sorted(set(np.asarray(level.thruster_colour)[pushed].tolist())),
+    }

@@ -1,0 +1,74 @@
+"""Policies of checkpoints with the config that they were trained with: of a run, of a directory, pretrained ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from jax2d.scene import stack_worlds
+from kinetix_dist.checkpoint import Checkpoint, CheckpointError, Rejected, load_checkpoint, newest_good
+from kinetix_dist.config import TrainConfig, from_dict_for_playing
+from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.evaluation.load_policy import load_policy
+from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+from kinetix_dist.level.level import Level
+
+MAX_LISTINGS = 3  # of a run's checkpoints, where all that were listed are pruned while they are read
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Trained:
+    """A checkpoint, verified, and what it was trained with."""
+
+    checkpoint: Checkpoint
+    config: TrainConfig
+
+    @property
+    def num_updates(self) -> int:
+        return self.checkpoint.description["num_updates"]
+
+    def env_config(self, size: str) -> EnvConfig:
+        return env_config_of(self.config, size)
+
+    def player(self, env: Environment, level: Level, *, greedy: bool = False) -> Player:
+        """Its policy for one level (no leading axis). Raises UserError where it does not fit levels of this size."""
+        path, size = self.checkpoint.path, env.config.size
+        with user_errors(ValueError, prefix=f"checkpoint {path} does not fit levels of size {size}: "):
+            module, params = load_policy(self.checkpoint, self.config.policy, env, stack_worlds([level]))
+        return Player(NetworkPolicy(module, env.action_distribution, greedy=greedy), params)
+
+
+def env_config_of(config: TrainConfig, size: str) -> EnvConfig:
+    """The environment of a run for levels of a size. Groups of engines are of use for many worlds only."""
+    return dataclasses.replace(config.env, size=size, effect_groups=0)
+
+
+def checkpoint_at(path: Path) -> Trained:
+    """That of a directory, or of a pretrained policy by its name. Raises UserError."""
+    if (path / "checkpoints").is_dir():
+        raise UserError(f"{path} is a run directory; give it as a run")
+    with user_errors(CheckpointError, ValueError, OSError):
+        return _trained(load_checkpoint(path))
+
+
+def newest_checkpoint_of(run: Path) -> tuple[Trained, list[Rejected]]:
+    """The newest good one of a run, and newer ones that were passed over. Raises UserError where there is none."""
+    if not run.is_dir():
+        raise UserError(f"{run} is not a directory; give a run directory such as runs/quickstart")
+    rejected: list[Rejected] = []
+    for _ in range(MAX_LISTINGS):
+        newest, rejected = newest_good(run / "checkpoints")
+        if newest is not None:
+            return _trained(newest), rejected
+        if not any(not bad.path.exists() for bad in rejected):
+            break  # none was pruned while it was read: listing them again would find the same
+    raise UserError(f"{run} has no checkpoint that can be used; train it further, or give another checkpoint")
+
+
+def _trained(checkpoint: Checkpoint) -> Trained:
+    if "config" not in checkpoint.description:
+        raise UserError(f"checkpoint {checkpoint.path} does not say which config it was trained with")
+    with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
+        return Trained(checkpoint=checkpoint, config=from_dict_for_playing(checkpoint.description["config"]))

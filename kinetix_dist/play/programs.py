@@ -1,0 +1,112 @@
+"""Programs that sessions run: one step of one world, and what a policy makes of it. Compiled once for each environment
+and network, and kept on disk in the compile cache of training."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
+from kinetix_dist.env.actions import controls_of
+from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
+from kinetix_dist.evaluation.policies import NetworkPolicy, Policy, act
+
+MAX_ENVIRONMENTS = 16
+
+
+class Stepped(NamedTuple):
+    """What one step of W worlds led to, before any restart. [W, ...] on every field."""
+
+    env_state: EnvState
+    obs: Any
+    reward: Array  # [W]
+    done: Array  # [W] bool
+    info: StepInfo
+    poses: Array  # [W, n, 3] x, y (m), angle (rad)
+    motor: Array  # [W, J] -1..1
+    thruster: Array  # [W, T] 0..1
+    colours: Array  # [W, 6] what each colour was told
+
+
+class Choice(NamedTuple):
+    """What a policy makes of a state."""
+
+    actions: Array  # [W, ...] of the environment's action space
+    memory: Array | None  # after it
+    value: Array  # [W], NaN of a policy that has none
+    outputs: Array  # [W, P] see `heads_of`
+
+
+@functools.lru_cache(maxsize=MAX_ENVIRONMENTS)
+def environment(config: EnvConfig) -> Environment:
+    """One for each configuration: programs are compiled for it."""
+    return Environment(config)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def step(env: Environment, prepared: PreparedLevels, env_state: EnvState, actions: Array) -> Stepped:
+    """`Environment.step` without its restart: the state that ends an episode is seen."""
+    told = env.action_space.colour_values(actions, env.action_space.in_range(actions))
+    controls, _ = controls_of(
+        env.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
+    )
+    env_state, obs, reward, done, info = env.transition(prepared, env_state, actions)
+    return Stepped(
+        env_state=env_state,
+        obs=obs,
+        reward=reward,
+        done=done,
+        info=info,
+        poses=poses(env, prepared, env_state),
+        motor=controls.motor,
+        thruster=controls.thruster,
+        colours=jnp.concatenate(told, axis=-1),
+    )
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def poses(env: Environment, prepared: PreparedLevels, env_state: EnvState) -> Array:
+    """[W, n, 3] x, y (m), angle (rad) of every shape."""
+    position, angle, _, _ = env.stepper.bodies(prepared.packed_scene, env_state.packed_state)
+    return jnp.concatenate([position, angle[..., None]], axis=-1)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def choose(
+    env: Environment,
+    policy: Policy,
+    params: Any,
+    prepared: PreparedLevels,
+    obs: Any,
+    seed: Array,
+    step: Array,
+    memory: Array | None,
+) -> Choice:
+    """What a policy does in step `step` of one world. Draws as rollout 0 of `record_rollouts` with this seed does."""
+    world_key = jax.random.fold_in(jax.random.key(seed), 0)
+    keys = jax.random.fold_in(world_key, step)[None]
+    seen = env.observe(prepared, obs)
+    actions, next_memory = act(policy, params, seen, keys, memory)
+    if not isinstance(policy, NetworkPolicy):
+        return Choice(actions, next_memory, jnp.full(1, jnp.nan), jnp.zeros((1, 0)))
+    # The same application of the network as in `act`, which XLA computes once.
+    outputs, value, *_ = policy.module.apply(params, seen, *(() if memory is None else (memory,)))
+    if isinstance(policy.distribution, TruncatedNormal):
+        shown = policy.distribution.mean_and_spread(outputs)
+    else:
+        shown = tuple(jax.nn.softmax(head.astype(jnp.float32)) for head in outputs)
+    return Choice(actions, next_memory, value, jnp.concatenate(shown, axis=-1))
+
+
+def heads_of(policy: Policy) -> dict[str, Any]:
+    """What `Choice.outputs` are: probabilities of the choices of each head, or means and then spreads of numbers."""
+    if not isinstance(policy, NetworkPolicy):
+        return {"kind": "none", "sizes": []}
+    kind = "mean_spread" if isinstance(policy.distribution, TruncatedNormal) else "probabilities"
+    return {"kind": kind, "sizes": list(policy.distribution.head_sizes)}

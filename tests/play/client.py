@@ -1,0 +1,136 @@
+"""A client of the engine worker for tests: a real process, a real pipe, blocking calls."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.play.frames import Frame, FrameSizes, decode
+from kinetix_dist.play.wire import Message, RequestError, encode, read
+from tests.helpers import REPOSITORY, python_path
+
+WORKER = (sys.executable, "-m", "kinetix_dist.play.worker")
+SECONDS = 120.0  # for an answer, after which a worker is taken for hung
+
+
+class Client:
+    """One worker. `slow`: reads nothing before `read_on()`."""
+
+    def __init__(self, *, log: Path, environment: dict[str, str] | None = None, slow: bool = False) -> None:
+        self._log = log.open("wb")
+        self.process = subprocess.Popen(
+            WORKER,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            cwd=REPOSITORY,
+            env=os.environ | {"PYTHONPATH": python_path()} | (environment or {}),
+        )
+        self._ids = itertools.count(1)
+        self._messages: queue.Queue[Message | None] = queue.Queue()
+        self._answers: dict[int, Message] = {}
+        self.progress: dict[int, list[dict[str, Any]]] = {}
+        self.others: list[Message] = []  # frames, ends of episodes, errors without an id
+        self._may_read = threading.Event()
+        if not slow:
+            self.read_on()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        self.hello: dict[str, Any] = {}
+        if not slow:
+            self.greet()
+
+    def greet(self) -> None:
+        message = self._messages.get(timeout=SECONDS)
+        assert message is not None, f"the worker ended: {Path(self._log.name).read_text()[-2000:]}"
+        assert message.content["type"] == "hello"
+        self.hello = message.content
+
+    def read_on(self) -> None:
+        self._may_read.set()
+
+    def hold(self) -> None:
+        """Reads nothing more until `read_on`."""
+        self._may_read.clear()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        while True:
+            self._may_read.wait()
+            message = read(self.process.stdout)
+            self._messages.put(message)
+            if message is None:
+                return
+
+    def send(self, kind: str, **fields: Any) -> int:
+        """Sends a request; its id."""
+        number = next(self._ids)
+        self.write(encode(Message({"type": kind, "id": number, **fields})))
+        return number
+
+    def write(self, data: bytes) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(data)
+        self.process.stdin.flush()
+
+    def tell(self, kind: str, **fields: Any) -> None:
+        """A message without an id."""
+        self.write(encode(Message({"type": kind, **fields})))
+
+    def take(self, seconds: float = SECONDS) -> bool:
+        """Sorts in the next message. False at the end of the pipe."""
+        message = self._messages.get(timeout=seconds)
+        if message is None:
+            return False
+        content = message.content
+        if content["type"] == "progress":
+            self.progress.setdefault(content["id"], []).append(content)
+        elif content["type"] in ("reply", "error") and "id" in content:
+            self._answers[content["id"]] = message
+        else:
+            self.others.append(message)
+        return True
+
+    def wait(self, number: int, seconds: float = SECONDS) -> Message:
+        """The reply to a request; raises its RequestError."""
+        end = time.monotonic() + seconds
+        while number not in self._answers:
+            assert self.take(end - time.monotonic()), f"the worker ended: {Path(self._log.name).read_text()[-2000:]}"
+        message = self._answers.pop(number)
+        if message.content["type"] == "error":
+            raise RequestError(message.content["code"], message.content["text"])
+        return message
+
+    def ask(self, kind: str, **fields: Any) -> dict[str, Any]:
+        return self.wait(self.send(kind, **fields)).content
+
+    def other(self, kind: str, seconds: float = SECONDS) -> Message:
+        """The next message of a type that is no answer, taken out."""
+        end = time.monotonic() + seconds
+        while True:
+            for message in self.others:
+                if message.content["type"] == kind:
+                    self.others.remove(message)
+                    return message
+            assert self.take(end - time.monotonic()), "the worker ended"
+
+    def frame(self, sizes: dict[str, int], seconds: float = SECONDS) -> Frame:
+        return decode(self.other("frame", seconds).body, FrameSizes(**sizes))
+
+    def close(self) -> int:
+        """Closes the pipe and waits for the end: the exit status."""
+        assert self.process.stdin is not None
+        self.read_on()
+        self.process.stdin.close()
+        try:
+            return self.process.wait(timeout=20)
+        finally:
+            self.process.kill()  # of a test that failed: this process and no other
+            self._log.close()
