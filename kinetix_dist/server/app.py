@@ -1,6 +1,7 @@
 """The server: one process, one event loop, no jax.
 
     browser --HTTP, one websocket--> app --(threads)--> run directories, read only
+                                      |--(pipe)--> engine worker: draws, plays and decodes levels
 
 Every answer is made from files when it is asked for; nothing is kept but what runs were read so far.
 """
@@ -24,9 +25,11 @@ from kinetix_dist.server.answers import BadRequestError, error_response
 from kinetix_dist.server.channel import Channel
 from kinetix_dist.server.compare_pages import ComparePages
 from kinetix_dist.server.curriculum_pages import CurriculumPages
+from kinetix_dist.server.level_pages import LevelPages, worker_error_response
 from kinetix_dist.server.run_pages import RunPages
 from kinetix_dist.server.run_service import RunService, UnknownRunError
 from kinetix_dist.server.static_files import StaticFiles
+from kinetix_dist.server.worker_client import WorkerClient, WorkerError
 from kinetix_dist.telemetry.curriculum_log import SnapshotError
 
 DEFAULT_PORT = 8650
@@ -47,10 +50,11 @@ class ServerConfig:
 def make_app(config: ServerConfig, access: Access) -> web.Application:
     """Raises UserError for paths that hold no runs."""
     service = RunService(config.paths)
+    worker = WorkerClient(is_allowed=config.has_play)
     channels: set[Channel] = set()
 
     async def open_channel(request: web.Request) -> web.StreamResponse:
-        channel = Channel(service, has_play=config.has_play)
+        channel = Channel(service, worker, has_play=config.has_play)
         channels.add(channel)
         try:
             return await channel.serve(request)
@@ -61,13 +65,23 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
         for channel in list(channels):
             await channel.close()
 
+    async def end_worker(app: web.Application) -> None:
+        await worker.close()
+
     app = web.Application(middlewares=[access.middleware, _errors_are_lines], client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
-    for pages in (RunPages(service), ComparePages(service), CurriculumPages(service), StaticFiles()):
+    for pages in (
+        RunPages(service),
+        ComparePages(service),
+        CurriculumPages(service),
+        LevelPages(service, worker),
+        StaticFiles(),
+    ):
         app.add_routes(pages.routes())
     app.add_routes([web.get("/channel", open_channel)])
     app.cleanup_ctx.append(_following(service))
     app.on_shutdown.append(close_channels)
+    app.on_cleanup.append(end_worker)
     return app
 
 
@@ -82,6 +96,8 @@ async def _errors_are_lines(
         return error_response(404, one_line(error.args[0]))
     except (BadRequestError, AxisError, LevelQueryError, UserError) as error:
         return error_response(400, str(error))
+    except WorkerError as error:
+        return worker_error_response(error)
     except (RunFileError, SnapshotError) as error:
         return error_response(422, str(error))
 

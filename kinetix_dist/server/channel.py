@@ -7,6 +7,7 @@ Version 1. Text messages, JSON objects with a `type`.
 | `hello {version}` | first; answered by `hello {version, play}` |
 | `watch {run, since, revision}` | `since`: rows that the page has, `revision` of these, both from `series` |
 | `unwatch {run}` | |
+| `play.open`, `play.input`, ... | see play_channel.py |
 
 | to the page | |
 |---|---|
@@ -27,7 +28,9 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from kinetix_dist.dashboard.run_reader import Changes, RunReader
-from kinetix_dist.server.run_service import RunService, UnknownRunError
+from kinetix_dist.server.play_channel import PlayChannel
+from kinetix_dist.server.run_service import RunService
+from kinetix_dist.server.worker_client import WorkerClient
 
 VERSION = 1
 MAX_WAITING = 256  # messages for a page that does not read; then it is let go, and comes back
@@ -38,11 +41,13 @@ PING_SECONDS = 20.0
 class Channel:
     """One page. Messages wait in a queue, so that a slow page delays no other."""
 
-    def __init__(self, service: RunService, *, has_play: bool) -> None:
+    def __init__(self, service: RunService, worker: WorkerClient, *, has_play: bool) -> None:
         self._service = service
         self._has_play = has_play
         self._socket = web.WebSocketResponse(heartbeat=PING_SECONDS, max_msg_size=MAX_MESSAGE_BYTES, compress=True)
-        self._waiting: asyncio.Queue[str] = asyncio.Queue(MAX_WAITING)
+        self._waiting: asyncio.Queue[str | None] = asyncio.Queue(MAX_WAITING)  # None: a frame
+        self._frames: dict[int, bytes] = {}  # the newest of each session that waits
+        self._play = PlayChannel(service, worker, lambda content: self.say(**content), self._say_frame)
 
     async def serve(self, request: web.Request) -> web.WebSocketResponse:
         """Until the page goes."""
@@ -55,6 +60,7 @@ class Channel:
         finally:
             self._service.unwatch(self)
             sender.cancel()
+            await self._play.close()
         return self._socket
 
     async def close(self) -> None:
@@ -74,10 +80,20 @@ class Channel:
         """A `run_service.Watcher`."""
         self.say("reading", run=run_id, bytes_left=bytes_left)
 
-    def say(self, kind: str, **fields: Any) -> None:
+    def say(self, type: str, **fields: Any) -> None:
         """Puts a message in the queue; a page that does not read is let go."""
+        self._put(json.dumps({"type": type, **fields}, allow_nan=False))
+
+    def _say_frame(self, frame: bytes) -> None:
+        """One frame a session waits at most: the next takes its place."""
+        session = int.from_bytes(frame[2:4], "little")
+        if session not in self._frames:
+            self._put(None)
+        self._frames[session] = frame
+
+    def _put(self, message: str | None) -> None:
         try:
-            self._waiting.put_nowait(json.dumps({"type": kind, **fields}, allow_nan=False))
+            self._waiting.put_nowait(message)
         except asyncio.QueueFull:
             asyncio.get_running_loop().create_task(self.close())
 
@@ -88,16 +104,21 @@ class Channel:
 
     async def _send(self) -> None:
         while True:
-            await self._socket.send_str(await self._waiting.get())
+            message = await self._waiting.get()
+            if message is not None:
+                await self._socket.send_str(message)
+            elif self._frames:
+                session = next(iter(self._frames))
+                await self._socket.send_bytes(self._frames.pop(session), compress=0)
 
     async def _hear(self, text: str) -> None:
         try:
             message = json.loads(text)
             await self._obey(message["type"], message)
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             self.say("error", text=f"the message is not understood ({type(error).__name__}: {error})")
-        except UnknownRunError as error:
-            self.say("error", text=str(error))
+        except LookupError as error:
+            self.say("error", text=str(error.args[0] if error.args else error))
 
     async def _obey(self, kind: str, message: dict[str, Any]) -> None:
         if kind == "hello":
@@ -108,7 +129,7 @@ class Channel:
             await self._watch(message["run"], int(message.get("since", 0)), message.get("revision"))
         elif kind == "unwatch":
             self._service.unwatch(self, message["run"])
-        else:
+        elif not await self._play.hear(kind, message):
             raise ValueError(f"unknown type {kind!r}")
 
     async def _watch(self, run_id: str, since: int, revision: int | None) -> None:
