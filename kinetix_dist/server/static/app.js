@@ -6,14 +6,18 @@ import { restoreTheme, toggleTheme } from "./base/theme.js";
 import { ComparePage } from "./dashboard/compare.js";
 import { CurriculumPage } from "./dashboard/curriculum.js";
 import { EvaluationPage } from "./dashboard/evaluation.js";
+import { LevelsPage } from "./dashboard/levels.js";
 import { OverviewPage } from "./dashboard/overview.js";
+import { ReplaysPage } from "./dashboard/replays.js";
 import { RunsPage } from "./dashboard/runs.js";
 
 /** Pages of a run, in the order of the navigation. @type {Record<string, [string, any]>} */
 const RUN_PAGES = {
   overview: ["Overview", OverviewPage],
   curriculum: ["Curriculum", CurriculumPage],
+  levels: ["Levels", LevelsPage],
   evaluation: ["Evaluation", EvaluationPage],
+  replays: ["Replays", ReplaysPage],
 };
 
 function App() {

@@ -41,6 +41,7 @@ export function CurriculumPage({ run }) {
         <${Histogram} run=${run} entry=${chosen} />
         <${Counts} run=${run} entry=${chosen} />
         <${Learned} run=${run} entry=${chosen} />
+      </div><div class="grid">
         ${Object.keys(chosen.by_feature).map((name) => html`<${ByFeature} key=${name} run=${run} name=${name} entry=${chosen} />`)}
       </div>` : null}
   </main>`;
@@ -110,7 +111,7 @@ function Persistence({ run, snapshots }) {
   const rows = () => [["version", "kept", "levels"], ...later.map((entry) => [entry.number, entry.kept, entry.num_levels])];
   return html`<${Panel} title="What persists from refresh to refresh" help="levels that the buffer before had too" rows=${rows} name=${`${run} persistence`}
     missing=${later.length ? null : "There is one refresh so far."}>
-    ${isPlain ? html`<p>0 of ${later.at(-1).num_levels} levels in each of ${later.length} refreshes. Plain SFL draws all candidates afresh, so that no level persists, by construction.</p>`
+    ${isPlain ? html`<p>0 of ${later.at(-1).num_levels} levels, ${later.length === 1 ? "in the one refresh" : `in each of ${later.length} refreshes`} after the first. Plain SFL draws all candidates afresh, so that no level persists, by construction.</p>`
       : html`<${LineChart} x=${later.map((entry) => entry.first_batch)} lines=${[{ label: "levels kept", values: kept }]} axis="in use from update" />`}
   </${Panel}>`;
 }
@@ -145,20 +146,19 @@ function Histogram({ run, entry }) {
 /** @param {{ run: string, entry: any }} props */
 function Counts({ run, entry }) {
   const table = entry.candidates.counts;
-  const most = Math.max(...table.map((/** @type {number[]} */ row) => row[1]));
-  if (most > 24) {
-    return html`<${Panel} title="Solved x finished, of the candidates" missing=${`Up to ${most} episodes a level: too many for a table; the histogram shows them.`} />`;
-  }
+  const most = Math.min(12, Math.max(...table.map((/** @type {number[]} */ row) => row[1])));
+  const beyond = table.filter((/** @type {number[]} */ row) => row[1] > most).reduce((/** @type {number} */ sum, /** @type {number[]} */ row) => sum + row[2], 0);
   const at = new Map(table.map((/** @type {number[]} */ [s, f, n]) => [`${s} ${f}`, n]));
   const total = entry.candidates.levels;
   const kept = new Map(entry.buffer.counts.map((/** @type {number[]} */ [s, f, n]) => [`${s} ${f}`, n]));
   const numbers = [...Array(most + 1).keys()];
-  const highest = Math.max(...table.map((/** @type {number[]} */ row) => row[2]));
+  const highest = Math.max(1, ...table.filter((/** @type {number[]} */ row) => row[1] <= most).map((/** @type {number[]} */ row) => row[2]));
   const values = [...numbers].reverse().map((s) => numbers.map((f) => (at.has(`${s} ${f}`) ? at.get(`${s} ${f}`) / highest : null)));
   const texts = [...numbers].reverse().map((s) => numbers.map((f) => `${s} of ${f} episodes solved: ${at.get(`${s} ${f}`) ?? 0} of ${total} candidates, ${kept.get(`${s} ${f}`) ?? 0} of them kept`));
   const rows = () => [["solved", "finished", "candidates", "kept"], ...table.map((/** @type {number[]} */ [s, f, n]) => [s, f, n, kept.get(`${s} ${f}`) ?? 0])];
   return html`<${Panel} title="Solved x finished, of the candidates" help="levels, 100 for the most frequent pair" rows=${rows} name=${`${run} counts ${entry.number}`}>
-    <${HeatMap} rows=${[...numbers].reverse().map((s) => `${s} solved`)} columns=${numbers.map((f) => `${f} fin.`)} values=${values} texts=${texts} labelWidth=${70} cellWidth=${46} cellHeight=${22} describe="candidates by solved and finished episodes" /></${Panel}>`;
+    <${HeatMap} rows=${[...numbers].reverse().map((s) => `${s} solved`)} columns=${numbers.map((f) => `${f} fin.`)} values=${values} texts=${texts} labelWidth=${70} cellWidth=${46} cellHeight=${22} describe="candidates by solved and finished episodes" />
+    ${beyond ? html`<p class="soft">${beyond} candidates finished more than ${most} episodes; the CSV has them.</p>` : null}</${Panel}>`;
 }
 
 /** @param {{ run: string, entry: any }} props */
