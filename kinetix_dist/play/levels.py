@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from kinetix_dist.play.wire import BAD_REQUEST, NOT_FOUND, RequestError
 from kinetix_dist.telemetry.recording import Recording, RecordingError, Rollout
 
 SNAPSHOT_KINDS = ("refresh", "buffer")  # of files in curriculum/, see docs/run_data.md
+_DAMAGED = (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error)  # of np.load
 _LEVELS = "levels/"  # before the names of the arrays of levels in a snapshot
 
 
@@ -81,7 +83,7 @@ def snapshot_levels(path: Path) -> Level:
         return _read_snapshot(path, about.st_mtime_ns, about.st_size)
     except FileNotFoundError as error:
         raise RequestError(NOT_FOUND, f"there is no snapshot {path} (any more)") from error
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         raise RequestError(NOT_FOUND, f"the snapshot {path} cannot be read ({one_line(error)})") from error
 
 

@@ -110,7 +110,12 @@ def control(request: Request, loop: SessionLoop, loading: Executor) -> tuple[Com
 
 def _state(running: Running) -> dict[str, Any]:
     session = running.session
-    return {"step": session.shown, "last": session.last, "running": running.is_running}
+    return {
+        "session": session.number,
+        "step": session.shown,
+        "last": session.last,
+        "running": running.is_running,
+    }
 
 
 def _run(running: Running, is_running: bool) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import queue
+import struct
 import subprocess
 import sys
 import threading
@@ -13,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.play.frames import Frame, FrameSizes, decode
-from kinetix_dist.play.wire import Message, RequestError, encode, read
+from kinetix_dist.play.wire import NOT_FOUND, Message, RequestError, encode, read
 from tests.helpers import REPOSITORY, python_path
 
 WORKER = (sys.executable, "-m", "kinetix_dist.play.worker")
@@ -37,6 +39,7 @@ class Client:
         self._messages: queue.Queue[Message | None] = queue.Queue()
         self._answers: dict[int, Message] = {}
         self.progress: dict[int, list[dict[str, Any]]] = {}
+        self.sessions: set[int] = set()  # that were opened
         self.others: list[Message] = []  # frames, ends of episodes, errors without an id
         self._may_read = threading.Event()
         if not slow:
@@ -75,6 +78,11 @@ class Client:
         self.write(encode(Message({"type": kind, "id": number, **fields})))
         return number
 
+    def send_raw(self, number: int, fields: dict[str, Any]) -> None:
+        """Also what no JSON may hold, such as NaN."""
+        data = json.dumps({"id": number, **fields}).encode()
+        self.write(struct.pack("<II", 4 + len(data), len(data)) + data)
+
     def write(self, data: bytes) -> None:
         assert self.process.stdin is not None
         self.process.stdin.write(data)
@@ -104,6 +112,8 @@ class Client:
         while number not in self._answers:
             assert self.take(end - time.monotonic()), f"the worker ended: {Path(self._log.name).read_text()[-2000:]}"
         message = self._answers.pop(number)
+        if "display" in message.content and "session" in message.content:
+            self.sessions.add(message.content["session"])
         if message.content["type"] == "error":
             raise RequestError(message.content["code"], message.content["text"])
         return message
@@ -123,6 +133,16 @@ class Client:
 
     def frame(self, sizes: dict[str, int], seconds: float = SECONDS) -> Frame:
         return decode(self.other("frame", seconds).body, FrameSizes(**sizes))
+
+    def close_sessions(self) -> None:
+        """Also those of a test that failed."""
+        for number in self.sessions:
+            try:
+                self.ask("play.close", session=number)
+            except RequestError as error:
+                assert error.code == NOT_FOUND  # closed by the test
+        self.sessions.clear()
+        self.others.clear()
 
     def close(self) -> int:
         """Closes the pipe and waits for the end: the exit status."""

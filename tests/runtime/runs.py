@@ -62,6 +62,15 @@ def tiny_config(*, num_updates: int, **run: Any) -> TrainConfig:
     )
 
 
+def without_evaluator(config: TrainConfig) -> TrainConfig:
+    """Evaluates and records before and after training alone."""
+    return dataclasses.replace(
+        config,
+        evaluation=dataclasses.replace(config.evaluation, every=0),
+        recording=dataclasses.replace(config.recording, every=0),
+    )
+
+
 def run_updates(
     config: TrainConfig,
     path: Path,

@@ -35,7 +35,7 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     assert "load_level_set" in log.read_text()
     events = [json.loads(text) for text in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
     kinds = [event["event"] for event in events if event["event"] != "token_secured"]  # of the user's own Ray
-    assert kinds == ["process_started", "run_failed"]
+    assert kinds == ["run_started", "process_started", "run_failed"]
 
 
 def test_a_run_on_ray_is_seen_by_nobody_else_and_ends_when_a_worker_is_lost_too_often(tmp_path, monkeypatch):

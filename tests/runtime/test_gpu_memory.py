@@ -24,6 +24,7 @@ from kinetix_dist.runtime.processes.gpu_memory import (
 )
 from kinetix_dist.runtime.processes.placement import plan
 from tests.helpers import python_path
+from tests.runtime.runs import without_evaluator
 
 # 143,771 MiB, of which the driver keeps 615.
 H200 = Gpu(name="NVIDIA H200", total_bytes=143_156 * MIB, num_sms=132, threads_per_sm=2048)
@@ -76,7 +77,7 @@ def test_worker_and_curator_fit_on_one_gpu_with_all_that_they_were_seen_to_take(
 
 
 def test_a_curator_that_scores_more_gets_more():
-    config = recipe("sfl_m")
+    config = without_evaluator(recipe("sfl_m"))
     larger = dataclasses.replace(config.curriculum, num_candidates=65536, scoring_batch=65536)
     assert (
         _budgets(dataclasses.replace(config, curriculum=larger))["curator 0"].pool_bytes
@@ -85,21 +86,21 @@ def test_a_curator_that_scores_more_gets_more():
 
 
 def test_only_the_gpu_that_is_shared_pays_for_the_curator():
-    budgets = _budgets(recipe("sfl_m"), num_gpus=4)
+    budgets = _budgets(without_evaluator(recipe("sfl_m")), num_gpus=4)
     assert budgets["worker 1"].total_bytes == budgets["worker 3"].total_bytes == int(0.98 * H200.total_bytes)
     assert budgets["worker 0"].total_bytes + budgets["curator 0"].total_bytes == budgets["worker 1"].total_bytes
-    alone = _budgets(recipe("sfl_m"), num_gpus=1)["worker 0"]
+    alone = _budgets(without_evaluator(recipe("sfl_m")), num_gpus=1)["worker 0"]
     assert budgets["worker 0"].reserve_bytes - alone.reserve_bytes >= 1 * GIB  # NCCL
 
 
 def test_a_worker_without_a_curator_has_its_gpu_to_itself():
-    config = recipe("sfl_m")
+    config = without_evaluator(recipe("sfl_m"))
     config = dataclasses.replace(config, curriculum=dataclasses.replace(config.curriculum, name="domain_randomization"))
     assert _budgets(config)["worker 0"].total_bytes == int(0.98 * H200.total_bytes)
 
 
 def test_what_the_curator_and_the_run_get_can_be_set():
-    config = _with_run(recipe("sfl_m"), gpu_memory_gib=40.0, curator_memory_gib=8.0)
+    config = _with_run(without_evaluator(recipe("sfl_m")), gpu_memory_gib=40.0, curator_memory_gib=8.0)
     budgets = _budgets(config)
     assert budgets["curator 0"].total_bytes == 8 * GIB
     assert budgets["worker 0"].total_bytes + 8 * GIB == int(0.98 * 40 * GIB)
@@ -108,9 +109,9 @@ def test_what_the_curator_and_the_run_get_can_be_set():
 def test_a_run_that_does_not_fit_is_refused_with_the_numbers():
     small = Gpu(name="small", total_bytes=8 * GIB, num_sms=132, threads_per_sm=2048)
     with pytest.raises(GpuMemoryError, match=r"do not fit into 7\.8 GiB of small \(curator 0 .* GiB.*; worker 0 "):
-        _budgets(recipe("sfl_l"), gpu=small)
+        _budgets(without_evaluator(recipe("sfl_l")), gpu=small)
     with pytest.raises(GpuMemoryError, match=r"change run\.curator_memory_gib"):
-        _budgets(_with_run(recipe("sfl_m"), curator_memory_gib=1.0))
+        _budgets(_with_run(without_evaluator(recipe("sfl_m")), curator_memory_gib=1.0))
 
 
 def test_without_a_driver_a_gpu_is_refused_in_words():
@@ -149,7 +150,7 @@ def test_without_a_driver_a_gpu_is_refused_in_words():
     ],
 )
 def test_memory_that_ran_out_is_said_in_one_line_with_process_gpu_budget_and_remedy(process, text, said):
-    config = recipe("sfl_m")
+    config = without_evaluator(recipe("sfl_m"))
     if process == "learner 0":
         config = _with_run(config, placement="split")
     budget = _budgets(config, num_gpus=2 if process == "learner 0" else 1)[process]

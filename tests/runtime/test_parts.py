@@ -20,7 +20,7 @@ from kinetix_dist.runtime.processes.placement import PlacementError, plan, resol
 from kinetix_dist.telemetry.names import METRICS, UnknownMetricError, check_metrics
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink, read_jsonl
-from tests.runtime.runs import tiny_config
+from tests.runtime.runs import tiny_config, without_evaluator
 
 # Config
 
@@ -74,7 +74,7 @@ def test_engines_of_grouped_worlds_suit_the_levels_of_the_run():
 
 
 def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
-    placement = plan(dataclasses.replace(recipe("sfl_s")), num_gpus=2)
+    placement = plan(without_evaluator(recipe("sfl_s")), num_gpus=2)
     assert [(p.name, p.gpu, p.gpu_share) for p in placement.processes] == [
         ("worker 0", 0, 0.5),
         ("worker 1", 1, 1.0),
@@ -82,8 +82,17 @@ def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
     ]
 
 
+@pytest.mark.parametrize("name", [name for name in RECIPES if recipe(name).run.device == "gpu"])
+def test_recipes_for_gpus_evaluate_and_record_beside_training(name):
+    config = recipe(name)
+    assert config.evaluates_beside and config.evaluation.every > 0 and config.recording.every > 0
+    num_updates = config.run.total_env_steps // config.rollout.steps_per_update
+    assert num_updates // config.evaluation.every >= 10 and num_updates // config.recording.every >= 3
+    assert ("evaluator 0", 0) in [(process.name, process.gpu) for process in plan(config, num_gpus=2).processes]
+
+
 def test_split_has_its_curator_beside_the_first_rollout_actor():
-    config = recipe("sfl_s")
+    config = without_evaluator(recipe("sfl_s"))
     config = dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split", num_rollout_actors=2))
     placement = plan(config, num_gpus=4)
     assert [(p.name, p.gpu) for p in placement.processes] == [
@@ -96,7 +105,7 @@ def test_split_has_its_curator_beside_the_first_rollout_actor():
 
 def test_curators_are_spread_over_the_gpus_that_play():
     def placed(num_gpus, **run):
-        config = recipe("sfl_s")
+        config = without_evaluator(recipe("sfl_s"))
         placement = plan(dataclasses.replace(config, run=dataclasses.replace(config.run, **run)), num_gpus=num_gpus)
         return [(p.name, p.gpu) for p in placement.of("curator")]
 
@@ -122,7 +131,7 @@ def test_any_numbers_of_learners_and_actors_have_one_config_hash():
 
 
 def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
-    config = recipe("sfl_s")
+    config = without_evaluator(recipe("sfl_s"))
     run = dataclasses.replace(config.run, placement="split", num_learners=2, num_rollout_actors=2)
     placement = plan(dataclasses.replace(config, run=run), num_gpus=4)
     assert [(p.name, p.gpu, p.memory.needs[0].num_in_group) for p in placement.processes] == [
@@ -139,7 +148,7 @@ def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
 
 
 def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
-    config = recipe("sfl_s")
+    config = without_evaluator(recipe("sfl_s"))
 
     def placed(num_gpus, **run):
         run = dataclasses.replace(config.run, placement="split", **run)
@@ -176,7 +185,7 @@ def test_a_gpu_that_is_not_there_is_refused():
     with pytest.raises(PlacementError, match="no GPU is visible"):
         resolve_device("gpu", num_gpus=0)
     with pytest.raises(PlacementError, match="needs 2 GPUs of 1"):
-        config = recipe("sfl_s")
+        config = without_evaluator(recipe("sfl_s"))
         plan(dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split")), num_gpus=1)
 
 

@@ -26,6 +26,7 @@ from tests.runtime.cores_for_tests import (
     build_together,
     build_told,
 )
+from tests.runtime.runs import without_evaluator
 
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
 
@@ -41,7 +42,7 @@ def backend():
 
 def _plan_of_slots():
     """Three workers and a curator; their memory is not shared out, since there is no GPU to ask."""
-    placement = plan(recipe("sfl_s"), num_gpus=3)
+    placement = plan(without_evaluator(recipe("sfl_s")), num_gpus=3)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
 
@@ -113,7 +114,7 @@ def test_a_build_that_fails_is_said_in_one_line_with_its_traceback_apart(backend
 def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
     if count_gpus():
         pytest.skip("there is a GPU here")
-    (process, _) = plan(recipe("sfl_s"), num_gpus=1).processes
+    (process, _) = plan(without_evaluator(recipe("sfl_s")), num_gpus=1).processes
     with pytest.raises(ProcessFailedError, match=r"^worker 0 failed: the NVIDIA driver"):
         backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_told)
 

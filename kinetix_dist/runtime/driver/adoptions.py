@@ -28,8 +28,9 @@ class Adoptions:
         return self._at.get(policy_version)
 
     def in_use(self, update: int) -> int | None:
-        """The newest version that was adopted by that update; None where none was."""
-        return max((version for version, at in self._at.items() if at <= update), default=None)
+        """The newest version that was adopted by that update; None where none ever was. Nothing can be played before
+        the first one: it is in use from the beginning, whatever the policy lag made of its record."""
+        return max((version for version, at in self._at.items() if at <= update), default=min(self._at, default=None))
 
     def record(self, policy_version: int, update: float) -> None:
         """A disk that does not take it is an event: the record is complete with the next one that is written."""

@@ -149,7 +149,7 @@ class Refreshes:
         self._scoring_seconds = refresh.seconds
         self._adoptions.record(version, drawn_next)
         self._run.event("buffer_adopted", policy_version=version, update=drawn_next)
-        self._data.adopted(refresh, num_updates=num_updates, first_batch=drawn_next)
+        self._data.adopted(refresh, num_updates=num_updates, first_batch=drawn_next if version else 0)
 
     def _note_late(self, version: int, num_updates: int) -> None:
         if not self._is_stale:

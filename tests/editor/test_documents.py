@@ -1,0 +1,196 @@
+"""What an editor is told of a document: all problems, what is odd about the start, what there is and what fits in."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinetix_dist.editor.documents import check_document
+from kinetix_dist.editor.start_warnings import noop_warning
+from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.schema import level_from_json
+
+DESIGNED = sorted(levels_root().glob("[sml]/*.json"))
+
+
+def level_document() -> dict[str, Any]:
+    """A box with a thruster, an arm on a hinge and a ball, nothing odd."""
+    return {
+        "format": "kinetix-dist-level",
+        "version": 1,
+        "name": "plain",
+        "size": "m",
+        "shapes": [
+            {"id": "box", "type": "box", "width": 1.0, "height": 0.5, "position": [1.0, 2.0], "role": "green"},
+            {"id": "ball", "type": "circle", "radius": 0.3, "position": [4.0, 1.0], "role": "blue"},
+            {"id": "arm", "type": "box", "width": 0.6, "height": 0.1, "position": [1.8, 2.0], "density": 2.0},
+        ],
+        "joints": [
+            {
+                "type": "revolute",
+                "a": "box",
+                "b": "arm",
+                "anchor": [1.5, 2.0],
+                "limits": [-0.5, 0.5],
+                "motor": {"colour": 2},
+            }
+        ],
+        "thrusters": [{"shape": "box", "anchor": [1.0, 1.75], "angle": math.pi / 2, "colour": 1}],
+    }
+
+
+def warnings_of(change: Callable[[dict[str, Any]], None]) -> list[tuple[str, tuple[str, ...]]]:
+    document = level_document()
+    change(document)
+    checked = check_document(document)
+    assert not checked.problems, checked.problems
+    assert all("\n" not in warning.text for warning in checked.warnings)
+    return [(warning.kind, warning.paths) for warning in checked.warnings]
+
+
+def test_nothing_is_odd_about_a_plain_level() -> None:
+    assert warnings_of(lambda document: None) == []
+
+
+def test_shapes_that_lie_in_each_other_are_named_with_the_depth() -> None:
+    document = level_document()
+    document["shapes"][1]["position"] = [4.8, 1.0]  # 0.1 m into the right wall
+    (warning,) = check_document(document).warnings
+    assert (warning.kind, warning.paths) == ("overlap", ("walls.right_wall", "shapes[1]"))
+    assert "0.1 m" in warning.text
+
+
+def test_joined_shapes_may_overlap() -> None:
+    # The arm reaches into the box: shapes of one body never touch.
+    assert warnings_of(lambda document: document["shapes"][2].update(width=0.9)) == []
+
+
+def test_green_that_touches_blue_or_red_at_the_start() -> None:
+    def onto_blue(document: dict[str, Any]) -> None:
+        document["shapes"][1]["position"] = [0.3, 2.0]
+
+    assert {kind for kind, _ in warnings_of(onto_blue)} == {"already_solved", "overlap"}
+
+    def onto_red(document: dict[str, Any]) -> None:
+        document["walls"] = {"floor": {"role": "red"}}
+        for shape in (document["shapes"][0], document["shapes"][2]):
+            shape["position"][1] = 0.64  # the box reaches 0.01 m into the floor
+
+        document["joints"][0]["anchor"] = [1.5, 0.64]
+        document["thrusters"][0]["anchor"] = [1.0, 0.5]
+
+    kinds = [kind for kind, _ in warnings_of(onto_red)]
+    assert kinds == ["already_failed", "overlap"]
+
+
+@pytest.mark.parametrize("motor", [None, {"on": False}, {"auto": True}])
+def test_a_level_that_nobody_can_control(motor: Any) -> None:
+    def change(document: dict[str, Any]) -> None:
+        document["thrusters"] = []
+        if motor is None:
+            del document["joints"][0]["motor"]
+        else:
+            document["joints"][0]["motor"] = motor
+
+    assert warnings_of(change) == [("uncontrollable", ())]
+
+
+def test_a_thruster_on_what_is_fixed_controls_nothing() -> None:
+    def change(document: dict[str, Any]) -> None:
+        document["joints"], document["shapes"][0]["fixed"] = [], True
+
+    assert ("uncontrollable", ()) in warnings_of(change)
+
+
+def test_limits_that_are_not_met_at_the_start() -> None:
+    assert warnings_of(lambda d: d["joints"][0].update(limits=[0.2, 0.5])) == [("limits", ("joints[0]",))]
+    assert warnings_of(lambda d: d["joints"][0].update(limits=[0.2, 0.5], rest_angle=-0.3)) == []
+
+    def slider(document: dict[str, Any]) -> None:
+        del document["joints"][0]["anchor"]
+        # 0.3 m along the axis from the one anchor to the other.
+        document["joints"][0] |= {"type": "prismatic", "axis": 0.0, "anchor_a": [0.5, 0.0], "anchor_b": [0.0, 0.0]}
+        document["joints"][0]["limits"] = [-0.1, 0.29]
+
+    assert warnings_of(slider) == [("limits", ("joints[0]",))]
+
+    def within(document: dict[str, Any]) -> None:
+        slider(document)
+        document["joints"][0]["limits"] = [-0.1, 0.31]
+
+    assert warnings_of(within) == []
+
+
+def test_a_shape_outside_of_the_box() -> None:
+    assert ("outside", ("shapes[1]",)) in warnings_of(lambda d: d["shapes"][1].update(position=[7.0, 1.0]))
+    assert ("outside", ("shapes[1]",)) in warnings_of(lambda d: d["shapes"][1].update(position=[2.0, 0.3]))
+
+
+def test_solved_by_doing_nothing() -> None:
+    assert noop_warning(None) == []
+    (warning,) = noop_warning(17)
+    assert warning.kind == "noop" and "17 steps" in warning.text
+
+
+def test_facts_are_those_of_formulas() -> None:
+    facts = check_document(level_document()).facts
+    assert facts["counts"] == {"polygons": 2, "circles": 1, "joints": 1, "thrusters": 1}
+    assert facts["room"] == {"polygons": 0, "circles": 2, "joints": 1, "thrusters": 1}
+    assert facts["masses"]["shapes[0]"] == pytest.approx(0.5)
+    assert facts["masses"]["shapes[1]"] == pytest.approx(math.pi * 0.09)
+    assert facts["masses"]["shapes[2]"] == pytest.approx(0.12)
+    assert facts["motor_colours"] == [2] and facts["thruster_colours"] == [1]
+    fixed = level_document()
+    fixed["shapes"][1]["fixed"] = True
+    assert check_document(fixed).facts["masses"]["shapes[1]"] is None
+
+
+@pytest.mark.parametrize("file", DESIGNED, ids=lambda file: f"{file.parent.name}/{file.stem}")
+def test_designed_levels_have_no_problems_and_can_be_controlled(file: Any) -> None:
+    checked = check_document(json.loads(file.read_text()))
+    assert not checked.problems and checked.level is not None
+    kinds = {warning.kind for warning in checked.warnings}
+    assert not kinds & {"uncontrollable", "already_solved", "already_failed", "outside"}
+
+
+def test_a_document_with_a_thousand_things_is_refused_at_once() -> None:
+    document = level_document()
+    document["shapes"] = [copy.deepcopy(document["shapes"][0]) for _ in range(10_000)]
+    (problem,) = check_document(document).problems
+    assert str(problem) == "shapes: has 10000 entries; give at most 1000"
+
+
+def test_random_damage_never_breaks_the_check() -> None:
+    """What has no problems can be read; what has some cannot. Any field with any value."""
+    draws = np.random.default_rng(0)
+    values = [None, True, -1, 0, 1e300, math.nan, "", "box", "floor", [], [1], [0.0, 0.0], {}, {"a": 1}, [[0, 0]] * 5]
+    for _ in range(300):
+        document = level_document()
+        for _ in range(int(draws.integers(1, 4))):
+            place: Any = document
+            while True:
+                keys = list(place) if isinstance(place, dict) else range(len(place))
+                if not keys:
+                    break
+                key = keys[int(draws.integers(len(keys)))]
+                if isinstance(place[key], dict | list) and place[key] and draws.uniform() < 0.8:
+                    place = place[key]
+                    continue
+                place[key] = copy.deepcopy(values[int(draws.integers(len(values)))])
+                break
+        checked = check_document(document)
+        if checked.problems:
+            with pytest.raises(ValueError):
+                level_from_json(document)
+            with pytest.raises(ValueError) as error:
+                level_from_json(document)
+            if document.get("size") in ("s", "m", "l"):
+                assert str(error.value) == str(checked.problems[0])
+        else:
+            level_from_json(document)
