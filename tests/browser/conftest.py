@@ -6,6 +6,7 @@ KINETIX_BROWSER_TESTS=required (continuous integration).
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import subprocess
@@ -54,7 +55,14 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
+def serve() -> Iterator[Callable[..., Server]]:
+    """serve(path, options): a server that ends after the pages of the test."""
+    with contextlib.ExitStack() as stack:
+        yield lambda *arguments: stack.enter_context(serving(*arguments))
+
+
+@pytest.fixture
+def open_page(browser: Any, serve: Any) -> Iterator[Callable[..., Any]]:
     """open_page(server, "#/runs", width=...): a page with access. At the end no page of the test may have complained,
     or asked another origin than its server."""
     opened, complaints = [], []

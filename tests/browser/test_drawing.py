@@ -35,8 +35,8 @@ def levels() -> Any:
 def _levels(size: str) -> list[tuple[str, Any]]:
     import jax
 
-    found = load_level_set(f"designed_{size}", size)
-    return [(name, jax.tree.map(lambda x, k=k: np.asarray(x)[k], found.levels)) for k, name in enumerate(found.names)]
+    levels, names = load_level_set(f"designed_{size}", size)
+    return [(name, jax.tree.map(lambda x, k=k: np.asarray(x)[k], levels)) for k, name in enumerate(names)]
 
 
 def test_pages_and_engine_paint_the_same(levels: Any, trained_server: Server, open_page: Callable[..., Any]) -> None:

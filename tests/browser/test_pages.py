@@ -11,9 +11,10 @@ import pytest
 
 from kinetix_dist.telemetry.json_lines import append_line
 from tests.dashboard.runs_for_tests import solve_rate, write_rows, write_run
-from tests.server.serving import Server, end, serving
+from tests.server.serving import Server, end
 
 OpenPage = Callable[..., Any]
+Serve = Callable[..., Server]
 
 # Whether a canvas has more than its background: the number of different colours in it.
 COLOURS = """(canvas) => {
@@ -105,80 +106,82 @@ def test_a_rollout_is_played_stepped_and_scrubbed(trained_server: Server, open_p
     assert page.locator(".player b").count() == 1, "the outcome stands at the end"
 
 
-def test_a_row_on_disk_is_on_the_page_and_a_resumed_run_goes_back(tmp_path: Path, open_page: OpenPage) -> None:
+def test_a_row_on_disk_is_on_the_page_and_a_resumed_run_goes_back(
+    tmp_path: Path, open_page: OpenPage, serve: Serve
+) -> None:
     run = write_run(tmp_path / "a", 5)
-    with serving(tmp_path) as server:
-        page = open_page(server, "#/run/a/overview?x=updates")
-        wait_for_drawn(page, "Training episodes")
-        facts = page.locator(".facts")
-        facts.get_by_text("640 of").wait_for()  # 5 updates of 128 steps
-        write_rows(run, 6, 7)
-        facts.get_by_text("896 of").wait_for(timeout=5000)
-        write_rows(run, 3, 3, resume_at=2, **{"learner/approx_kl": 0.5})
-        facts.get_by_text("384 of").wait_for(timeout=10_000)
-        append_line(run / "events.jsonl", {"time": "2026-01-31T13:00:00Z", "event": "resumed", "update": 2})
-        panel(page, "Events").get_by_text("resumed").wait_for(timeout=10_000)
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/overview?x=updates")
+    wait_for_drawn(page, "Training episodes")
+    facts = page.locator(".facts")
+    facts.get_by_text("640 of").wait_for()  # 5 updates of 128 steps
+    write_rows(run, 6, 7)
+    facts.get_by_text("896 of").wait_for(timeout=5000)
+    write_rows(run, 3, 3, resume_at=2, **{"learner/approx_kl": 0.5})
+    facts.get_by_text("384 of").wait_for(timeout=10_000)
+    append_line(run / "events.jsonl", {"time": "2026-01-31T13:00:00Z", "event": "resumed", "update": 2})
+    panel(page, "Events").get_by_text("resumed").wait_for(timeout=10_000)
 
 
-def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_page: OpenPage) -> None:
+def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
     run = write_run(tmp_path / "a", 5)
     with (run / "metrics" / "metrics.jsonl").open("ab") as file:
         file.write(b"\0\0garbage\n")
-    with serving(tmp_path) as server:
-        page = open_page(server, "#/run/a/overview")
-        page.get_by_text("1 line is damaged in metrics/metrics.jsonl and left out").wait_for()
-        end(server.process)
-        page.get_by_text("disconnected").wait_for(timeout=10_000)
-        page.complaints.clear()  # the browser says that it cannot connect
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/overview")
+    page.get_by_text("1 line is damaged in metrics/metrics.jsonl and left out").wait_for()
+    end(server.process)
+    page.get_by_text("disconnected").wait_for(timeout=10_000)
+    page.complaints.clear()  # the browser says that it cannot connect
 
 
-def test_an_older_run_says_what_it_lacks(tmp_path: Path, open_page: OpenPage) -> None:
+def test_an_older_run_says_what_it_lacks(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
     write_run(tmp_path / "a", 5)
-    with serving(tmp_path) as server:
-        page = open_page(server, "#/run/a/curriculum")
-        page.get_by_text("This run has no snapshots of its curriculum").wait_for()
-        page.get_by_text("This run has no counts of its training episodes").wait_for()
-        for name, text in (
-            ("levels", "This run has no snapshots of its curriculum"),
-            ("evaluation", "No evaluation so far"),
-            ("replays", "No rollouts so far"),
-        ):
-            page.goto(f"http://127.0.0.1:{server.port}/#/run/a/{name}")
-            page.get_by_text(text).wait_for()
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/curriculum")
+    page.get_by_text("This run has no snapshots of its curriculum").wait_for()
+    page.get_by_text("This run has no counts of its training episodes").wait_for()
+    for name, text in (
+        ("levels", "This run has no snapshots of its curriculum"),
+        ("evaluation", "No evaluation so far"),
+        ("replays", "No rollouts so far"),
+    ):
+        page.goto(f"http://127.0.0.1:{server.port}/#/run/a/{name}")
+        page.get_by_text(text).wait_for()
 
 
-def test_without_play_pages_say_so(tmp_path: Path, trained: Path, open_page: OpenPage) -> None:
-    with serving(trained, "--no-play") as server:
-        page = open_page(server, "#/run/tiny/levels")
-        page.get_by_text("the server was started with --no-play").wait_for()
-        assert page.locator(".thumbnail").count() == 8, "counts are there without pictures"
-        page.complaints.clear()  # the browser counts an answer of 503 as an error
+def test_without_play_pages_say_so(tmp_path: Path, trained: Path, open_page: OpenPage, serve: Serve) -> None:
+    server = serve(trained, "--no-play")
+    page = open_page(server, "#/run/tiny/levels")
+    page.get_by_text("the server was started with --no-play").wait_for()
+    page.locator(".thumbnail").nth(7).wait_for()  # counts are there without pictures
+    page.complaints.clear()  # the browser counts an answer of 503 as an error
 
 
-def test_the_view_is_in_the_address_and_its_numbers_come_out(tmp_path: Path, open_page: OpenPage) -> None:
+def test_the_view_is_in_the_address_and_its_numbers_come_out(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
     write_run(tmp_path / "a", 20)
-    with serving(tmp_path) as server:
-        page = open_page(server, "#/run/a/overview")
-        wait_for_drawn(page, "Training episodes")
-        page.get_by_label("axis").select_option("updates")
-        assert "x=updates" in page.url
-        box = panel(page, "Training episodes").locator(".u-over").bounding_box()
-        page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 50)
-        page.mouse.down()
-        page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 50, steps=5)
-        page.mouse.up()
-        page.wait_for_function("() => location.hash.includes('from=')")
-        page.goto(f"http://127.0.0.1:{server.port}/#/run/a/overview?x=updates&from=5.5&to=8.5")
-        page.reload()
-        wait_for_drawn(page, "Training episodes")
-        with page.expect_download() as download:
-            panel(page, "Training episodes").get_by_text("CSV").click()
-        lines = Path(download.value.path()).read_text().split()
-        assert lines[0] == "updates,train/solve_rate"
-        assert lines[1:] == [f"{u},{solve_rate(u):g}" for u in (5, 6, 7, 8, 9)]
-        with page.expect_download() as download:
-            panel(page, "Training episodes").get_by_text("PNG").click()
-        assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/overview")
+    wait_for_drawn(page, "Training episodes")
+    page.get_by_label("axis").select_option("updates")
+    assert "x=updates" in page.url
+    box = panel(page, "Training episodes").locator(".u-over").bounding_box()
+    page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 50)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 50, steps=5)
+    page.mouse.up()
+    page.wait_for_function("() => location.hash.includes('from=')")
+    page.goto(f"http://127.0.0.1:{server.port}/#/run/a/overview?x=updates&from=5.5&to=8.5")
+    page.reload()
+    wait_for_drawn(page, "Training episodes")
+    with page.expect_download() as download:
+        panel(page, "Training episodes").get_by_text("CSV").click()
+    lines = Path(download.value.path()).read_text().split()
+    assert lines[0] == "updates,train/solve_rate"
+    assert lines[1:] == [f"{u},{solve_rate(u):g}" for u in (5, 6, 7, 8, 9)]
+    with page.expect_download() as download:
+        panel(page, "Training episodes").get_by_text("PNG").click()
+    assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("view", ["#/runs", "#/run/tiny/overview", "#/run/tiny/curriculum", "#/run/tiny/replays"])

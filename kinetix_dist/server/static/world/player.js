@@ -30,6 +30,7 @@ export function decodeRollout(bytes) {
 /** @param {{ rollout: Rollout, palette: import("./canvas.js").Palette, size?: number }} props */
 export function Player({ rollout, palette, size = 480 }) {
   const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
+  const stop = useRef(() => {});
   const [step, setStep] = useState(0);
   const [isRunning, setRunning] = useState(true);
   const [speed, setSpeed] = useState(1);
@@ -47,9 +48,14 @@ export function Player({ rollout, palette, size = 480 }) {
 
   useEffect(() => {
     if (!isRunning) return undefined;
+    let isCurrent = true;
+    stop.current = () => {
+      isCurrent = false; // at once: a picture that is due already must not overtake a key
+    };
     const from = step >= last ? 0 : step;
     const began = performance.now();
     let frame = requestAnimationFrame(function show() {
+      if (!isCurrent) return;
       const now = from + Math.floor(((performance.now() - began) / 1000 / seconds) * speed);
       setStep(Math.min(now, last));
       if (now < last) frame = requestAnimationFrame(show);
@@ -59,6 +65,7 @@ export function Player({ rollout, palette, size = 480 }) {
   }, [isRunning, speed, rollout]);
 
   const go = (/** @type {number} */ to) => {
+    stop.current();
     setRunning(false);
     setStep(Math.min(Math.max(to, 0), last));
   };
