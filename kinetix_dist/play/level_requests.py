@@ -26,7 +26,6 @@ from kinetix_dist.play import programs
 from kinetix_dist.play.actors import env_of
 from kinetix_dist.play.attempts import steps_until_noop_solves
 from kinetix_dist.play.levels import (
-    SNAPSHOT_KINDS,
     GivenLevel,
     check_index,
     document_of,
@@ -39,6 +38,7 @@ from kinetix_dist.play.levels import (
 )
 from kinetix_dist.play.request import Request
 from kinetix_dist.play.wire import BAD_REQUEST, RequestError
+from kinetix_dist.telemetry.curriculum_log import KINDS
 from kinetix_dist.telemetry.recording import Rollout
 
 MAX_LISTED = 200  # problems of a document
@@ -84,9 +84,9 @@ def document(request: Request) -> Answer:
 
 def thumbnails(request: Request) -> Answer:
     """Many levels of a snapshot. The JSON is the body, so that nobody has to read it on the way."""
-    kind = next((kind for kind in SNAPSHOT_KINDS if kind in request.fields), None)
+    kind = next((kind for kind in KINDS if kind in request.fields), None)
     if kind is None:
-        raise RequestError(BAD_REQUEST, f"thumbnails: give {' or '.join(SNAPSHOT_KINDS)}")
+        raise RequestError(BAD_REQUEST, f"thumbnails: give {' or '.join(KINDS)}")
     path = snapshot_path(request.path("run"), kind, request.number(kind, low=0, high=10**8 - 1))
     indices = request.fields.get("indices")
     if not isinstance(indices, list) or len(indices) > MAX_THUMBNAILS or any(type(i) is not int for i in indices):

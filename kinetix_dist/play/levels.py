@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jax2d.fields import fields_of, from_dict
+from jax2d.fields import tree_like
+from kinetix_dist.checkpoint import ArrayMismatchError, unflatten_arrays
 from kinetix_dist.errors import one_line
 from kinetix_dist.evaluation.recordings import read_rollouts
 from kinetix_dist.level.document import level_to_json
@@ -23,11 +22,8 @@ from kinetix_dist.level.kinetix_format import import_kinetix, is_kinetix_documen
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.schema import LevelInfo, document_info, level_from_json
 from kinetix_dist.play.wire import BAD_REQUEST, NOT_FOUND, RequestError
+from kinetix_dist.telemetry.curriculum_log import DIRECTORY, KINDS, SnapshotError, read_snapshot, snapshot_name
 from kinetix_dist.telemetry.recording import Recording, RecordingError, Rollout
-
-SNAPSHOT_KINDS = ("refresh", "buffer")  # of files in curriculum/, see docs/run_data.md
-_DAMAGED = (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error)  # of np.load
-_LEVELS = "levels/"  # before the names of the arrays of levels in a snapshot
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -48,7 +44,7 @@ def level_of(given: Any) -> GivenLevel:
         return level_of_document(given["document"])
     if "recording" in given:
         return _of_recording(Path(_text(given, "recording")), _number(given, "index"), _number(given, "step", 0))
-    for kind in SNAPSHOT_KINDS:
+    for kind in KINDS:
         if kind in given:
             path = snapshot_path(Path(_text(given, "run")), kind, _number(given, kind))
             return _of_snapshot(path, _number(given, "index"))
@@ -73,7 +69,7 @@ def document_of(given: GivenLevel) -> dict[str, Any]:
 
 
 def snapshot_path(run: Path, kind: str, number: int) -> Path:
-    return run / "curriculum" / f"{kind}_{number:08d}.npz"
+    return run / DIRECTORY / snapshot_name(kind, number)
 
 
 def snapshot_levels(path: Path) -> Level:
@@ -81,22 +77,23 @@ def snapshot_levels(path: Path) -> Level:
     try:
         about = os.stat(path)
         return _read_snapshot(path, about.st_mtime_ns, about.st_size)
-    except FileNotFoundError as error:
-        raise RequestError(NOT_FOUND, f"there is no snapshot {path} (any more)") from error
-    except _DAMAGED as error:
-        raise RequestError(NOT_FOUND, f"the snapshot {path} cannot be read ({one_line(error)})") from error
+    except OSError as error:
+        raise RequestError(NOT_FOUND, f"the snapshot {path} cannot be read ({error.strerror})") from error
+    except (SnapshotError, ArrayMismatchError) as error:
+        raise RequestError(BAD_REQUEST, one_line(error)) from error
 
 
 @functools.lru_cache(maxsize=4)
 def _read_snapshot(path: Path, modified_ns: int, size: int) -> Level:
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {field.name: _LEVELS + "/".join(field.path) for field in fields_of(Level)}
-        if not any(name.startswith(_LEVELS) for name in archive.files):
-            raise RequestError(NOT_FOUND, f"{path} holds no levels: old snapshots keep their counts only")
-        missing = [name for name in arrays.values() if name not in archive.files]
-        if missing:
-            raise RequestError(BAD_REQUEST, f"{path} has no array {missing[0]}: it is of another version")
-        return from_dict(Level, {name: archive[stored] for name, stored in arrays.items()})
+    """The numbers name a version of the file."""
+    snapshot = read_snapshot(path)
+    if snapshot.levels is None:
+        raise RequestError(NOT_FOUND, f"{path} holds no levels: old snapshots keep their counts only")
+    size_name = str(snapshot.arrays.get("size"))
+    if size_name not in SIZES or "angle" not in snapshot.levels:
+        raise RequestError(BAD_REQUEST, f"{path} has levels of size {size_name!r}; sizes are {', '.join(SIZES)}")
+    template = tree_like(Level, SIZES[size_name].sizes, np.float32, (len(snapshot.levels["angle"]),))
+    return unflatten_arrays(template, snapshot.levels)
 
 
 def _of_snapshot(path: Path, index: int) -> GivenLevel:

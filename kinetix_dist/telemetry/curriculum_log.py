@@ -91,7 +91,8 @@ def read_snapshot(path: Path, *, with_levels: bool = True) -> Snapshot:
             names = [name for name in file.files if with_levels or not name.startswith(LEVELS)]
             content = {name: file[name] for name in names}
             has_levels = any(name.startswith(LEVELS) for name in file.files)
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    # RuntimeError: a flipped bit that calls an entry encrypted, or compressed in a way that there is not.
+    except (ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         raise SnapshotError(f"{path} is damaged: {' '.join(str(error).split())}") from None
     if "format" not in content or int(content["format"]) != FORMAT:
         found = content.get("format", "none")

@@ -15,8 +15,8 @@ import jax
 import numpy as np
 import pytest
 
-from jax2d.fields import fields_of
 from jax2d.scene import stack_worlds
+from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
@@ -29,6 +29,8 @@ from kinetix_dist.level.schema import load_level
 from kinetix_dist.play import frames, programs, wire
 from kinetix_dist.play.session import Session
 from kinetix_dist.play.wire import RequestError
+from kinetix_dist.telemetry.curriculum_log import DIRECTORY, LEVELS, REFRESH
+from kinetix_dist.telemetry.curriculum_log import write_snapshot as write_snapshot_file
 from kinetix_dist.telemetry.sinks.mcap import McapSink
 from tests.play.client import Client
 
@@ -187,9 +189,9 @@ def test_a_slow_client_loses_frames_but_neither_order_nor_replies(tmp_path: Path
 
 
 def write_snapshot(run: Path, levels: Level, *, thinned: bool = False) -> None:
-    (run / "curriculum").mkdir(parents=True)
-    arrays = {} if thinned else {"levels/" + "/".join(f.path): f.get(levels) for f in fields_of(Level)}
-    np.savez_compressed(run / "curriculum" / "refresh_00000128.npz", format=1, **arrays)
+    run.mkdir(exist_ok=True)
+    arrays = {} if thinned else {LEVELS + name: array for name, array in flatten_arrays(levels).items()}
+    write_snapshot_file(run / DIRECTORY, REFRESH, 128, {"size": np.str_("s"), **arrays})
 
 
 def test_a_level_of_a_snapshot_is_played_from_its_own_arrays(worker: Client, tmp_path: Path) -> None:
@@ -227,6 +229,15 @@ def test_snapshots_that_cannot_be_read_are_one_line(worker: Client, tmp_path: Pa
     for damaged in (b"", b"garbage", data[: len(data) // 2], data[:300] + bytes(50) + data[350:]):
         file.write_bytes(damaged)
         assert ask(tmp_path / "whole").code in (wire.NOT_FOUND, wire.BAD_REQUEST)
+    draws = np.random.default_rng(0)
+    for _ in range(40):
+        flipped = bytearray(data)
+        flipped[int(draws.integers(len(data)))] ^= 1 << int(draws.integers(8))
+        file.write_bytes(flipped)
+        try:
+            worker.ask("display", level={"run": str(tmp_path / "whole"), "refresh": 128, "index": 0})
+        except RequestError as error:
+            assert error.code in (wire.NOT_FOUND, wire.BAD_REQUEST), error
     file.write_bytes(data)
     assert worker.ask("display", level={"run": str(tmp_path / "whole"), "refresh": 128, "index": 0})["size"] == "s"
 
