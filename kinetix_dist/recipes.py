@@ -108,7 +108,7 @@ def _paper(curriculum: str, size: str) -> TrainConfig:
         # These learn from half of the worlds: as many samples in a minibatch.
         ppo=PpoConfig(minibatches=16) if curriculum in ("robust_plr", "accel", "paired") else PpoConfig(),
         curriculum=_CURRICULA[curriculum],
-        # By a process beside training: 0.13 s of a GPU each, every few minutes (docs/training.md).
+        # By a process beside training, every few minutes: docs/training.md says what is known of the cost.
         evaluation=EvaluationConfig(sets=(f"random_{size}", f"designed_{size}"), every=100),
         recording=RecordingConfig(every=500),
         run=RunConfig(name=f"{curriculum}_{size}", total_env_steps=1_000_000_000, device="gpu", checkpoint_every=100),

@@ -23,6 +23,7 @@ from bench import (
     plot_runs,
     public_package,
     published_steps,
+    run_data_sizes,
     soak,
 )
 from jax2d.fidelity import hard_table, references
@@ -42,6 +43,7 @@ PROGRAMS = [
     public_package.main,
     published_steps.main,
     references.main,
+    run_data_sizes.main,
     soak.main,
 ]
 
@@ -108,6 +110,8 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (public_package.main, ["--levels", "none", "--ways", "nosuch"], "--ways has 'nosuch': unknown preset 'nosuch'"),
         (public_package.main, ["--levels", "none", "--ways", "paper+mass"], "--ways has 'paper+mass'"),
         (public_package.main, ["--levels", "none", "--ways", "paper,decay=1"], "--ways has 'paper,decay=1'"),
+        (run_data_sizes.main, ["--recipes", "nosuch"], "--recipes has 'nosuch'"),
+        (run_data_sizes.main, ["--recipes", "plr_s"], "whose curriculum is sfl"),
         (soak.main, ["--worlds", "0"], "--worlds is 0"),
         (soak.main, ["--replay", "xl", "0", "0"], "--replay is xl 0 0"),
         (soak.main, ["--replay", "s", "first", "0"], "--replay is s first 0"),

@@ -18,7 +18,6 @@ from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.physics_watch import WARNINGS
-from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.names import METRICS
@@ -90,7 +89,7 @@ class _PoisonedCurator(CuratorClient):
         assert refresh is not None
         if self.num_taken:
             parts = [LocalTicket(_with_nan(part.fetch())) for part in refresh.parts]
-            refresh = Refresh(parts=parts, seconds=refresh.seconds)
+            refresh = dataclasses.replace(refresh, parts=parts)
         self.num_taken += 1
         return refresh
 

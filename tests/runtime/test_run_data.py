@@ -14,6 +14,7 @@ from kinetix_dist.curator.scores import learnability
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.training_run import train
@@ -356,6 +357,16 @@ def test_status_and_event_have_the_line_that_a_failed_run_ends_with(tmp_path):
     status = read_status(run.status)
     assert status.state == FAILED and status.error == str(caught.value)
     assert [row["error"] for row in events(run.path, "run_failed")] == [status.error]
+
+
+def test_a_curriculum_that_leaves_episodes_out_of_the_counts_is_refused(tmp_path):
+    run = RunDirectory.create(tmp_path / "run", numbered=False)
+    data = RunData(_config(), run, QuietReporter())
+    data.start({}, {}, num_updates=0)
+    episodes = {"finished": np.array([3, 1]), "solved": np.array([0, 0])}
+    with pytest.raises(ValueError, match="'sfl': of 5 episodes 4 have a source"):
+        data.played(1, episodes, num_finished=5.0, buffer=0)
+    run.close()
 
 
 @pytest.mark.slow  # starts three processes

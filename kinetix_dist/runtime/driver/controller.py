@@ -223,7 +223,8 @@ class Controller:
             metrics, seconds, episodes = self.trainer.run_update(self.num_updates)
         self._update_seconds = time.monotonic() - began
         self.clock.add(seconds)
-        self._data.played(self.num_updates + 1, episodes, self._refreshes.buffer_of(self.num_updates))
+        buffer = self._refreshes.buffer_of(self.num_updates)
+        self._data.played(self.num_updates + 1, episodes, num_finished=metrics["train/episodes"], buffer=buffer)
         self.num_updates += 1
         self._losses.update = self.num_updates
         self._note_recovery()

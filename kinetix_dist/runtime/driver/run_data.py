@@ -7,6 +7,7 @@ No call waits for a disk. What a disk does not take is dropped and counted (`tel
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -69,7 +70,7 @@ class RunData:
         self._close_sinks()
         self._resume_at = num_updates
         for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
-            if path.exists():
+            if os.path.exists(path):  # what cannot be looked at fails, and is told, with the first row
                 self._sink(path, opens_at_once=True)
         if self._window is not None:
             self._window.start(description, arrays, num_updates=num_updates)
@@ -104,10 +105,19 @@ class RunData:
         state = select_arrays(arrays, CURRICULUM)
         self._write_snapshot(BUFFER, num_updates, lambda: self._curriculum.buffer_log(state))
 
-    def played(self, num_updates: int, episodes: Mapping[str, np.ndarray], buffer: int | None) -> None:
-        """Episodes of the update that led to `num_updates`, see `Trainer.run_update`; buffer: see `OutcomeWindow`."""
-        if self._window is not None and episodes:
-            self._write_outcomes(self._window.add(num_updates, episodes, buffer))
+    def played(
+        self, num_updates: int, episodes: Mapping[str, np.ndarray], *, num_finished: float, buffer: int | None
+    ) -> None:
+        """Episodes of the update that led to `num_updates`, see `Trainer.run_update`; num_finished: in all; buffer: see
+        `OutcomeWindow`. Raises ValueError where the curriculum left some out."""
+        if self._window is None or not episodes:
+            return
+        if (counted := int(episodes["finished"].sum())) != num_finished:
+            raise ValueError(
+                f"curriculum {self._config.curriculum.name!r}: of {num_finished:.0f} episodes {counted} have a source; "
+                "Proposal.source must be 0 or more, and less than the number of its sources and places"
+            )
+        self._write_outcomes(self._window.add(num_updates, episodes, buffer))
 
     def trained(self, num_updates: int) -> None:
         """After the last update."""
