@@ -85,7 +85,10 @@ class WorkerClient:
         if not self._is_allowed:
             raise WorkerError(OFF, "levels are not drawn or played here: the server was started with --no-play")
         async with self._starting:
-            if self._worker is None or not self._worker.is_alive:
+            if self._worker is not None and not self._worker.is_alive:
+                await self._worker.close()
+                self._worker = None
+            if self._worker is None:
                 self._worker = await _Worker.start(self._command)
             return self._worker
 
@@ -119,8 +122,12 @@ class _Worker:
         try:
             await asyncio.wait_for(asyncio.shield(worker._greeting), START_SECONDS)
         except TimeoutError:
-            worker._kill(WorkerError(HUNG, f"the engine worker was not ready within {START_SECONDS:g} s"))
-            raise worker._end or WorkerError(HUNG, "the engine worker was not ready") from None
+            worker._kill(WorkerError(HUNG, f"the engine worker was not ready within {START_SECONDS:g} s; ask again"))
+            await worker.close()
+            raise WorkerError(HUNG, str(worker._end)) from None
+        except WorkerError:
+            await worker.close()
+            raise
         return worker
 
     @property

@@ -106,9 +106,7 @@ def test_a_rollout_is_played_stepped_and_scrubbed(trained_server: Server, open_p
     assert page.locator(".player b").count() == 1, "the outcome stands at the end"
 
 
-def test_a_row_on_disk_is_on_the_page_and_a_resumed_run_goes_back(
-    tmp_path: Path, open_page: OpenPage, serve: Serve
-) -> None:
+def test_a_row_on_disk_is_shown_and_a_resumed_run_goes_back(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
     run = write_run(tmp_path / "a", 5)
     server = serve(tmp_path)
     page = open_page(server, "#/run/a/overview?x=updates")
@@ -155,6 +153,7 @@ def test_without_play_pages_say_so(tmp_path: Path, trained: Path, open_page: Ope
     page = open_page(server, "#/run/tiny/levels")
     page.get_by_text("the server was started with --no-play").wait_for()
     page.locator(".thumbnail").nth(7).wait_for()  # counts are there without pictures
+    page.wait_for_timeout(500)
     page.complaints.clear()  # the browser counts an answer of 503 as an error
 
 
