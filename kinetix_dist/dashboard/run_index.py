@@ -159,19 +159,29 @@ def status_of(path: Path) -> RunStatus:
 
 
 def _status_by_files(path: Path) -> RunStatus:
-    report, metrics = run_files.modified_at(path / run_files.REPORT), run_files.modified_at(path / run_files.METRICS)
+    metrics = run_files.modified_at(path / run_files.METRICS)
     last_event = last_row(path / run_files.EVENTS) or {}
     if last_event.get("event") in ("run_failed", "stopped"):
         state = FAILED if last_event["event"] == "run_failed" else STOPPED
         return RunStatus(state=state, text=_text_of(last_event), source=run_files.EVENTS)
-    if report is not None and (metrics is None or report >= metrics):
-        return RunStatus(state=FINISHED, text="report.json is there", source=run_files.REPORT)
+    if _is_reported(path):
+        return RunStatus(state=FINISHED, text="report.json is of the last update", source=run_files.REPORT)
     changed = max(filter(None, (metrics, run_files.modified_at(path / run_files.EVENTS))), default=None)
     if changed is None:
         return RunStatus(state="not started", text="no metrics and no events so far", source="files")
     age = time.time() - changed
     state = RUNNING if age < SILENT_AFTER_S else SILENT
     return RunStatus(state=state, text=f"metrics or events written {_age(age)} ago", source="files")
+
+
+def _is_reported(path: Path) -> bool:
+    """Whether report.json is there, and no later row: a run that was resumed after its report goes on."""
+    try:
+        report = read_object(path / run_files.REPORT)
+    except RunFileError:
+        return False
+    last = last_row(path / run_files.METRICS) or {}
+    return report is not None and report.get("policy_updates") == last.get("update")
 
 
 def last_row(path: Path) -> dict[str, Any] | None:

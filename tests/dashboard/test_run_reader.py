@@ -111,7 +111,9 @@ def test_the_last_row_is_read_from_the_end(run: Path) -> None:
 
 def test_how_a_run_is_follows_from_its_files(run: Path) -> None:
     assert status_of(run).state == "running", "its metrics were written a moment ago"
-    (run / "report.json").write_text("{}")
+    (run / "report.json").write_text('{"policy_updates": 20}')
     assert status_of(run).state == "finished"
+    write_rows(run, 21, 21)
+    assert status_of(run).state == "running", "it was resumed after its report"
     append_line(run / "events.jsonl", {"time": "2026-01-31T13:00:00Z", "event": "run_failed", "reason": "why"})
     assert (status_of(run).state, status_of(run).text) == ("failed", "reason why")

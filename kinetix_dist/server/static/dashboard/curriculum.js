@@ -171,8 +171,8 @@ function Learned({ run, entry }) {
   return html`<${Panel} title="What was learned from this buffer" rows=${rows} name=${`${run} learned ${entry.number}`}
     help="the same levels, played again by the policy of the next refresh"
     missing=${probe ? null : "Nothing was played again: the next refresh is not there yet, or curriculum_log.probe_levels is 0."}>
-    ${probe ? html`<p>${probe.levels} levels: ${rateWithCount(probe.before.solved, probe.before.finished)} when they were chosen,
-      ${rateWithCount(probe.after.solved, probe.after.finished)} by version ${probe.policy_version}
+    ${probe ? html`<p>${probe.levels} levels: ${rateWithCount(probe.before.solved, probe.before.finished)} when they were chosen, ${" "}
+      ${rateWithCount(probe.after.solved, probe.after.finished)} by version ${probe.policy_version}${" "}
       (95 % interval ${percent(probe.after.low)} to ${percent(probe.after.high)}); learnability now ${short(probe.after_learnability)}.
       Chosen for p near 1/2, levels go back to their true p by themselves: compare with "in training".</p>
       <${HeatMap} rows=${MOVES.map((name) => `${name} before`)} columns=${MOVES.map((name) => `${name}`)} values=${values} texts=${texts} labelWidth=${140} cellWidth=${90} cellHeight=${24} describe="levels by solve rate before and after" />` : null}
