@@ -18,6 +18,7 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.update import PpoConfig
 from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 
 def quickstart() -> TrainConfig:
@@ -42,6 +43,8 @@ def quickstart() -> TrainConfig:
         rollout=RolloutConfig(num_envs=256, num_steps=64, num_groups=8),
         evaluation=EvaluationConfig(sets=("random_s", "designed_s"), attempts=4, min_attempts=400),
         recording=RecordingConfig(num_rollouts=8),
+        # Training waits for the curator here, and the program that plays them takes several seconds to compile.
+        curriculum_log=CurriculumLogConfig(probe_levels=0),
         run=RunConfig(
             name="quickstart", total_env_steps=1_700_000, placement="local", device="cpu", checkpoint_every=20
         ),
@@ -85,6 +88,7 @@ def tiny() -> TrainConfig:
         rollout=RolloutConfig(num_envs=16, num_steps=8, num_groups=4),
         evaluation=EvaluationConfig(sets=("random_s",)),
         recording=RecordingConfig(num_rollouts=0),
+        curriculum_log=CurriculumLogConfig(probe_levels=4),
         run=RunConfig(name="tiny", total_env_steps=8 * 16 * 8, placement="local", device="cpu", checkpoint_every=2),
     )
 

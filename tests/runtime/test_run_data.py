@@ -380,5 +380,7 @@ def test_in_processes_of_their_own_the_same_is_written(logged, tmp_path):
         backend.stop()
     _assert_same_data(tmp_path / "ray", logged[0])
     assert_same_bits(final_arrays(tmp_path / "ray"), final_arrays(logged[0]))
-    (line,) = read_lines(tmp_path / "ray" / "processes.jsonl").rows
-    assert "driver" in [process["name"] for process in line["processes"]]
+    processes = {one["name"]: one for one in read_lines(tmp_path / "ray" / "processes.jsonl").rows[-1]["processes"]}
+    assert processes.keys() == {"driver", "worker 0", "curator 0"}
+    assert len({one["pid"] for one in processes.values()}) == 3
+    assert processes["worker 0"]["device"] == "cpu" and "device" not in processes["driver"]

@@ -267,7 +267,7 @@ class Controller:
         if self._saver.seconds is not None:
             metrics["runtime/save_seconds"] = self._saver.seconds
         left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
-        self._data.processes(self.num_updates, self.backend.processes)
+        self._data.processes(self.num_updates, self.backend.processes())
         self.reporter.metrics(self.num_updates, metrics, left)
         physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):

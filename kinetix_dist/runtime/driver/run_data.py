@@ -62,7 +62,8 @@ class RunData:
         self._sinks: dict[Path, BackgroundSink[Any]] = {}
         self._num_dropped = 0  # by sinks that are closed
         self._resume_at = 0  # updates done when this session, or the part of it since the last loss, began
-        self._processes_at = float("-inf")  # s of time.monotonic(), of the last line
+        self._processes_at = 0.0  # s of time.monotonic(), of the last line
+        self._pids: set[tuple[str, int]] = set()  # in the last line
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
         """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
@@ -137,13 +138,14 @@ class RunData:
 
         self._sink(self._run.evaluation_rows).write(reported_at, row)
 
-    def processes(self, num_updates: int, processes: Callable[[], Sequence[Mapping[str, Any]]]) -> None:
-        """Writes what `processes` are at, if the last line is old enough."""
+    def processes(self, num_updates: int, processes: Sequence[Mapping[str, Any]]) -> None:
+        """Writes what they are at, if the last line is old enough, or some came or went since."""
         now = time.monotonic()
-        if now - self._processes_at < PROCESSES_EVERY_S:
+        pids = {(process["host"], process["pid"]) for process in processes}
+        if pids == self._pids and now - self._processes_at < PROCESSES_EVERY_S:
             return
-        self._processes_at = now
-        row = {"format": FORMAT, "time": utc_text(), "update": num_updates, "processes": list(processes())}
+        self._processes_at, self._pids = now, pids
+        row = {"format": FORMAT, "time": utc_text(), "update": num_updates, "processes": list(processes)}
         self._sink(self._run.processes).write(num_updates, row)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
