@@ -26,6 +26,7 @@ from kinetix_dist.server.channel import Channel
 from kinetix_dist.server.compare_pages import ComparePages
 from kinetix_dist.server.curriculum_pages import CurriculumPages
 from kinetix_dist.server.level_pages import LevelPages, worker_error_response
+from kinetix_dist.server.rerun_viewer import RerunViewer
 from kinetix_dist.server.run_pages import RunPages
 from kinetix_dist.server.run_service import RunService, UnknownRunError
 from kinetix_dist.server.static_files import StaticFiles
@@ -70,16 +71,18 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 
     app = web.Application(middlewares=[access.middleware, _errors_are_lines], client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
+    rerun = RerunViewer(service)
     for pages in (
         RunPages(service),
         ComparePages(service),
         CurriculumPages(service),
         LevelPages(service, worker),
+        rerun,
         StaticFiles(),
     ):
         app.add_routes(pages.routes())
     app.add_routes([web.get("/channel", open_channel)])
-    app.cleanup_ctx.append(_following(service))
+    app.cleanup_ctx.extend((_following(service), rerun.lifetime))
     app.on_shutdown.append(close_channels)
     app.on_cleanup.append(end_worker)
     return app

@@ -13,6 +13,7 @@ from aiohttp import web
 from kinetix_dist.errors import UserError
 from kinetix_dist.server.access import Access
 from kinetix_dist.server.app import ServerConfig, make_app
+from kinetix_dist.server.rerun_viewer import OPEN_PATH
 
 MAX_PORTS = 50  # that are tried, from the one asked for on
 SHUTDOWN_SECONDS = 2.0  # for pages that do not close their connection
@@ -26,7 +27,7 @@ def serve(config: ServerConfig, listening: Callable[[str, int], None]) -> None:
     sockets = _listen(config.host, config.port)
     port = sockets.getsockname()[1]
     with sockets:
-        access = Access(port=port, host=config.host, allowed_hosts=config.allowed_hosts)
+        access = Access(port=port, host=config.host, allowed_hosts=config.allowed_hosts, open_paths=[OPEN_PATH])
         app = make_app(config, access)
         asyncio.run(_serve(app, sockets, lambda: listening(access.token, port)))
 

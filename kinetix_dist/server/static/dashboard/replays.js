@@ -2,7 +2,7 @@
 import { setQuery, useAddress } from "../base/address.js";
 import { ApiError, get, useRequest } from "../base/api.js";
 import { date, short } from "../base/format.js";
-import { html } from "../base/html.js";
+import { html, useState } from "../base/html.js";
 import { getPalette } from "../world/picture.js";
 import { decodeRollout, Player } from "../world/player.js";
 import { Notes } from "./parts.js";
@@ -28,7 +28,7 @@ export function ReplaysPage({ run }) {
       ${rollout.data && palette.data ? html`<section class="panel" data-panel="player"><header><h3>${rollout.data.name}</h3>
           <span class="help">${rollout.data.policy_version < 0 ? "random actions" : `policy version ${rollout.data.policy_version}`}, seed ${rollout.data.seed}; states as they were recorded</span></header>
         <${Player} key=${chosen} rollout=${rollout.data} palette=${palette.data} />
-        ${entry ? html`<p class="soft">In rerun: <code>kinetix-dist replay ${entry.path} --index ${index} --view</code></p>` : null}</section>` : null}
+        ${entry ? html`<p class="soft">On a terminal: <code>kinetix-dist replay ${entry.path} --index ${index} --view</code></p>` : null}</section>` : null}
       <div class="scroll">${(data?.files ?? []).map((/** @type {any} */ one) => html`<table key=${one.file}><thead><tr><th colspan="5">${one.file}, ${date(one.modified)}, ${short(one.bytes)}B</th></tr></thead><tbody>
         ${one.rollouts.map((/** @type {any} */ r) => {
           const name = `${encodeURIComponent(one.file)}/${r.index}`;
@@ -37,7 +37,28 @@ export function ReplaysPage({ run }) {
             <td>${r.policy_version < 0 ? "random" : `version ${r.policy_version}`}</td></tr>`;
         })}</tbody></table>`)}</div>
     </div>
+    ${rollout.data ? html`<${Rerun} key=${`rerun ${chosen}`} address=${`${base}/${chosen}`} />` : null}
   </main>`;
+}
+
+/** rerun's own viewer in the page, once it is asked for; and the file that it shows. @param {{ address: string }} props */
+function Rerun({ address }) {
+  const [state, setState] = useState(/** @type {{ viewer?: string, rrd?: string, error?: string, isMaking?: boolean }} */ ({}));
+  const open = async () => {
+    setState({ isMaking: true });
+    try {
+      setState(await get(`${address}/rrd`));
+    } catch (error) {
+      setState({ error: String(/** @type {Error} */ (error).message) });
+    }
+  };
+  if (state.viewer && state.rrd) {
+    const query = new URLSearchParams({ url: new URL(state.rrd, location.href).href.split("#")[0], renderer: "webgl" });
+    return html`<section class="panel wide" data-panel="rerun"><header><h3>rerun</h3><span class="buttons"><a class="button" href=${state.rrd} download>download .rrd</a></span></header>
+      <iframe class="rerun" title="rerun" src=${`${state.viewer}?${query}`}></iframe></section>`;
+  }
+  return html`<div class="row"><button onClick=${open} disabled=${state.isMaking}>${state.isMaking ? "making the .rrd ..." : "show in rerun"}</button>
+    ${state.error ? html`<span class="bad">${state.error}</span>` : null}</div>`;
 }
 
 /** The newest rollout. @param {any} data @returns {string | null} */
