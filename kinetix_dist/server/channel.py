@@ -5,7 +5,7 @@ Version 1. Text messages, JSON objects with a `type`.
 | from the page | |
 |---|---|
 | `hello {version}` | first; answered by `hello {version, play}` |
-| `watch {run, since, revision}` | `since`: rows that the page has, `revision` of these, both from `series` |
+| `watch {run, since, revision}` | `since`: rows that the page has, `revision` of these, both from `series`; null: it has none and wants new ones alone |
 | `unwatch {run}` | |
 | `play.open`, `play.input`, ... | see play_channel.py |
 
@@ -126,16 +126,19 @@ class Channel:
                 self.say("error", text=f"the page speaks version {message['version']}, the server {VERSION}: reload it")
             self.say("hello", version=VERSION, play=self._has_play)
         elif kind == "watch":
-            await self._watch(message["run"], int(message.get("since", 0)), message.get("revision"))
+            since = message.get("since")
+            await self._watch(message["run"], None if since is None else int(since), message.get("revision"))
         elif kind == "unwatch":
             self._service.unwatch(self, message["run"])
         elif not await self._play.hear(kind, message):
             raise ValueError(f"unknown type {kind!r}")
 
-    async def _watch(self, run_id: str, since: int, revision: int | None) -> None:
+    async def _watch(self, run_id: str, since: int | None, revision: int | None) -> None:
         self._service.path_of(run_id)
         self._service.watch(run_id, self)
         reader = await self._service.reader(run_id)
+        if since is None:
+            return
         if revision != reader.revision and since:
             self.say("rewound", run=run_id, revision=reader.revision, to_update=0)
             since = 0

@@ -10,7 +10,7 @@ const LONGEST_WAIT_MS = 8000;
 
 class Channel {
   constructor() {
-    /** @type {Map<Listener, { run: string, place: () => { since: number, revision: number | null } }>} */
+    /** @type {Map<Listener, { run: string, place: () => { since: number | null, revision: number | null } }>} */
     this.watches = new Map();
     /** @type {Set<(state: string) => void>} */
     this.stateListeners = new Set();
@@ -49,7 +49,7 @@ class Channel {
   /**
    * Hears of a run until the returned function is called. `place`: what the page has of it already.
    * @param {string} run
-   * @param {() => { since: number, revision: number | null }} place
+   * @param {() => { since: number | null, revision: number | null }} place
    * @param {Listener} listener
    */
   watch(run, place, listener) {

@@ -64,6 +64,18 @@ export function csv(rows) {
  * @param {(number | null)[]} values @param {number} weight 0 (none) to below 1 */
 export function smooth(values, weight) {
   if (weight <= 0) return values;
+  const known = smoothed.get(values);
+  if (known?.weight === weight) return known.result; // the same array: what is drawn is not drawn again
+  const result = average(values, weight);
+  smoothed.set(values, { weight, result });
+  return result;
+}
+
+/** @type {WeakMap<(number | null)[], { weight: number, result: (number | null)[] }>} */
+const smoothed = new WeakMap();
+
+/** @param {(number | null)[]} values @param {number} weight @returns {(number | null)[]} */
+function average(values, weight) {
   let sum = 0;
   let total = 0;
   return values.map((value) => {

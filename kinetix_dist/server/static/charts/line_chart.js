@@ -54,14 +54,33 @@ export function LineChart(props) {
     };
   }, [shape]);
 
-  useEffect(() => {
-    latest.set(chart.current, props);
-    chart.current?.setData(dataOf(props));
-    const [from, to] = props.range ?? [null, null];
-    if (chart.current && (from !== null || to !== null) && props.x.length) {
-      chart.current.setScale("x", { min: from ?? props.x[0], max: to ?? props.x[props.x.length - 1] });
+  // Drawn again when it shows something else, and not before it is in sight: a page has dozens of charts.
+  const drawn = useRef(/** @type {unknown[]} */ ([]));
+  const isInSight = useRef(true);
+  const newest = useRef(props);
+  newest.current = props;
+  const draw = () => {
+    if (!chart.current) return;
+    const { x, lines, range = [null, null], events } = newest.current;
+    latest.set(chart.current, newest.current);
+    const shown = [chart.current, x, events, ...range, ...lines.flatMap((line) => [line.values, line.low, line.high])];
+    if (!isInSight.current || (shown.length === drawn.current.length && shown.every((value, k) => value === drawn.current[k]))) return;
+    drawn.current = shown;
+    chart.current.setData(dataOf(newest.current));
+    const [from, to] = range;
+    if ((from !== null || to !== null) && x.length) {
+      chart.current.setScale("x", { min: from ?? x[0], max: to ?? x[x.length - 1] });
     }
-  });
+  };
+  useEffect(draw);
+  useEffect(() => {
+    const observer = new IntersectionObserver((entries) => {
+      isInSight.current = entries[entries.length - 1].isIntersecting;
+      draw();
+    }, { rootMargin: "200px" });
+    observer.observe(/** @type {HTMLDivElement} */ (place.current));
+    return () => observer.disconnect();
+  }, []);
 
   return html`<div class="chart" ref=${place}></div>`;
 }

@@ -2,7 +2,7 @@
 import { addressOf } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { duration, percent, short, smooth } from "../base/format.js";
-import { html, useState } from "../base/html.js";
+import { html, useRef, useState } from "../base/html.js";
 import { LineChart } from "../charts/line_chart.js";
 import { Panel } from "../charts/panel.js";
 import { label, panelsOf } from "./metric_panels.js";
@@ -11,6 +11,7 @@ import { useSeries } from "./run_series.js";
 import { LogButton, useView, ViewBar, zoom } from "./view.js";
 
 const SHOWN_EVENTS = 200;
+const DESCRIBE_MS = 3000; // between looks at what is not sent row by row: state, warnings, evaluations
 
 /** @param {{ run: string }} props */
 export function OverviewPage({ run }) {
@@ -22,7 +23,15 @@ export function OverviewPage({ run }) {
   const { panels, others } = panelsOf(names);
   const wanted = ["progress/env_steps", ...panels.flatMap((panel) => panel.names), ...(hasOthers ? others : [])];
   const { curves, error, changes, bytesLeft, problems } = useSeries(run, names.length ? wanted : [], view);
-  if (changes > described && !about.isLoading) setTimeout(() => setDescribed(changes), 1000);
+  const newest = useRef(changes);
+  const timer = useRef(/** @type {ReturnType<typeof setTimeout> | null} */ (null));
+  newest.current = changes;
+  if (changes > described) {
+    timer.current ??= setTimeout(() => {
+      timer.current = null;
+      setDescribed(newest.current);
+    }, DESCRIBE_MS);
+  }
   const data = about.data;
   const notes = [about.error, error, ...(problems ?? data?.problems ?? [])].filter(Boolean);
   if (bytesLeft) notes.push(`reading metrics, ${short(bytesLeft)}B left`);

@@ -8,17 +8,12 @@ const QUIET_MS = 2000; // several rows in a row are one change
 export function useRunChanges(run) {
   const [changes, set] = useState(0);
   useEffect(() => {
-    let last = { since: 0, revision: /** @type {number | null} */ (null) };
-    let isFirst = true;
+    let last = { since: /** @type {number | null} */ (null), revision: /** @type {number | null} */ (null) };
     /** @type {ReturnType<typeof setTimeout> | null} */
     let timer = null;
     const stop = channel.watch(run, () => last, (message) => {
       if (message.type === "rows") last = { since: message.first + message.columns.update.length, revision: message.revision };
       if (!["rows", "rewound", "events"].includes(message.type)) return;
-      if (isFirst && message.type === "rows") {
-        isFirst = false;
-        return;
-      }
       timer ??= setTimeout(() => {
         timer = null;
         set((before) => before + 1);

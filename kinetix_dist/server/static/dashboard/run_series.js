@@ -54,7 +54,7 @@ export function useSeries(run, names, view) {
       if (names.length) timer ??= setTimeout(ask, REFETCH_MS);
     };
     if (names.length) ask();
-    const place = () => ({ since: curves.current?.rows ?? 0, revision: curves.current?.revision ?? null });
+    const place = () => ({ since: curves.current?.rows ?? null, revision: curves.current?.revision ?? null });
     const stop = channel.watch(run, place, (message) => {
       if (message.type === "reading") show({ bytesLeft: message.bytes_left });
       else if (message.type === "rewound") askSoon();
