@@ -5,7 +5,7 @@ Version 1. Text messages, JSON objects with a `type`.
 | from the page | |
 |---|---|
 | `hello {version}` | first; answered by `hello {version, play}` |
-| `watch {run, since, revision}` | `since`: rows that the page has, `revision` of these, both from `series`; null: it has none and wants new ones alone |
+| `watch {run, since, revision}` | `since`: rows that the page has, with `revision` (from `series`); null: none, it wants new ones |
 | `unwatch {run}` | |
 | `play.open`, `play.input`, ... | see play_channel.py |
 

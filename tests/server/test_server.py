@@ -146,6 +146,16 @@ def test_a_page_hears_of_new_rows_events_and_of_a_run_that_goes_back(tmp_path: P
         assert [m["type"] for m in heard[1:]] == ["rewound", "rows"] and heard[-1]["first"] == 0
 
 
+def test_a_page_that_has_nothing_hears_of_new_rows_alone(tmp_path: Path) -> None:
+    """Rows of before come as curves; a run of 200,000 must not be sent row by row."""
+    run = write_run(tmp_path / "a", 5)
+    with serving(run) as server:
+        server.json("/api/runs/a")  # the run is read
+        write_rows(run, 6, 6)
+        heard = asyncio.run(hear(server, {"run": "a", "since": None}, None, lambda m: m["type"] == "rows"))
+        assert heard[-1]["first"] == 5 and heard[-1]["columns"]["update"] == [6.0]
+
+
 @pytest.mark.parametrize(
     "message", ["no json", "[]", "{}", '{"type": "watch"}', '{"type": "fly"}', '{"type": "watch", "run": "none"}']
 )
