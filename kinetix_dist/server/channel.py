@@ -5,7 +5,7 @@ Version 1. Text messages, JSON objects with a `type`.
 | from the page | |
 |---|---|
 | `hello {version}` | first; answered by `hello {version, play}` |
-| `watch {run, since, revision}` | `since`: rows it has, with `revision` (both from `series`); null: none, new ones alone |
+| `watch {run, since, revision}` | `since`: rows it has, of `revision` (see `series`); null: none, new ones alone |
 | `unwatch {run}` | |
 | `play.open`, `play.input`, ... | see play_channel.py |
 
