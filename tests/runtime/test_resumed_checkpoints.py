@@ -43,6 +43,8 @@ def test_where_all_checkpoints_are_bad_the_run_is_refused_and_nothing_is_overwri
     assert "put back a good copy of one, or start a new run with another --run" in lines[-1]
     after = {file: file.read_bytes() for file in copy.rglob("*") if file.is_file() and file.name != "lock"}
     assert after.pop(events).startswith(before.pop(events))  # what happened is added
+    status = copy / "status.json"
+    assert json.loads(before.pop(status))["state"] == "finished" and json.loads(after.pop(status))["state"] == "failed"
     assert after == before
     assert [row["checkpoint"] for row in _events(copy, "checkpoint_rejected")] == ["00000004", "00000002"]
 
