@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-slow test-gpu drills check format lock bench-engine bench-engine-peers bundle clean
+.PHONY: help install train test test-slow test-gpu drills check check-web browser vendor format lock bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.11, 3.12, 3.13, python3 found.
@@ -22,6 +22,9 @@ help:
 	@echo "make train         install, then the main job: a small pretraining run on CPU, minutes"
 	@echo "make test          install, then lint, types and tests        (test-slow, test-gpu: the rest)"
 	@echo "make drills        install, then the slow tests of runs: losses at random times, stops, kills; all on the CPU"
+	@echo "make check-web     the pages' scripts through the type checker of TypeScript  (from the npm registry)"
+	@echo "make browser       a headless Chromium for tests of the pages                (from the npm registry)"
+	@echo "make vendor        renew the libraries that the pages use"
 	@echo "make check         install, then ruff and the type checker only"
 	@echo "make install       .venv with the pinned packages and this one (editable)"
 	@echo "make bench-engine  physics steps per second on this machine   (bench-engine-peers: next to the published engine)"
@@ -41,6 +44,27 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyrefly check --python-interpreter-path $(BIN)/python --summary=none
+
+# The web pages: their type checker and the browser that tests them come from the npm registry, into .cache.
+WEB := .cache/web
+WEB_STAMP := $(WEB)/.installed
+BROWSER := .cache/browser
+STATIC := kinetix_dist/server/static
+
+$(WEB_STAMP): .ci/web/package.json .ci/web/package-lock.json .ci/web/install | $(STAMP)
+	@bash .ci/web/install "$(VENV)" "$(WEB)"
+
+check-web: $(WEB_STAMP)
+	PATH="$(abspath $(WEB)):$$PATH" $(WEB)/node_modules/.bin/tsc -p $(STATIC)/jsconfig.json
+
+browser: $(BROWSER)/chromium
+
+$(BROWSER)/chromium: $(WEB_STAMP) .ci/web/unpack_chromium.mjs
+	$(WEB)/node .ci/web/unpack_chromium.mjs "$(WEB)/node_modules" "$(BROWSER)"
+	@touch "$(BROWSER)/chromium"
+
+vendor: $(WEB_STAMP)
+	$(BIN)/python .ci/web/vendor.py "$(WEB)/node_modules"
 
 format: $(STAMP)
 	$(BIN)/ruff check --fix-only .

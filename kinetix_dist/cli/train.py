@@ -134,6 +134,7 @@ def _run(args: Args, stop: StopSignals) -> None:
             f"  physics {describe(config.env.physics)}",
             flush=True,
         )
+        print(f"watch it   kinetix-dist dashboard {directory.path}", flush=True)
         with user_errors(CheckpointError, DeviceMemoryError, PlacementError, PortTakenError, FileNotFoundError):
             report = train(config, directory, resume=args.resume, stop=stop)
         _print_report(report, directory.path)

@@ -34,7 +34,7 @@ def read_lines(path: Path, is_row: Callable[[Row], bool] = lambda row: True) -> 
     content = path.read_bytes() if path.exists() else b""
     rows, damaged = [], []
     for line in filter(None, content.split(b"\n")):
-        row = _parse(line)
+        row = parse_line(line)
         if row is not None and is_row(row):
             rows.append(row)
         else:
@@ -119,7 +119,8 @@ def replace_file(path: Path, content: bytes) -> None:
         os.close(directory)
 
 
-def _parse(line: bytes) -> Row | None:
+def parse_line(line: bytes) -> Row | None:
+    """The JSON object of a line; None: it is damaged."""
     try:
         row = json.loads(line)
     except (ValueError, RecursionError):  # no JSON, no text, or brackets without end

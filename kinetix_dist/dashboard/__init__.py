@@ -1,0 +1,1 @@
+"""What dashboards show of runs: read from run directories alone, without jax, and never written to them."""

@@ -1,0 +1,103 @@
+"""Solve rates of a run: of each level at each evaluation, and of sets with intervals.
+
+evaluations.jsonl has every level's solved attempts. Runs before it have evaluations.json alone: rates of sets before
+and after training, without levels; `without_levels` then says so. Nothing is made up for what is missing.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.dashboard import run_files
+from kinetix_dist.dashboard.run_files import read_object
+from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.telemetry.json_lines import read_lines
+
+PHASES = ("random_policy", "before", "training", "after")  # of evaluations, in the order in which they happen
+
+
+def evaluations(path: Path) -> dict[str, Any]:
+    """{sets: {name: {names, points}}, without_levels, problems} of a run directory.
+
+    A point is {phase, update, env_steps, solved (of each level, or null), attempts (of each level, or null), rate,
+    low, high, episodes}: 95 % Wilson interval of the rate of the set.
+    Raises RunFileError where a file cannot be read at all.
+    """
+    problems: list[str] = []
+    file = path / run_files.EVALUATION_LINES
+    try:
+        lines = read_lines(file, _is_evaluation)
+    except OSError as error:
+        raise run_files.RunFileError(f"{file.name} cannot be read ({error.strerror})") from error
+    if lines.damaged:
+        problems.append(f"{len(lines.damaged)} lines of {file.name} are damaged and left out")
+    if not lines.rows:
+        return {"sets": _sets_without_levels(path), "without_levels": True, "problems": problems}
+    newest = {(row["phase"], row["update"]): row for row in lines.rows}  # what was repeated after a kill counts once
+    rows = sorted(newest.values(), key=lambda row: (PHASES.index(row["phase"]), row["update"]))
+    sets: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        for name, result in row["sets"].items():
+            entry = sets.setdefault(name, {"names": result["names"], "points": []})
+            if entry["names"] != result["names"]:
+                problems.append(f"set {name} had other levels at update {row['update']}; that evaluation is left out")
+                continue
+            entry["points"].append(_point(row, result))
+    return {"sets": sets, "without_levels": False, "problems": problems}
+
+
+def _point(row: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
+    solved, episodes = sum(result["solved"]), result["attempts"] * len(result["names"])
+    low, high = wilson_interval(solved, episodes)
+    return {
+        "phase": row["phase"],
+        "update": row["update"],
+        "env_steps": row["env_steps"],
+        "solved": result["solved"],
+        "attempts": result["attempts"],
+        "rate": solved / episodes if episodes else None,
+        "low": low,
+        "high": high,
+        "episodes": episodes,
+    }
+
+
+def _sets_without_levels(path: Path) -> dict[str, dict[str, Any]]:
+    stored = read_object(path / run_files.EVALUATIONS) or {}
+    report = read_object(path / run_files.REPORT) or {}
+    sets: dict[str, dict[str, Any]] = {}
+    for phase in PHASES:
+        for name, rate in (stored.get(phase) or {}).items():
+            is_last = phase == "after"
+            point = {
+                "phase": phase,
+                "update": report.get("policy_updates") if is_last else 0,
+                "env_steps": report.get("env_steps") if is_last else 0,
+                "solved": None,
+                "attempts": None,
+                "rate": rate["rate"],
+                "low": rate["low"],
+                "high": rate["high"],
+                "episodes": rate["attempts"],
+            }
+            sets.setdefault(name, {"names": None, "points": []})["points"].append(point)
+    return sets
+
+
+def _is_evaluation(row: dict[str, Any]) -> bool:
+    if (
+        row.get("phase") not in PHASES
+        or not isinstance(row.get("update"), int)
+        or not isinstance(row.get("sets"), dict)
+    ):
+        return False
+    return "env_steps" in row and all(
+        isinstance(entry, dict)
+        and isinstance(entry.get("names"), list)
+        and isinstance(entry.get("solved"), list)
+        and len(entry["names"]) == len(entry["solved"])
+        and isinstance(entry.get("attempts"), int)
+        and all(isinstance(count, int) and 0 <= count <= entry["attempts"] for count in entry["solved"])
+        for entry in row["sets"].values()
+    )

@@ -1,0 +1,317 @@
+"""What each refresh of a curriculum kept, what became of it in training, and what was learned: numbers with counts.
+
+    curriculum/refresh_*.npz, buffer_*.npz --Refreshes--> one summary a file (kept while the file is the same)
+    curriculum/outcomes.jsonl              --training_plays--> plays of each level while its buffer was in use
+
+Learnability of a level is p (1 - p), p its solve rate. The curator **claims** the plug-in value s (f - s) / f^2 of the
+few episodes by which it chose the level. Chosen by their largest values, these are too high. What training played is
+of other episodes: there s (f - s) / (f (f - 1)) has the mean p (1 - p) for levels played twice or more often.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.dashboard import run_files
+from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.telemetry.curriculum_log import (
+    BUFFER,
+    REFRESH,
+    Snapshot,
+    SnapshotError,
+    is_outcomes,
+    list_snapshots,
+    read_snapshot,
+)
+from kinetix_dist.telemetry.json_lines import read_lines
+
+BINS = 10  # of histograms of p, besides those of p = 0 and p = 1
+
+
+@dataclasses.dataclass
+class Plays:
+    """[n] each: episodes of the levels of a buffer while it was in use, over windows `from_update` to `update`."""
+
+    solved: np.ndarray
+    finished: np.ndarray
+    from_update: int
+    update: int
+
+
+def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
+    """By buffer (policy version): the windows of each added up. Windows of another length than before are left out."""
+    plays: dict[int, Plays] = {}
+    for row in outcomes:
+        if not isinstance(row.get("buffer"), int):
+            continue
+        solved, finished = (np.asarray(row[name], np.int64) for name in ("solved", "finished"))
+        found = plays.get(row["buffer"])
+        if found is None:
+            plays[row["buffer"]] = Plays(solved, finished, row["from_update"], row["update"])
+        elif found.solved.shape == solved.shape:
+            found.solved, found.finished = found.solved + solved, found.finished + finished
+            found.update = row["update"]
+    return plays
+
+
+def claimed_learnability(solved: np.ndarray, finished: np.ndarray) -> np.ndarray:
+    """[n] of counts [n]; 0 for a level that finished no episode, as the curator has it."""
+    p = solved / np.maximum(finished, 1)
+    return p * (1 - p)
+
+
+def unbiased_learnability(solved: np.ndarray, finished: np.ndarray) -> np.ndarray:
+    """[n] of counts [n]: its mean over episodes is p (1 - p). nan for a level with less than two."""
+    pairs = finished * (finished - 1)
+    return np.divide(solved * (finished - solved), pairs, out=np.full(len(solved), np.nan), where=pairs > 0)
+
+
+def counts_table(solved: np.ndarray, finished: np.ndarray) -> list[list[int]]:
+    """[[solved, finished, levels], ...] of the pairs that occur."""
+    pairs, levels = np.unique(np.stack([solved, finished], 1), axis=0, return_counts=True)
+    return np.concatenate([pairs, levels[:, None]], 1).astype(int).tolist()
+
+
+def histogram_of_p(solved: np.ndarray, finished: np.ndarray) -> list[int]:
+    """Levels with p = 0, those in BINS bins between, and those with p = 1. Levels without an episode do not count."""
+    is_played = finished > 0
+    s, f = solved[is_played], finished[is_played]
+    between = (s > 0) & (s < f)
+    bins = np.minimum((BINS * s[between]) // f[between], BINS - 1)
+    return [int((s == 0).sum()), *np.bincount(bins, minlength=BINS).astype(int).tolist(), int((s == f).sum())]
+
+
+def rate(solved: Any, finished: Any) -> dict[str, Any]:
+    """{solved, finished, rate, low, high}: a rate with its counts and its 95 % Wilson interval."""
+    solved, finished = int(solved), int(finished)
+    low, high = wilson_interval(solved, finished)
+    return {
+        "solved": solved,
+        "finished": finished,
+        "rate": solved / finished if finished else None,
+        "low": low,
+        "high": high,
+    }
+
+
+def rates_by_feature(
+    names: Iterable[str], features: np.ndarray, solved: np.ndarray, finished: np.ndarray
+) -> dict[str, list[dict[str, Any]]]:
+    """features [N, F], counts [N]. {feature: [{value, levels, solved, finished, rate, low, high}]} by its values.
+
+    Episodes of one level are not independent: intervals over levels of many episodes are narrower than they should be.
+    """
+    found = {}
+    for column, name in enumerate(names):
+        values = features[:, column]
+        found[str(name)] = [
+            {"value": int(value), "levels": int((values == value).sum())}
+            | rate(solved[values == value].sum(), finished[values == value].sum())
+            for value in np.unique(values)
+        ]
+    return found
+
+
+def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
+    """What one file says, without its levels. Fields that it lacks are left out."""
+    arrays = snapshot.arrays
+    described: dict[str, Any] = {
+        "kind": snapshot.kind,
+        "number": snapshot.number,
+        "curriculum": str(arrays["curriculum"]),
+        "size": str(arrays["size"]),
+        "written_after": int(arrays["written_after"]),
+        "num_levels": len(arrays["level_id"]),
+        "has_levels": snapshot.has_levels,
+        "mean_score": _mean(arrays["score"]),
+        "scores": _histogram(arrays["score"]),
+    }
+    if snapshot.kind == BUFFER:
+        return described
+    solved, finished = arrays["solved"].astype(np.int64), arrays["finished"].astype(np.int64)
+    all_solved = arrays["candidates/solved"].astype(np.int64)
+    all_finished = arrays["candidates/finished"].astype(np.int64)
+    described |= {
+        "first_batch": int(arrays["first_batch"]),
+        "scoring_seconds": float(arrays["scoring_seconds"]),
+        "buffer": _group(solved, finished),
+        "candidates": _group(all_solved, all_finished),
+        "by_feature": rates_by_feature(
+            arrays["feature_names"], arrays["candidates/features"], all_solved, all_finished
+        ),
+    }
+    return described
+
+
+def _group(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]:
+    return rate(solved.sum(), finished.sum()) | {
+        "levels": len(solved),
+        "claimed": _mean(claimed_learnability(solved, finished)),
+        "histogram": histogram_of_p(solved, finished),
+        "counts": counts_table(solved, finished),
+    }
+
+
+def describe_training(plays: Plays) -> dict[str, Any]:
+    """What training made of a buffer while it was in use. `learnable`: the unbiased estimate, over how many levels."""
+    learnable = unbiased_learnability(plays.solved, plays.finished)
+    return rate(plays.solved.sum(), plays.finished.sum()) | {
+        "learnability": _mean(learnable),
+        "learnability_error": _standard_error(learnable),
+        "learnability_levels": int((~np.isnan(learnable)).sum()),
+        "histogram": histogram_of_p(plays.solved, plays.finished),
+        "from_update": plays.from_update,
+        "update": plays.update,
+    }
+
+
+def describe_probe(before: Snapshot, after: Snapshot) -> dict[str, Any] | None:
+    """What one refresh cycle taught: levels of `before`, played again by the policy that scored `after`.
+
+    None: that file has no such plays. `moves`: [[p before, p after, levels]] with p as 0 never, 1 sometimes, 2 always.
+    """
+    if "probe/index" not in after.arrays:
+        return None
+    index = after.arrays["probe/index"]
+    then = [before.arrays[name][index].astype(np.int64) for name in ("solved", "finished")]
+    now = [after.arrays[f"probe/{name}"].astype(np.int64) for name in ("solved", "finished")]
+    both = (then[1] > 0) & (now[1] > 0)
+    classes = np.stack([_class_of_p(*then), _class_of_p(*now)], 1)[both]
+    moves, levels = np.unique(classes, axis=0, return_counts=True) if both.any() else (np.zeros((0, 2)), np.zeros(0))
+    learnable = unbiased_learnability(*now)
+    return {
+        "levels": len(index),
+        "policy_version": after.number,
+        "before": rate(then[0].sum(), then[1].sum()),
+        "after": rate(now[0].sum(), now[1].sum()),
+        "after_learnability": _mean(learnable),
+        "moves": np.concatenate([moves, levels[:, None]], 1).astype(int).tolist(),
+    }
+
+
+def _class_of_p(solved: np.ndarray, finished: np.ndarray) -> np.ndarray:
+    return np.where(solved == 0, 0, np.where(solved == finished, 2, 1))
+
+
+class Refreshes:
+    """Summaries of all snapshots of a run; each file is read once, and again where it changed."""
+
+    def __init__(self, path: Path) -> None:
+        """path: the run directory."""
+        self._path = path
+        self._lock = threading.Lock()
+        self._read: dict[Path, tuple[tuple[int, int], Snapshot]] = {}
+
+    def summaries(self) -> dict[str, Any]:
+        """{snapshots, windows, problems}; snapshots oldest first, each as `describe_snapshot`, with `training`, `probe`
+        and `kept` (levels that the snapshot before it had too) where there is such a thing. windows: of outcomes."""
+        with self._lock:
+            problems: list[str] = []
+            snapshots = self._snapshots(problems)
+            windows = self._windows(problems)
+        plays = training_plays(windows)
+        described = []
+        for place, snapshot in enumerate(snapshots):
+            try:
+                entry = describe_snapshot(snapshot)
+            except KeyError as error:
+                problems.append(f"{snapshot.kind} {snapshot.number} lacks {error}; it is left out")
+                continue
+            following = next((other for other in snapshots[place + 1 :] if other.kind == snapshot.kind), None)
+            before = next((other for other in reversed(snapshots[:place]) if other.kind == snapshot.kind), None)
+            if snapshot.kind == REFRESH and snapshot.number in plays:
+                entry["training"] = describe_training(plays[snapshot.number])
+            if snapshot.kind == REFRESH and following is not None:
+                if following.arrays.get("probe/policy_version") == snapshot.number:
+                    entry["probe"] = describe_probe(snapshot, following)
+            if before is not None:
+                entry["kept"] = len(np.intersect1d(before.arrays["level_id"], snapshot.arrays["level_id"]))
+            described.append(entry)
+        return {"snapshots": described, "windows": [_describe_window(row) for row in windows], "problems": problems}
+
+    def snapshot(self, kind: str, number: int) -> Snapshot:
+        """Without levels. Raises KeyError where there is none, SnapshotError, OSError."""
+        for found_kind, found_number, path in list_snapshots(self._path / run_files.CURRICULUM):
+            if (found_kind, found_number) == (kind, number):
+                with self._lock:
+                    return self._snapshot(path)
+        raise KeyError(f"there is no {kind} {number} in this run")
+
+    def plays(self, number: int) -> Plays | None:
+        """Of the buffer of a refresh, in training."""
+        with self._lock:
+            return training_plays(self._windows([])).get(number)
+
+    def _snapshots(self, problems: list[str]) -> list[Snapshot]:
+        found = []
+        for _, _, path in list_snapshots(self._path / run_files.CURRICULUM):
+            try:
+                found.append(self._snapshot(path))
+            except SnapshotError as error:
+                problems.append(str(error).replace(f"{path}", path.name))
+            except OSError as error:
+                problems.append(f"{path.name} cannot be read ({error.strerror})")
+        return found
+
+    def _snapshot(self, path: Path) -> Snapshot:
+        status = path.stat()
+        key = (status.st_mtime_ns, status.st_size)
+        if path not in self._read or self._read[path][0] != key:
+            self._read[path] = (key, read_snapshot(path, with_levels=False))
+        return self._read[path][1]
+
+    def _windows(self, problems: list[str]) -> list[dict[str, Any]]:
+        file = self._path / run_files.OUTCOMES
+        try:
+            lines = read_lines(file, _is_window)
+        except OSError as error:
+            problems.append(f"{run_files.OUTCOMES} cannot be read ({error.strerror})")
+            return []
+        if lines.damaged:
+            problems.append(f"{len(lines.damaged)} lines of {run_files.OUTCOMES} are damaged and left out")
+        return lines.rows
+
+
+def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
+    """{from_update, update, sources: {name: rate}}; `buffer` is the source of levels that the window lists."""
+    sources = {name: rate(counts["solved"], counts["finished"]) for name, counts in row["sources"].items()}
+    if "solved" in row:
+        sources = {"buffer": rate(sum(row["solved"]), sum(row["finished"]))} | sources
+    return {"from_update": row["from_update"], "update": row["update"], "sources": sources}
+
+
+def _is_window(row: dict[str, Any]) -> bool:
+    """Whether all that is read of a line is there; other lines count as damaged."""
+    if not is_outcomes(row) or not isinstance(row.get("from_update"), int):
+        return False
+    counts = [row.get("solved", []), row.get("finished", [])]
+    if not all(isinstance(values, list) and all(isinstance(v, int) for v in values) for values in counts):
+        return False
+    pairs = [*zip(*counts, strict=False), *((c.get("solved"), c.get("finished")) for c in row["sources"].values())]
+    return len(counts[0]) == len(counts[1]) and all(
+        isinstance(solved, int) and isinstance(finished, int) and 0 <= solved <= finished for solved, finished in pairs
+    )
+
+
+def _mean(values: np.ndarray) -> float | None:
+    """Of what is finite; None where nothing is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else None
+
+
+def _standard_error(values: np.ndarray) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.std(ddof=1) / np.sqrt(len(finite))) if len(finite) > 1 else None
+
+
+def _histogram(values: np.ndarray) -> dict[str, Any]:
+    """{edges, counts, unknown} with 20 bins over what is finite."""
+    finite = values[np.isfinite(values)]
+    counts, edges = np.histogram(finite, bins=20) if len(finite) else (np.zeros(0, int), np.zeros(0))
+    return {"edges": edges.tolist(), "counts": counts.tolist(), "unknown": int(len(values) - len(finite))}

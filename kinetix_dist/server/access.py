@@ -1,0 +1,134 @@
+"""Who may talk to the server: whoever has the token that the command prints, from a page of this server.
+
+The token in the address is exchanged once for a cookie that no script can read. A cookie is sent to every port of a
+host (RFC 6265 knows no ports), so its name carries the port: two servers do not overwrite each other's. `Host` has to
+be a name of this machine or an allowed one: a foreign name that resolves to 127.0.0.1 (DNS rebinding) is refused.
+`Origin`, where a browser sends it, has to be this server: a page of another port is of the same site, and its requests
+carry the cookie.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+import socket
+from collections.abc import Awaitable, Callable, Iterable
+from urllib.parse import urlsplit
+
+from aiohttp import web
+
+TOKEN_BYTES = 24
+LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
+
+CONTENT_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "font-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+HEADERS = {
+    "Content-Security-Policy": CONTENT_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",  # the token is never in one
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-cache",  # asked for again, and answered "not modified"
+}
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class Access:
+    """Checks requests. `middleware` is that of an aiohttp application."""
+
+    def __init__(self, *, port: int, host: str, allowed_hosts: Iterable[str] = (), open_paths: Iterable[str] = ()):
+        """host: that is listened on; open_paths: prefixes of paths that carry a ticket of their own instead of the
+        cookie."""
+        self.token = secrets.token_urlsafe(TOKEN_BYTES)
+        self.cookie_name = f"kinetix_dist_{port}"
+        self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
+        self._allowed = {name.lower() for name in allowed_hosts}
+        self._own_names = LOOPBACK_NAMES | {socket.gethostname().lower() if _is_any(host) else host.lower()}
+        self._open_paths = tuple(open_paths)
+
+    @property
+    def middleware(self) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+        @web.middleware
+        async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
+            return await self._answer(request, handler)
+
+        return check
+
+    @staticmethod
+    async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
+        """For `on_response_prepare`: every answer, errors too, says what a browser may do with it."""
+        for name, value in HEADERS.items():
+            response.headers.setdefault(name, value)
+
+    async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        problem = self.refusal_of_place(request.headers.get("Host"), request.headers.get("Origin"))
+        if problem is not None:
+            return web.Response(status=403, text=problem + "\n")
+        if "token" in request.query:
+            return self._exchange(request)
+        if not request.path.startswith(self._open_paths) and not self._has_cookie(request):
+            return web.Response(
+                status=401, text="no access: open the address with its token that `kinetix-dist` printed\n"
+            )
+        return await handler(request)
+
+    def refusal_of_place(self, host: str | None, origin: str | None) -> str | None:
+        """Why a request with these headers is refused, in one line; None: it is not."""
+        name = _host_name(host)
+        if name is None or not (name in self._own_names or name in self._allowed):
+            return f"host {name or host!r} is not served; start with --allow-host {name or 'NAME'} if it is yours"
+        if origin is None:
+            return None
+        parts = urlsplit(origin)
+        is_own = parts.netloc.lower() == (host or "").lower()
+        if not is_own and _host_name(parts.netloc) not in self._allowed:
+            return f"origin {origin} is not this server"
+        return None
+
+    def _exchange(self, request: web.Request) -> web.Response:
+        """A page that leads on to the address without the token, with the cookie.
+
+        A redirect would not do: where a link of another site led here, it carries no cookie of SameSite=Strict.
+        """
+        if request.method != "GET" or not hmac.compare_digest(request.query["token"].encode(), self.token.encode()):
+            return web.Response(
+                status=401, text="wrong token: it is new with every start; use the address that was printed last\n"
+            )
+        response = web.Response(
+            text='<!doctype html><meta http-equiv="refresh" content="0;url=./"><a href="./">go on</a>',
+            content_type="text/html",
+        )
+        response.set_cookie(self.cookie_name, self._cookie, httponly=True, samesite="Strict", path="/")
+        return response
+
+    def _has_cookie(self, request: web.Request) -> bool:
+        found = request.cookies.get(self.cookie_name, "")
+        return hmac.compare_digest(found.encode(), self._cookie.encode())
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach what listens there."""
+    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
+
+
+def _is_any(host: str) -> bool:
+    return _is_address(host) and ipaddress.ip_address(host).is_unspecified
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
+
+
+def _host_name(netloc: str | None) -> str | None:
+    """Without its port, lower case; None for none or one that is malformed."""
+    try:
+        return urlsplit(f"//{netloc}").hostname if netloc else None
+    except ValueError:
+        return None

@@ -1,0 +1,89 @@
+// The one websocket of the page: says which runs are watched, hears what is new, and comes back when it was cut off.
+import { useEffect, useState } from "./html.js";
+
+const VERSION = 1;
+const FIRST_WAIT_MS = 500;
+const LONGEST_WAIT_MS = 8000;
+
+/** @typedef {{ type: string, run?: string, [field: string]: any }} Message */
+/** @typedef {(message: Message) => void} Listener */
+
+class Channel {
+  constructor() {
+    /** @type {Map<Listener, { run: string, place: () => { since: number | null, revision: number | null } }>} */
+    this.watches = new Map();
+    /** @type {Set<(state: string) => void>} */
+    this.stateListeners = new Set();
+    /** @type {WebSocket | null} */
+    this.socket = null;
+    this.state = "connecting";
+    this.hasPlay = false;
+    this.wait = FIRST_WAIT_MS;
+  }
+
+  connect() {
+    const address = new URL("channel", location.href);
+    address.protocol = address.protocol.replace("http", "ws");
+    address.hash = address.search = "";
+    const socket = new WebSocket(address);
+    this.socket = socket;
+    socket.onopen = () => {
+      this.wait = FIRST_WAIT_MS;
+      this.say({ type: "hello", version: VERSION });
+      for (const { run, place } of this.watches.values()) this.say({ type: "watch", run, ...place() });
+      this.#setState("connected");
+    };
+    socket.onmessage = (event) => this.#hear(JSON.parse(event.data));
+    socket.onclose = () => {
+      this.#setState("disconnected");
+      setTimeout(() => this.connect(), this.wait);
+      this.wait = Math.min(2 * this.wait, LONGEST_WAIT_MS);
+    };
+  }
+
+  /** @param {Message} message */
+  say(message) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  /**
+   * Hears of a run until the returned function is called. `place`: what the page has of it already.
+   * @param {string} run
+   * @param {() => { since: number | null, revision: number | null }} place
+   * @param {Listener} listener
+   */
+  watch(run, place, listener) {
+    this.watches.set(listener, { run, place });
+    this.say({ type: "watch", run, ...place() });
+    return () => {
+      this.watches.delete(listener);
+      if (![...this.watches.values()].some((watch) => watch.run === run)) this.say({ type: "unwatch", run });
+    };
+  }
+
+  /** @param {Message} message */
+  #hear(message) {
+    if (message.type === "hello") this.hasPlay = message.play;
+    if (message.type === "error") console.warn(message.text);
+    for (const [listener, { run }] of [...this.watches]) if (message.run === run) listener(message);
+  }
+
+  /** @param {string} state */
+  #setState(state) {
+    this.state = state;
+    for (const listener of this.stateListeners) listener(state);
+  }
+}
+
+export const channel = new Channel();
+
+/** "connecting", "connected" or "disconnected". */
+export function useConnection() {
+  const [state, set] = useState(channel.state);
+  useEffect(() => {
+    channel.stateListeners.add(set);
+    set(channel.state);
+    return () => void channel.stateListeners.delete(set);
+  }, []);
+  return state;
+}

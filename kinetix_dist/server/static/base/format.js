@@ -1,0 +1,87 @@
+// Numbers, times and shares as people read them.
+
+/** Three significant digits, thousands as k, M, G. @param {number | null | undefined} value */
+export function short(value) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "-";
+  const size = Math.abs(value);
+  if (size >= 1e9) return `${trim(value / 1e9)} G`;
+  if (size >= 1e6) return `${trim(value / 1e6)} M`;
+  if (size >= 1e4) return `${trim(value / 1e3)} k`;
+  if (size !== 0 && size < 1e-3) return value.toExponential(1);
+  return trim(value);
+}
+
+/** @param {number} value */
+function trim(value) {
+  return String(Number(value.toPrecision(3)));
+}
+
+/** @param {number | null | undefined} value */
+export function percent(value) {
+  return value === null || value === undefined ? "-" : `${(100 * value).toFixed(1)} %`;
+}
+
+/** A solve rate is never shown without its counts. @param {number} solved @param {number} finished */
+export function rateWithCount(solved, finished) {
+  return finished ? `${percent(solved / finished)} (${solved} of ${finished})` : "not played";
+}
+
+/** @param {number | null | undefined} seconds */
+export function duration(seconds) {
+  if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return "-";
+  if (seconds < 120) return `${Math.round(seconds)} s`;
+  if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
+  if (seconds < 172800) return `${trim(seconds / 3600)} h`;
+  return `${trim(seconds / 86400)} days`;
+}
+
+/** @param {number | null | undefined} unixSeconds */
+export function date(unixSeconds) {
+  if (!unixSeconds) return "-";
+  const text = new Date(1000 * unixSeconds).toISOString();
+  return `${text.slice(0, 10)} ${text.slice(11, 16)} UTC`;
+}
+
+/** Gives a file to the person. @param {string} name @param {Blob} content */
+export function download(name, content) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(content);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+/** Rows as CSV. @param {(string | number | null | undefined)[][]} rows */
+export function csv(rows) {
+  const cell = (/** @type {string | number | null | undefined} */ value) => {
+    const text = value === null || value === undefined ? "" : String(value);
+    return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+  };
+  return new Blob([rows.map((row) => row.map(cell).join(",")).join("\n"), "\n"], { type: "text/csv" });
+}
+
+/** Exponential moving average without bias at its start; gaps stay gaps.
+ * @param {(number | null)[]} values @param {number} weight 0 (none) to below 1 */
+export function smooth(values, weight) {
+  if (weight <= 0) return values;
+  const known = smoothed.get(values);
+  if (known?.weight === weight) return known.result; // the same array: what is drawn is not drawn again
+  const result = average(values, weight);
+  smoothed.set(values, { weight, result });
+  return result;
+}
+
+/** @type {WeakMap<(number | null)[], { weight: number, result: (number | null)[] }>} */
+const smoothed = new WeakMap();
+
+/** @param {(number | null)[]} values @param {number} weight @returns {(number | null)[]} */
+function average(values, weight) {
+  let sum = 0;
+  let total = 0;
+  return values.map((value) => {
+    if (value === null) return null;
+    sum = weight * sum + (1 - weight) * value;
+    total = weight * total + (1 - weight);
+    return sum / total;
+  });
+}

@@ -1,0 +1,100 @@
+// Cells of colour with a label a row and a column: what a cell says stands beside the pointer, in its title, in the CSV.
+import { html, useEffect, useRef } from "../base/html.js";
+import { colour } from "../base/theme.js";
+
+/**
+ * `values` 0 to 1, null: no cell. `texts` says what a cell stands for, with its counts.
+ * @param {{ rows: string[], columns: string[], values: (number | null)[][], texts: string[][], cellWidth?: number,
+ *   cellHeight?: number, labelWidth?: number, choose?: (row: number, column: number) => void, chosen?: number | null,
+ *   describe: string }} props
+ */
+export function HeatMap(props) {
+  const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
+  const note = useRef(/** @type {HTMLElement | null} */ (null));
+  const { rows, columns, values, texts, labelWidth = 150, cellHeight = 16 } = props;
+  const footer = 18;
+  const cellWidth = props.cellWidth ?? Math.max(4, Math.min(44, Math.floor(760 / Math.max(columns.length, 1))));
+  const width = labelWidth + columns.length * cellWidth + 10;
+  const height = rows.length * cellHeight + footer;
+
+  useEffect(() => {
+    const draw = () => {
+      const element = /** @type {HTMLCanvasElement} */ (canvas.current);
+      const scale = devicePixelRatio || 1;
+      element.width = width * scale;
+      element.height = height * scale;
+      const context = /** @type {CanvasRenderingContext2D} */ (element.getContext("2d"));
+      context.scale(scale, scale);
+      context.font = "11px sans-serif";
+      context.textBaseline = "middle";
+      rows.forEach((row, r) => {
+        context.fillStyle = colour("ink-soft");
+        context.textAlign = "right";
+        context.fillText(fit(context, row, labelWidth - 8), labelWidth - 6, (r + 0.5) * cellHeight);
+        columns.forEach((_, c) => {
+          const value = values[r][c];
+          context.fillStyle = value === null ? colour("grid") : heat(value);
+          context.fillRect(labelWidth + c * cellWidth, r * cellHeight, cellWidth - 1, cellHeight - 1);
+          if (value === null) return;
+          if (cellWidth >= 30) {
+            context.fillStyle = value > 0.55 ? "#10202c" : "#f2f5f7";
+            context.textAlign = "center";
+            context.fillText(String(Math.round(100 * value)), labelWidth + (c + 0.5) * cellWidth, (r + 0.5) * cellHeight);
+          }
+        });
+      });
+      context.fillStyle = colour("ink-soft");
+      context.textAlign = "center";
+      const every = Math.ceil(46 / cellWidth);
+      columns.forEach((column, c) => {
+        if (c % every === 0) context.fillText(column, labelWidth + (c + 0.5) * cellWidth, height - footer / 2);
+      });
+      if (props.chosen !== null && props.chosen !== undefined) {
+        context.strokeStyle = colour("accent");
+        context.lineWidth = 2;
+        context.strokeRect(labelWidth + props.chosen * cellWidth, 0, cellWidth - 1, rows.length * cellHeight);
+      }
+    };
+    draw();
+    addEventListener("themechange", draw);
+    return () => removeEventListener("themechange", draw);
+  });
+
+  /** @param {any} event @returns {[number, number] | null} */
+  const cellAt = (event) => {
+    const box = /** @type {HTMLCanvasElement} */ (canvas.current).getBoundingClientRect();
+    const c = Math.floor((event.clientX - box.left - labelWidth) / cellWidth);
+    const r = Math.floor((event.clientY - box.top) / cellHeight);
+    return r >= 0 && c >= 0 && r < rows.length && c < columns.length ? [r, c] : null;
+  };
+  const say = (/** @type {any} */ event) => {
+    const cell = cellAt(event);
+    if (note.current) note.current.textContent = cell ? texts[cell[0]][cell[1]] : "";
+  };
+  const click = (/** @type {any} */ event) => {
+    const cell = cellAt(event);
+    if (cell) props.choose?.(...cell);
+  };
+  return html`<div class="scroll"><canvas class="heat" ref=${canvas} style=${{ width: `${width}px`, height: `${height}px` }} role="img"
+      aria-label=${props.describe} onMouseMove=${say} onMouseLeave=${say} onClick=${click}></canvas></div>
+    <p class="soft note" ref=${note}></p>`;
+}
+
+/** @param {CanvasRenderingContext2D} context @param {string} text @param {number} width */
+function fit(context, text, width) {
+  let shown = text;
+  while (shown.length > 4 && context.measureText(shown).width > width) shown = `…${shown.slice(2)}`;
+  return shown;
+}
+
+// From dark blue (0) over green to yellow (1): viridis, which colour-blind people read and which is even in grey.
+const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+
+/** @param {number} value 0 to 1 */
+export function heat(value) {
+  const place = Math.min(Math.max(value, 0), 1) * (STOPS.length - 1);
+  const first = Math.min(Math.floor(place), STOPS.length - 2);
+  const part = place - first;
+  const mix = STOPS[first].map((from, k) => Math.round(from + part * (STOPS[first + 1][k] - from)));
+  return `rgb(${mix.join(",")})`;
+}

@@ -1,0 +1,48 @@
+// The frame of every chart and table: title, what it means, CSV and PNG of what is shown.
+import { csv, download } from "../base/format.js";
+import { html, useRef } from "../base/html.js";
+import { colour } from "../base/theme.js";
+
+/**
+ * `rows` makes the table behind the picture, its first row the header. `missing`: a line instead of a picture, where a
+ * run lacks what the panel shows. The picture is the first canvas in the panel; `picture` false: there is none.
+ * @param {{ title: string, help?: string, missing?: string | null, rows?: () => (string | number | null)[][],
+ *   buttons?: any, wide?: boolean, picture?: boolean, name?: string, children?: any }} props
+ */
+export function Panel({ title, help, missing, rows, buttons, wide, picture = true, name, children }) {
+  const element = useRef(/** @type {HTMLElement | null} */ (null));
+  const fileName = (name ?? title).replace(/\W+/g, "_");
+  const saveCsv = () => rows && download(`${fileName}.csv`, csv(rows()));
+  const savePng = () => {
+    const canvas = element.current?.querySelector("canvas");
+    if (canvas) pngOf(canvas, title).toBlob((blob) => blob && download(`${fileName}.png`, blob));
+  };
+  return html`<section class=${`panel${wide ? " wide" : ""}`} ref=${element} data-panel=${title}>
+    <header>
+      <h3 title=${help ?? ""}>${title}</h3>
+      ${help ? html`<span class="help">${help}</span>` : null}
+      <span class="buttons">
+        ${missing ? null : buttons}
+        ${rows && !missing ? html`<button onClick=${saveCsv} title="the numbers as CSV">CSV</button>` : null}
+        ${missing || !picture ? null : html`<button class="png" onClick=${savePng} title="the picture as PNG">PNG</button>`}
+      </span>
+    </header>
+    ${missing ? html`<p class="missing">${missing}</p>` : children}
+  </section>`;
+}
+
+/** A canvas with its title above, on the background of the page. @param {HTMLCanvasElement} source @param {string} title */
+function pngOf(source, title) {
+  const scale = devicePixelRatio || 1;
+  const canvas = document.createElement("canvas");
+  canvas.width = source.width;
+  canvas.height = source.height + 24 * scale;
+  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+  context.fillStyle = colour("panel");
+  context.fillRect(0, 0, canvas.width, canvas.height);
+  context.fillStyle = colour("ink");
+  context.font = `${14 * scale}px sans-serif`;
+  context.fillText(title, 8 * scale, 17 * scale);
+  context.drawImage(source, 0, 24 * scale);
+  return canvas;
+}

@@ -1,0 +1,192 @@
+// The curriculum of a run: what refreshes kept, whether it was what they claimed, what was learned, what persists.
+import { addressOf, setQuery, useAddress } from "../base/address.js";
+import { get, useRequest } from "../base/api.js";
+import { percent, rateWithCount, short } from "../base/format.js";
+import { html } from "../base/html.js";
+import { Bars } from "../charts/bars.js";
+import { HeatMap } from "../charts/heat_map.js";
+import { LineChart } from "../charts/line_chart.js";
+import { Panel } from "../charts/panel.js";
+import { Notes } from "./parts.js";
+import { useRunChanges } from "./run_changes.js";
+
+const NO_SNAPSHOTS = "This run has no snapshots of its curriculum (curriculum/refresh_*.npz, buffer_*.npz): it is of an older version, its curriculum keeps no levels that change, or curriculum_log.max_snapshots is 0.";
+const NO_OUTCOMES = "This run has no counts of its training episodes (curriculum/outcomes.jsonl): it is of an older version, or curriculum_log.outcomes_every is 0.";
+const MOVES = ["never solved", "sometimes", "always"];
+
+/** @param {{ run: string }} props */
+export function CurriculumPage({ run }) {
+  const changes = useRunChanges(run);
+  const { query } = useAddress();
+  const { data, error } = useRequest(() => get(`runs/${encodeURIComponent(run)}/curriculum`), [run, changes]);
+  if (!data) return html`<main><${Notes} notes=${error ? [error] : []} /><p class="missing">${error ? "" : "reading snapshots ..."}</p></main>`;
+  const refreshes = data.snapshots.filter((/** @type {any} */ entry) => entry.kind === "refresh");
+  const buffers = data.snapshots.filter((/** @type {any} */ entry) => entry.kind === "buffer");
+  const chosen = refreshes.find((/** @type {any} */ entry) => String(entry.number) === query.get("refresh")) ?? refreshes.at(-1);
+  return html`<main>
+    <${Notes} notes=${[...(error ? [error] : []), ...data.problems]} />
+    ${data.snapshots.length ? null : html`<p class="missing">${NO_SNAPSHOTS}</p>`}
+    <div class="grid two">
+      <${Sources} run=${run} windows=${data.windows} />
+      ${refreshes.length ? html`<${Learnability} run=${run} refreshes=${refreshes} />
+        <${Distribution} run=${run} refreshes=${refreshes} chosen=${chosen} />
+        <${Persistence} run=${run} snapshots=${refreshes} />` : null}
+      ${buffers.length ? html`<${ReplayBuffers} run=${run} buffers=${buffers} />` : null}
+    </div>
+    ${chosen ? html`<h3 class="section">Refresh ${chosen.number}
+      <select aria-label="refresh" onChange=${(/** @type {any} */ e) => setQuery({ refresh: e.target.value })}>
+        ${refreshes.map((/** @type {any} */ entry) => html`<option key=${entry.number} value=${entry.number} selected=${entry === chosen}>scored by version ${entry.number}, in use from update ${entry.first_batch}</option>`)}
+      </select> <a class="button" href=${addressOf(["run", run, "levels"], new URLSearchParams({ of: `refresh ${chosen.number}` }))}>its levels</a></h3>
+      <div class="grid two">
+        <${Histogram} run=${run} entry=${chosen} />
+        <${Counts} run=${run} entry=${chosen} />
+        <${Learned} run=${run} entry=${chosen} />
+      </div><div class="grid">
+        ${Object.keys(chosen.by_feature).map((name) => html`<${ByFeature} key=${name} run=${run} name=${name} entry=${chosen} />`)}
+      </div>` : null}
+  </main>`;
+}
+
+/** @param {{ run: string, windows: any[] }} props */
+function Sources({ run, windows }) {
+  const names = [...new Set(windows.flatMap((row) => Object.keys(row.sources)))];
+  const x = windows.map((row) => row.update);
+  const of = (/** @type {string} */ name, /** @type {string} */ field) => windows.map((row) => (row.sources[name]?.finished ? row.sources[name][field] : null));
+  const lines = names.map((name) => ({ label: name, values: of(name, "rate"), low: of(name, "low"), high: of(name, "high") }));
+  const rows = () => [["from_update", "update", "source", "solved", "finished", "rate", "low", "high"],
+    ...windows.flatMap((row) => Object.entries(row.sources).map(([name, c]) => [row.from_update, row.update, name, c.solved, c.finished, c.rate, c.low, c.high]))];
+  const last = windows.at(-1);
+  return html`<${Panel} title="Solve rate in training, by where levels come from" help="95 % intervals of the episodes of each window" rows=${rows} name=${`${run} sources`} missing=${windows.length ? null : NO_OUTCOMES}>
+    <${LineChart} x=${x} lines=${lines} axis="updates" />
+    <p class="soft">${last ? `updates ${last.from_update} to ${last.update}: ${Object.entries(last.sources).map(([name, c]) => `${name} ${rateWithCount(c.solved, c.finished)}`).join(" · ")}` : ""}</p>
+  </${Panel}>`;
+}
+
+/** @param {{ run: string, refreshes: any[] }} props */
+function Learnability({ run, refreshes }) {
+  const x = refreshes.map((entry) => entry.first_batch);
+  const found = refreshes.map((entry) => entry.training?.learnability ?? null);
+  const error = refreshes.map((entry) => entry.training?.learnability_error ?? null);
+  const side = (/** @type {number} */ sign) => found.map((value, k) => (value === null || error[k] === null ? value : value + sign * 1.96 * error[k]));
+  const lines = [
+    { label: "claimed, of the buffer", values: refreshes.map((entry) => entry.buffer.claimed) },
+    { label: "in training, of the buffer", values: found, low: side(-1), high: side(1) },
+    { label: "claimed, of all candidates", values: refreshes.map((entry) => entry.candidates.claimed) },
+  ];
+  const last = refreshes.findLast((entry) => entry.training);
+  const rows = () => [["version", "in_use_from", "claimed_buffer", "episodes", "claimed_candidates", "training", "standard_error", "levels_played_twice", "episodes_in_training"],
+    ...refreshes.map((entry) => [entry.number, entry.first_batch, entry.buffer.claimed, entry.buffer.finished, entry.candidates.claimed, entry.training?.learnability ?? null, entry.training?.learnability_error ?? null, entry.training?.learnability_levels ?? null, entry.training?.finished ?? null])];
+  return html`<${Panel} title="Learnability p (1 - p): claimed and in training" rows=${rows} name=${`${run} learnability`}
+    help="Claimed: from the few episodes by which levels were chosen, so too high. In training: s (f - s) / (f (f - 1)) of other episodes, over levels played twice or more; band 95 %.">
+    <${LineChart} x=${x} lines=${lines} axis="in use from update" />
+    <p class="soft">${last ? `version ${last.number}: claimed ${short(last.buffer.claimed)} (${last.buffer.finished} episodes of ${last.buffer.levels} levels), in training ${short(last.training.learnability)} (${last.training.finished} episodes, ${last.training.learnability_levels} levels played twice or more)` : "No buffer was played to the end of a window yet."}</p>
+  </${Panel}>`;
+}
+
+/** @param {{ run: string, refreshes: any[], chosen: any }} props */
+function Distribution({ run, refreshes, chosen }) {
+  const num = chosen.buffer.histogram.length;
+  const label = (/** @type {number} */ k) => (k === 0 ? "p = 0" : k === num - 1 ? "p = 1" : `${percentOf(k - 1, num - 2)} to ${percentOf(k, num - 2)}`);
+  const order = [...Array(num).keys()].reverse();
+  const total = (/** @type {any} */ entry) => entry.buffer.histogram.reduce((/** @type {number} */ a, /** @type {number} */ b) => a + b, 0);
+  const values = order.map((k) => refreshes.map((entry) => (total(entry) ? entry.buffer.histogram[k] / total(entry) : null)));
+  const texts = order.map((k) => refreshes.map((entry) => `version ${entry.number}: ${entry.buffer.histogram[k]} of ${total(entry)} levels with ${label(k)}, ${entry.buffer.finished} episodes in all`));
+  const rows = () => [["version", ...order.map(label)], ...refreshes.map((entry) => [entry.number, ...order.map((k) => entry.buffer.histogram[k])])];
+  return html`<${Panel} title="Solve rates of the buffer's levels over time" help="share of levels a bin, % ; click a column" rows=${rows} name=${`${run} p over time`}>
+    <${HeatMap} rows=${order.map(label)} columns=${refreshes.map((entry) => String(entry.number))} values=${values} texts=${texts} labelWidth=${90}
+      chosen=${refreshes.indexOf(chosen)} choose=${(/** @type {number} */ _, /** @type {number} */ c) => setQuery({ refresh: String(refreshes[c].number) })}
+      describe="share of levels by solve rate, a column a refresh" /></${Panel}>`;
+}
+
+/** @param {number} k @param {number} of */
+function percentOf(k, of) {
+  return `${Math.round((100 * k) / of)} %`;
+}
+
+/** @param {{ run: string, snapshots: any[] }} props */
+function Persistence({ run, snapshots }) {
+  const later = snapshots.filter((entry) => entry.kept !== undefined);
+  const kept = later.map((entry) => entry.kept);
+  const isPlain = later.length && kept.every((count) => count === 0);
+  const rows = () => [["version", "kept", "levels"], ...later.map((entry) => [entry.number, entry.kept, entry.num_levels])];
+  return html`<${Panel} title="What persists from refresh to refresh" help="levels that the buffer before had too" rows=${rows} name=${`${run} persistence`}
+    missing=${later.length ? null : "There is one refresh so far."}>
+    ${isPlain ? html`<p>0 of ${later.at(-1).num_levels} levels, ${later.length === 1 ? "in the one refresh" : `in each of ${later.length} refreshes`} after the first. Plain SFL draws all candidates afresh, so that no level persists, by construction.</p>`
+      : html`<${LineChart} x=${later.map((entry) => entry.first_batch)} lines=${[{ label: "levels kept", values: kept }]} axis="in use from update" />`}
+  </${Panel}>`;
+}
+
+/** @param {{ run: string, buffers: any[] }} props */
+function ReplayBuffers({ run, buffers }) {
+  const x = buffers.map((entry) => entry.number);
+  const lines = [{ label: "levels", values: buffers.map((entry) => entry.num_levels) }, { label: "of these in the snapshot before", values: buffers.map((entry) => entry.kept ?? null) }];
+  const rows = () => [["update", "levels", "kept", "mean_score"], ...buffers.map((entry) => [entry.number, entry.num_levels, entry.kept ?? null, entry.mean_score])];
+  const of = buffers.at(-1);
+  return html`<${Panel} title="Replay buffer: levels" rows=${rows} name=${`${run} replay buffer`} help="at each checkpoint; parents of levels are not recorded"
+    buttons=${html`<a class="button" href=${addressOf(["run", run, "levels"], new URLSearchParams({ of: `buffer ${of.number}` }))}>its levels</a>`}>
+    <${LineChart} x=${x} lines=${lines} axis="updates" /></${Panel}>
+  <${Panel} title="Replay buffer: mean score" name=${`${run} replay score`} rows=${rows}>
+    <${LineChart} x=${x} lines=${[{ label: "mean score", values: buffers.map((entry) => entry.mean_score) }]} axis="updates" /></${Panel}>`;
+}
+
+/** @param {{ run: string, entry: any }} props */
+function Histogram({ run, entry }) {
+  const num = entry.buffer.histogram.length;
+  const columns = [...Array(num).keys()].map((k) => (k === 0 ? "0" : k === num - 1 ? "1" : `.${k - 1}`));
+  const group = (/** @type {string} */ label, /** @type {any} */ of) => {
+    const total = of.histogram.reduce((/** @type {number} */ a, /** @type {number} */ b) => a + b, 0);
+    return { label: `${label} (${total} levels, ${of.finished} episodes)`, values: of.histogram.map((/** @type {number} */ count) => (total ? count / total : null)), texts: of.histogram.map((/** @type {number} */ count) => `${count} of ${total} levels`) };
+  };
+  const groups = [group("candidates", entry.candidates), group("buffer", entry.buffer), ...(entry.training ? [group("buffer, in training", entry.training)] : [])];
+  const rows = () => [["p", ...groups.map((one) => one.label)], ...columns.map((column, k) => [column, ...groups.map((one) => one.values[k])])];
+  return html`<${Panel} title="Solve rates: candidates and buffer" help="share of levels by p; .4 stands for 40 to 50 %, 0 and 1 for never and always" rows=${rows} name=${`${run} histogram ${entry.number}`}>
+    <${Bars} columns=${columns} groups=${groups} axis="p = solved / finished" describe="histogram of solve rates" format=${(/** @type {number} */ value) => `${Math.round(100 * value)} %`} /></${Panel}>`;
+}
+
+/** @param {{ run: string, entry: any }} props */
+function Counts({ run, entry }) {
+  const table = entry.candidates.counts;
+  const most = Math.min(12, Math.max(...table.map((/** @type {number[]} */ row) => row[1])));
+  const beyond = table.filter((/** @type {number[]} */ row) => row[1] > most).reduce((/** @type {number} */ sum, /** @type {number[]} */ row) => sum + row[2], 0);
+  const at = new Map(table.map((/** @type {number[]} */ [s, f, n]) => [`${s} ${f}`, n]));
+  const total = entry.candidates.levels;
+  const kept = new Map(entry.buffer.counts.map((/** @type {number[]} */ [s, f, n]) => [`${s} ${f}`, n]));
+  const numbers = [...Array(most + 1).keys()];
+  const highest = Math.max(1, ...table.filter((/** @type {number[]} */ row) => row[1] <= most).map((/** @type {number[]} */ row) => row[2]));
+  const values = [...numbers].reverse().map((s) => numbers.map((f) => (at.has(`${s} ${f}`) ? at.get(`${s} ${f}`) / highest : null)));
+  const texts = [...numbers].reverse().map((s) => numbers.map((f) => `${s} of ${f} episodes solved: ${at.get(`${s} ${f}`) ?? 0} of ${total} candidates, ${kept.get(`${s} ${f}`) ?? 0} of them kept`));
+  const rows = () => [["solved", "finished", "candidates", "kept"], ...table.map((/** @type {number[]} */ [s, f, n]) => [s, f, n, kept.get(`${s} ${f}`) ?? 0])];
+  return html`<${Panel} title="Solved x finished, of the candidates" help="levels, 100 for the most frequent pair" rows=${rows} name=${`${run} counts ${entry.number}`}>
+    <${HeatMap} rows=${[...numbers].reverse().map((s) => `${s} solved`)} columns=${numbers.map((f) => `${f} fin.`)} values=${values} texts=${texts} labelWidth=${70} cellWidth=${46} cellHeight=${22} describe="candidates by solved and finished episodes" />
+    ${beyond ? html`<p class="soft">${beyond} candidates finished more than ${most} episodes; the CSV has them.</p>` : null}</${Panel}>`;
+}
+
+/** @param {{ run: string, entry: any }} props */
+function Learned({ run, entry }) {
+  const probe = entry.probe;
+  const rows = () => [["before", "after", "levels"], ...probe.moves.map((/** @type {number[]} */ [a, b, n]) => [MOVES[a], MOVES[b], n])];
+  const total = probe ? probe.moves.reduce((/** @type {number} */ sum, /** @type {number[]} */ row) => sum + row[2], 0) : 0;
+  const values = MOVES.map((_, a) => MOVES.map((__, b) => (probe?.moves.find((/** @type {number[]} */ row) => row[0] === a && row[1] === b)?.[2] ?? 0) / Math.max(total, 1)));
+  const texts = MOVES.map((before, a) => MOVES.map((after, b) => `${before} before, ${after} after: ${probe?.moves.find((/** @type {number[]} */ row) => row[0] === a && row[1] === b)?.[2] ?? 0} of ${total} levels`));
+  return html`<${Panel} title="What was learned from this buffer" rows=${rows} name=${`${run} learned ${entry.number}`}
+    help="the same levels, played again by the policy of the next refresh"
+    missing=${probe ? null : "Nothing was played again: the next refresh is not there yet, or curriculum_log.probe_levels is 0."}>
+    ${probe ? html`<p>${probe.levels} levels: ${rateWithCount(probe.before.solved, probe.before.finished)} when they were chosen, ${" "}
+      ${rateWithCount(probe.after.solved, probe.after.finished)} by version ${probe.policy_version}${" "}
+      (95 % interval ${percent(probe.after.low)} to ${percent(probe.after.high)}); learnability now ${short(probe.after_learnability)}.
+      Chosen for p near 1/2, levels go back to their true p by themselves: compare with "in training".</p>
+      <${HeatMap} rows=${MOVES.map((name) => `${name} before`)} columns=${MOVES.map((name) => `${name}`)} values=${values} texts=${texts} labelWidth=${140} cellWidth=${90} cellHeight=${24} describe="levels by solve rate before and after" />` : null}
+  </${Panel}>`;
+}
+
+/** @param {{ run: string, name: string, entry: any }} props */
+function ByFeature({ run, name, entry }) {
+  const found = entry.by_feature[name];
+  const group = {
+    label: "candidates", values: found.map((/** @type {any} */ f) => f.rate), low: found.map((/** @type {any} */ f) => (f.finished ? f.low : null)), high: found.map((/** @type {any} */ f) => (f.finished ? f.high : null)),
+    texts: found.map((/** @type {any} */ f) => `${f.value} ${name.replace("_", " ")}: ${rateWithCount(f.solved, f.finished)} of ${f.levels} levels`),
+  };
+  const rows = () => [["value", "levels", "solved", "finished", "rate", "low", "high"], ...found.map((/** @type {any} */ f) => [f.value, f.levels, f.solved, f.finished, f.rate, f.low, f.high])];
+  return html`<${Panel} title=${`Solve rate by number of ${name.replace("_", " ")}`} help="candidates are an unbiased sample of the generator; 95 % intervals over episodes" rows=${rows} name=${`${run} by ${name} ${entry.number}`}>
+    <${Bars} columns=${found.map((/** @type {any} */ f) => String(f.value))} groups=${[group]} axis=${name.replace("_", " ")} max=${1} describe=${`solve rate by ${name}`} format=${(/** @type {number} */ value) => `${Math.round(100 * value)} %`} /></${Panel}>`;
+}

@@ -1,0 +1,111 @@
+// Levels of a buffer as thumbnails: sorted, filtered, and one of them in a drawer with its counts and its file.
+import { setQuery, useAddress } from "../base/address.js";
+import { get, useRequest } from "../base/api.js";
+import { percent, rateWithCount, short } from "../base/format.js";
+import { html, useState } from "../base/html.js";
+import { getPalette, Picture } from "../world/picture.js";
+import { Notes } from "./parts.js";
+import { useRunChanges } from "./run_changes.js";
+
+const A_PAGE = 96;
+const THUMBNAIL = 128;
+/** @type {Record<string, string>} */
+const SORTS = {
+  "place up": "place", "score down": "highest score first", "score up": "lowest score first",
+  "p down": "most solved first", "p up": "least solved first",
+  "p_training down": "most solved in training first", "p_training up": "least solved in training first",
+  "finished_training down": "most played in training first",
+  "shapes down": "most shapes first", "joints down": "most joints first",
+};
+
+/** @param {{ run: string }} props */
+export function LevelsPage({ run }) {
+  const { query } = useAddress();
+  const changes = useRunChanges(run);
+  const base = `runs/${encodeURIComponent(run)}/curriculum`;
+  const all = useRequest(() => get(base), [run, changes]);
+  const palette = useRequest(getPalette, []);
+  const snapshots = all.data?.snapshots ?? [];
+  const of = query.get("of");
+  const chosen = snapshots.find((/** @type {any} */ s) => `${s.kind} ${s.number}` === of) ?? snapshots.findLast((/** @type {any} */ s) => s.has_levels) ?? snapshots.at(-1);
+  const sort = query.get("sort") ?? "place up";
+  const filter = query.get("filter") ?? "";
+  const offset = Number(query.get("offset") ?? 0);
+  const [field, order] = sort.split(" ");
+  const page = useRequest(
+    () => (chosen ? get(`${base}/${chosen.kind}/${chosen.number}/levels`, { sort: field, order, filter, offset, limit: A_PAGE }) : Promise.resolve(null)),
+    [run, chosen?.kind, chosen?.number, sort, filter, offset, changes],
+  );
+  const indices = (page.data?.levels ?? []).map((/** @type {any} */ level) => level.index);
+  const pictures = useRequest(
+    () => (page.data?.has_levels && indices.length ? get(`${base}/${chosen.kind}/${chosen.number}/thumbnails`, { indices: indices.join(",") }) : Promise.resolve([])),
+    [run, chosen?.kind, chosen?.number, indices.join(",")],
+  );
+  const drawn = new Map((pictures.data ?? []).map((/** @type {any} */ entry) => [entry.index, entry]));
+  const open = query.get("level");
+  const level = page.data?.levels.find((/** @type {any} */ entry) => String(entry.index) === open);
+  const notes = [all.error, page.error, pictures.error ?? palette.error, ...(all.data?.problems ?? [])].filter(Boolean);
+  if (!all.data) return html`<main><${Notes} notes=${notes} /></main>`;
+  return html`<main>
+    <${Notes} notes=${notes} />
+    ${snapshots.length ? null : html`<p class="missing">This run has no snapshots of its curriculum (curriculum/*.npz): it is of an older version, or its curriculum keeps no levels that change.</p>`}
+    ${chosen ? html`<div class="row bar">
+      <label>snapshot <select onChange=${(/** @type {any} */ e) => setQuery({ of: e.target.value, offset: null, level: null })}>
+        ${snapshots.map((/** @type {any} */ s) => html`<option key=${`${s.kind} ${s.number}`} value=${`${s.kind} ${s.number}`} selected=${s === chosen}>${s.kind} ${s.number}${s.has_levels ? "" : " (levels left out)"}</option>`)}</select></label>
+      <label>order <select onChange=${(/** @type {any} */ e) => setQuery({ sort: e.target.value, offset: null })}>
+        ${Object.entries(SORTS).filter(([key]) => key === sort || key.startsWith("place") || page.data?.columns.includes(key.split(" ")[0])).map(([key, text]) => html`<option key=${key} value=${key} selected=${key === sort}>${text}</option>`)}</select></label>
+      <${Filter} value=${filter} columns=${page.data?.columns ?? []} />
+      <span class="soft">${page.data ? `${page.data.matching} of ${page.data.total} levels` : ""}</span>
+      <button class=${offset ? "" : "off"} onClick=${() => setQuery({ offset: String(Math.max(0, offset - A_PAGE)) })}>◀</button>
+      <button class=${offset + A_PAGE < (page.data?.matching ?? 0) ? "" : "off"} onClick=${() => setQuery({ offset: String(offset + A_PAGE) })} aria-label="more levels">▶</button>
+    </div>` : null}
+    ${page.data && !page.data.has_levels ? html`<p class="missing">Levels of this snapshot were left out to save space (curriculum_log.max_snapshots); its counts are here.</p>` : null}
+    ${pictures.isLoading && indices.length ? html`<p class="soft" role="status">drawing levels; the first picture waits for the engine worker to start ...</p>` : null}
+    <div class=${level ? "with-drawer" : ""}>
+      <div class="thumbnails">${(page.data?.levels ?? []).map((/** @type {any} */ entry) => {
+        const picture = drawn.get(entry.index);
+        return html`<button key=${entry.index} class=${`thumbnail${String(entry.index) === open ? " chosen" : ""}`} onClick=${() => setQuery({ level: String(entry.index) })}>
+          ${picture && palette.data ? html`<${Picture} display=${picture.display} poses=${picture.poses} palette=${palette.data} size=${THUMBNAIL} label=${`level ${entry.index}`} />` : html`<span class="blank"></span>`}
+          <span>${caption(entry)}</span></button>`;
+      })}</div>
+      ${level ? html`<${Drawer} run=${run} snapshot=${chosen} level=${level} picture=${drawn.get(level.index)} palette=${palette.data} />` : null}
+    </div>
+  </main>`;
+}
+
+/** @param {any} level */
+function caption(level) {
+  const counts = level.training?.finished ? level.training : level.scored;
+  if (!counts) return `score ${short(level.score)}`;
+  return `${counts.solved} of ${counts.finished}${level.training?.finished ? " trained" : ""}`;
+}
+
+/** @param {{ value: string, columns: string[] }} props */
+function Filter({ value, columns }) {
+  const [text, setText] = useState(value);
+  const apply = () => setQuery({ filter: text, offset: null });
+  return html`<label>filter <input value=${text} placeholder="joints>=1 p<0.5" title=${`conditions on ${columns.join(", ")}`} onInput=${(/** @type {any} */ e) => setText(e.target.value)}
+    onChange=${apply} onKeyDown=${(/** @type {any} */ e) => e.key === "Enter" && apply()} /></label>`;
+}
+
+/** @param {{ run: string, snapshot: any, level: any, picture: any, palette: any }} props */
+function Drawer({ run, snapshot, level, picture, palette }) {
+  const address = `api/runs/${encodeURIComponent(run)}/curriculum/${snapshot.kind}/${snapshot.number}/levels/${level.index}/document`;
+  /** @type {[string, any][]} */
+  const facts = [["id", level.id], ["place", level.index], ["score", short(level.score)]];
+  if (level.scored) facts.push(["when it was scored", counted(level.scored)]);
+  if (level.training) facts.push(["in training", level.training.finished ? counted(level.training) : "not played to an end"]);
+  if (level.born !== undefined) facts.push(["came in batch", level.born], ["last played in batch", level.last_played]);
+  return html`<aside class="panel drawer" data-panel="level"><header><h3>Level ${level.index} of ${snapshot.kind} ${snapshot.number}</h3>
+      <span class="buttons"><button onClick=${() => setQuery({ level: null })} aria-label="close">✕</button></span></header>
+    ${picture && palette ? html`<${Picture} display=${picture.display} poses=${picture.poses} palette=${palette} size=${340} letters=${true} label=${`level ${level.index}`} />` : html`<p class="missing">no picture</p>`}
+    <dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>
+    <p class="soft">${Object.entries(level.features).map(([name, count]) => `${count} ${name.replace("_", " ")}`).join(", ")}</p>
+    ${picture ? html`<a class="button" href=${address} download>download as a level file</a>` : null}
+  </aside>`;
+}
+
+/** @param {any} counts */
+function counted(counts) {
+  return `${rateWithCount(counts.solved, counts.finished)}, 95 % ${percent(counts.low)} to ${percent(counts.high)}`;
+}

@@ -1,0 +1,158 @@
+// One run: how it goes, what is wrong, curves of everything, evaluations, events.
+import { addressOf } from "../base/address.js";
+import { get, useRequest } from "../base/api.js";
+import { duration, percent, short, smooth } from "../base/format.js";
+import { html, useRef, useState } from "../base/html.js";
+import { LineChart } from "../charts/line_chart.js";
+import { Panel } from "../charts/panel.js";
+import { label, panelsOf } from "./metric_panels.js";
+import { Notes, State } from "./parts.js";
+import { useSeries } from "./run_series.js";
+import { LogButton, useView, ViewBar, zoom } from "./view.js";
+
+const SHOWN_EVENTS = 200;
+const DESCRIBE_MS = 3000; // between looks at what is not sent row by row: state, warnings, evaluations
+
+/** @param {{ run: string }} props */
+export function OverviewPage({ run }) {
+  const view = useView();
+  const [hasOthers, setHasOthers] = useState(false);
+  const [described, setDescribed] = useState(0); // changes of which the description knows
+  const about = useRequest(() => get(`runs/${encodeURIComponent(run)}`), [run, described]);
+  const names = Object.keys(about.data?.metrics ?? {});
+  const { panels, others } = panelsOf(names);
+  const wanted = ["progress/env_steps", ...panels.flatMap((panel) => panel.names), ...(hasOthers ? others : [])];
+  const { curves, error, changes, bytesLeft, problems } = useSeries(run, names.length ? wanted : [], view);
+  const newest = useRef(changes);
+  const timer = useRef(/** @type {ReturnType<typeof setTimeout> | null} */ (null));
+  newest.current = changes;
+  if (changes > described) {
+    timer.current ??= setTimeout(() => {
+      timer.current = null;
+      setDescribed(newest.current);
+    }, DESCRIBE_MS);
+  }
+  const data = about.data;
+  const notes = [about.error, error, ...(problems ?? data?.problems ?? [])].filter(Boolean);
+  if (bytesLeft) notes.push(`reading metrics, ${short(bytesLeft)}B left`);
+  if (!data) return html`<main><${Notes} notes=${notes} />${about.error ? "" : html`<p class="missing">reading ${run} ...</p>`}</main>`;
+  const chart = (/** @type {import("./metric_panels.js").MetricPanel} */ panel) =>
+    html`<${MetricPanel} key=${panel.title} panel=${panel} curves=${curves} view=${view} metrics=${data.metrics} run=${run} />`;
+  return html`<main>
+    <${Facts} data=${data} curves=${curves} />
+    <${Notes} notes=${notes} />
+    <${Warnings} warnings=${data.warnings} />
+    <${ViewBar} view=${view} />
+    ${names.length ? null : html`<p class="missing">No metrics so far (metrics/metrics.jsonl); they come with the first update.</p>`}
+    <div class="grid">
+      <${Evaluations} run=${run} view=${view} changes=${described} />
+      ${panels.map(chart)}
+    </div>
+    ${others.length ? html`<details open=${hasOthers} onToggle=${(/** @type {any} */ e) => setHasOthers(e.target.open)}>
+      <summary>${others.length} more metrics</summary>
+      <div class="grid">${hasOthers ? others.map((name) => chart({ title: name, names: [name], help: data.metrics[name].meaning })) : null}</div>
+    </details>` : null}
+    <${Events} run=${run} changes=${described} />
+    <${Config} config=${data.config} report=${data.report} />
+  </main>`;
+}
+
+/** @param {{ data: any, curves: import("./run_series.js").Curves | null }} props */
+function Facts({ data, curves }) {
+  const { config, status } = data;
+  const last = (/** @type {string} */ name) => curves?.series[name]?.mean.findLast((value) => value !== null);
+  const facts = [
+    ["state", html`<${State} status=${status} />`],
+    ["why", status.text],
+    ["env steps", config?.config?.run?.total_env_steps ? `${short(status.env_steps ?? last("progress/env_steps"))} of ${short(config.config.run.total_env_steps)}` : "-"],
+    ["speed", `${short(last("progress/env_steps_per_second"))} env steps/s`],
+    ...(status.seconds_left !== undefined && status.seconds_left !== null ? [["time left", duration(status.seconds_left)]] : []),
+    ["config", config?.hash ?? "-"],
+    ["directory", data.path],
+  ];
+  return html`<dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
+}
+
+/** @param {{ warnings: { metric: string, rule: string, finding: string, remedy: string }[] }} props */
+function Warnings({ warnings }) {
+  if (!warnings.length) return null;
+  return html`<section class="warnings" role="status"><h3>⚠ ${warnings.length} ${warnings.length === 1 ? "warning" : "warnings"}</h3><ul>
+    ${warnings.map((warning) => html`<li key=${warning.metric}><b>${warning.metric}</b> ${warning.finding}
+      <span class="soft"> (rule: ${warning.rule})</span>${warning.remedy ? html`<br /><span class="soft">${warning.remedy}</span>` : null}</li>`)}
+  </ul></section>`;
+}
+
+/** @param {{ panel: import("./metric_panels.js").MetricPanel, curves: any, view: any, metrics: any, run: string }} props */
+function MetricPanel({ panel, curves, view, metrics, run }) {
+  const names = panel.names.filter((name) => curves?.series[name]);
+  const units = [...new Set(panel.names.map((name) => metrics[name]?.unit).filter(Boolean))];
+  const lines = names.map((name) => {
+    const curve = curves.series[name];
+    return { label: label(name), values: smooth(curve.mean, view.smooth), low: curve.min, high: curve.max };
+  });
+  const help = panel.help ?? (panel.names.length === 1 ? metrics[panel.names[0]]?.meaning : panel.names.map((name) => `${label(name)}: ${metrics[name]?.meaning}`).join("\n"));
+  const rows = () => [[view.axis, ...names], ...curves.x.map((/** @type {number} */ x, /** @type {number} */ k) => [x, ...names.map((name) => curves.series[name].mean[k])])];
+  const title = units.length === 1 ? `${panel.title} (${units[0]})` : panel.title;
+  return html`<${Panel} title=${title} help=${help} rows=${rows} name=${`${run} ${panel.title}`} wide=${panel.wide}
+    buttons=${panel.stacked ? null : html`<${LogButton} name=${panel.title} log=${view.log} />`}>
+    ${curves ? html`<${LineChart} x=${curves.x} lines=${lines} axis=${curves.unit} events=${curves.events} stacked=${panel.stacked}
+      log=${view.log.has(panel.title)} range=${[view.from, view.to]} onZoom=${zoom} />` : html`<div class="chart empty"></div>`}
+  </${Panel}>`;
+}
+
+/** Rates of the evaluation sets, with 95 % intervals; random actions as the line to beat.
+ * @param {{ run: string, view: ReturnType<typeof useView>, changes: number }} props */
+function Evaluations({ run, view, changes }) {
+  const { data, error } = useRequest(() => get(`runs/${encodeURIComponent(run)}/evaluations`), [run, changes]);
+  const sets = Object.entries(data?.sets ?? {});
+  const axis = view.axis === "updates" ? "update" : "env_steps";
+  const points = sets.flatMap(([, set]) => set.points.filter((/** @type {any} */ p) => p.phase !== "random_policy"));
+  const x = [...new Set(points.map((/** @type {any} */ point) => point[axis]))].sort((a, b) => a - b);
+  const lines = sets.flatMap(([name, set], index) => {
+    const at = (/** @type {string} */ field) => x.map((place) => set.points.findLast((/** @type {any} */ p) => p[axis] === place && p.phase !== "random_policy")?.[field] ?? null);
+    const baseline = set.points.find((/** @type {any} */ p) => p.phase === "random_policy");
+    return [
+      { label: name, values: at("rate"), low: at("low"), high: at("high"), style: 2 * index, points: x.length < 2 },
+      ...(baseline ? [{ label: `${name}, random actions`, values: x.map(() => baseline.rate), style: 2 * index + 1 }] : []),
+    ];
+  });
+  const rows = () => [["set", "phase", "update", "env_steps", "rate", "low", "high", "episodes"],
+    ...sets.flatMap(([name, set]) => set.points.map((/** @type {any} */ p) => [name, p.phase, p.update, p.env_steps, p.rate, p.low, p.high, p.episodes]))];
+  const missing = error ?? (data && !sets.length ? "No evaluation so far (evaluations.jsonl); evaluation.every sets how often." : null);
+  return html`<${Panel} title="Evaluation: solve rates (share)" help="levels that are never trained on; bands are 95 % Wilson intervals" missing=${missing} rows=${rows}
+    name=${`${run} evaluation`} buttons=${html`<a class="button" href=${addressOf(["run", run, "evaluation"])}>levels</a>`}>
+    ${data ? html`<${LineChart} x=${x} lines=${lines} axis=${axis === "update" ? "updates" : "env steps"} />
+      <p class="soft">${sets.map(([name, set]) => { const p = set.points.at(-1); return `${name}: ${percent(p.rate)} of ${p.episodes} episodes`; }).join(" · ")}</p>` : null}
+  </${Panel}>`;
+}
+
+/** @param {{ run: string, changes: number }} props */
+function Events({ run, changes }) {
+  const { data, error } = useRequest(() => get(`runs/${encodeURIComponent(run)}/events`), [run, changes]);
+  const [filter, setFilter] = useState("");
+  if (error || !data) return html`<${Notes} notes=${error ? [error] : []} />`;
+  const shown = data.events.filter((/** @type {any} */ e) => JSON.stringify(e).includes(filter)).slice(-SHOWN_EVENTS).reverse();
+  const rows = () => [["time", "update", "event", "details"], ...data.events.map((/** @type {any} */ event) => {
+    const { time, event: kind, update, ...details } = event;
+    return [time, update ?? "", kind, detailText(details)];
+  })];
+  return html`<${Panel} title="Events" help=${`${data.count} in events.jsonl, newest first`} rows=${rows} name=${`${run} events`} wide=${true} picture=${false}
+    buttons=${html`<input placeholder="filter" value=${filter} onInput=${(/** @type {any} */ e) => setFilter(e.target.value)} aria-label="filter events" />`}>
+    ${data.count ? html`<div class="scroll short"><table><tbody>${shown.map((/** @type {any} */ event, /** @type {number} */ k) => {
+      const { time, event: kind, update, ...details } = event;
+      return html`<tr key=${k}><td class="soft">${time}</td><td>${update ?? ""}</td><td><b>${kind}</b></td><td>${detailText(details)}</td></tr>`;
+    })}</tbody></table></div>` : html`<p class="missing">No events so far (events.jsonl).</p>`}
+  </${Panel}>`;
+}
+
+/** @param {Record<string, any>} details */
+function detailText(details) {
+  return Object.entries(details).map(([name, value]) => `${name} ${typeof value === "object" ? JSON.stringify(value) : value}`).join(", ");
+}
+
+/** @param {{ config: any, report: any }} props */
+function Config({ config, report }) {
+  return html`<details><summary>Configuration and report</summary><div class="columns">
+    <pre>${config ? JSON.stringify(config.config, null, 1) : "no config.json"}</pre>
+    <pre>${report ? JSON.stringify(report, null, 1) : "no report.json so far: it is written at the end"}</pre></div></details>`;
+}

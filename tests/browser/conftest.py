@@ -1,0 +1,116 @@
+"""A headless Chromium, real runs, and pages that may neither complain nor ask anybody but their server.
+
+The browser is that of `make browser`, or `chromium` of the path. Without one these tests are skipped, unless
+KINETIX_BROWSER_TESTS=required (continuous integration).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers import REPOSITORY, python_path
+from tests.server.serving import Server, serving
+
+FETCHED = REPOSITORY / ".cache" / "browser"
+REQUIRED = os.environ.get("KINETIX_BROWSER_TESTS") == "required"
+# One process, no sandbox (containers have no user namespaces), WebGL in software.
+OPTIONS = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+TIMEOUT_MS = 60_000
+
+
+def _missing(reason: str) -> None:
+    if REQUIRED:
+        pytest.fail(f"{reason}, and KINETIX_BROWSER_TESTS=required")
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        _missing("playwright is not installed")
+        return
+    fetched = FETCHED / "chromium"
+    program = str(fetched) if fetched.is_file() else shutil.which("chromium")
+    if program is None:
+        _missing("there is no Chromium here; `make browser` fetches one")
+        return
+    environment: dict[str, str | float | bool] = {**os.environ, "LANG": "en_US.UTF-8"}
+    if fetched.is_file():  # with its own libraries and fonts, for machines that have none
+        environment |= {"LD_LIBRARY_PATH": str(FETCHED / "lib"), "FONTCONFIG_PATH": str(FETCHED)}
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=OPTIONS, env=environment)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Server]]:
+    """serve(path, options): a server that ends after the pages of the test."""
+    with contextlib.ExitStack() as stack:
+        yield lambda *arguments: stack.enter_context(serving(*arguments))
+
+
+@pytest.fixture
+def open_page(browser: Any, serve: Any) -> Iterator[Callable[..., Any]]:
+    """open_page(server, "#/runs", width=...): a page with access. At the end no page of the test may have complained,
+    or asked another origin than its server."""
+    opened, complaints = [], []
+
+    def open_one(server: Server, view: str = "#/runs", **options: Any) -> Any:
+        options.setdefault("viewport", {"width": 1600, "height": 900})
+        context = browser.new_context(locale="en-US", accept_downloads=True, **options)
+        context.set_default_timeout(TIMEOUT_MS)
+        page = context.new_page()
+        origin = f"http://127.0.0.1:{server.port}/"
+        allowed = (origin, origin.replace("http", "ws"), "blob:", "data:")
+        page.on("console", lambda message: message.type in ("error", "warning") and complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda r: r.url.startswith(allowed) or complaints.append(f"asked {r.url}"))
+        page.goto(server.address)
+        page.wait_for_selector("nav")
+        page.goto(origin + view)
+        opened.append(context)
+        page.complaints = complaints
+        return page
+
+    yield open_one
+    for context in opened:
+        context.close()
+    assert not complaints, complaints
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a real run of seconds: recipe tiny, with evaluations and recordings while it trains."""
+    runs = tmp_path_factory.mktemp("trained")
+    command = [
+        sys.executable, "-m", "kinetix_dist.cli.main", "train", "--recipe", "tiny", "--run", str(runs / "tiny"),
+        "--evaluation.every", "4", "--recording.num_rollouts", "2", "--recording.make_pictures", "False",
+    ]  # fmt: skip
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+        env=os.environ | {"PYTHONPATH": python_path()},
+    )
+    assert done.returncode == 0, done.stderr
+    return runs
+
+
+@pytest.fixture(scope="session")
+def trained_server(trained: Path) -> Iterator[Server]:
+    with serving(trained) as server:
+        yield server

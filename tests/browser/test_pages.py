@@ -1,0 +1,202 @@
+"""The pages in a real browser, over a real run and over files that are written while they are looked at."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kinetix_dist.telemetry.json_lines import append_line
+from tests.dashboard.runs_for_tests import solve_rate, write_rows, write_run
+from tests.server.serving import Server, end
+
+OpenPage = Callable[..., Any]
+Serve = Callable[..., Server]
+
+# Whether a canvas has more than its background: the number of different colours in it.
+COLOURS = """(canvas) => {
+  const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  const seen = new Set();
+  for (let k = 0; k < data.length; k += 4) seen.add((data[k] << 16) | (data[k + 1] << 8) | data[k + 2]);
+  return seen.size;
+}"""
+
+
+def panel(page: Any, title: str) -> Any:
+    return page.locator(f'[data-panel^="{title}"]')
+
+
+def wait_for_drawn(page: Any, title: str, selector: str = "canvas") -> None:
+    """Until the first canvas of a panel is more than blank."""
+    canvas = panel(page, title).locator(selector).first
+    canvas.wait_for()
+    for _ in range(100):
+        if canvas.evaluate(COLOURS) > 4:
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"nothing is drawn in {title!r}")
+
+
+def test_from_the_list_to_every_page_of_a_real_run(trained_server: Server, open_page: OpenPage) -> None:
+    page = open_page(trained_server)
+    page.get_by_role("link", name="tiny", exact=True).click()
+    for title in ("Training episodes", "Evaluation: solve rates", "Level buffer", "Losses", "Where the time goes"):
+        wait_for_drawn(page, title)
+    assert "finished" in page.locator(".facts").inner_text()
+    assert "buffer_adopted" in panel(page, "Events").inner_text()
+
+    page.get_by_role("link", name="Curriculum", exact=True).click()
+    for title in (
+        "Solve rate in training",
+        "Learnability",
+        "Solve rates: candidates",
+        "Solve rate by number of joints",
+    ):
+        wait_for_drawn(page, title)
+    assert "by construction" in panel(page, "What persists").inner_text()
+
+    page.get_by_role("link", name="Evaluation", exact=True).click()
+    wait_for_drawn(page, "random_s")
+
+    page.get_by_role("link", name="Replays", exact=True).click()
+    wait_for_drawn(page, "player")
+    assert "kinetix-dist replay" in panel(page, "player").inner_text()
+
+    page.get_by_role("link", name="Compare", exact=True).click()
+    page.get_by_text("tiny", exact=True).click()
+    wait_for_drawn(page, "train/solve_rate: each run")
+
+
+def test_levels_are_pictures_and_one_of_them_opens(trained_server: Server, open_page: OpenPage) -> None:
+    page = open_page(trained_server, "#/run/tiny/levels")
+    page.locator(".thumbnail canvas").first.wait_for()
+    assert page.locator(".thumbnail canvas").count() == 8
+    page.locator(".thumbnail").nth(2).click()
+    wait_for_drawn(page, "level")
+    with page.expect_download() as download:
+        panel(page, "level").get_by_text("download as a level file").click()
+    document = json.loads(Path(download.value.path()).read_text())
+    assert document["shapes"], "a level file of our format"
+
+
+def test_a_p_is_never_shown_without_its_count(trained_server: Server, open_page: OpenPage) -> None:
+    page = open_page(trained_server, "#/run/tiny/levels")
+    page.locator(".thumbnail").first.wait_for()
+    for text in page.locator(".thumbnail").all_inner_texts():
+        assert " of " in text, text
+
+
+def test_a_rollout_is_played_stepped_and_scrubbed(trained_server: Server, open_page: OpenPage) -> None:
+    page = open_page(trained_server, "#/run/tiny/replays")
+    canvas = page.locator(".player canvas")
+    canvas.wait_for()
+    player = page.locator(".player")
+    player.focus()
+    player.press("Home")
+    assert canvas.get_attribute("data-step") == "0"
+    first = canvas.evaluate("(canvas) => canvas.toDataURL()")
+    player.press("ArrowRight")
+    assert canvas.get_attribute("data-step") == "1"
+    player.press("End")
+    page.wait_for_function("() => document.querySelector('.player canvas').dataset.step !== '1'")
+    assert canvas.evaluate("(canvas) => canvas.toDataURL()") != first
+    assert page.locator(".player b").count() == 1, "the outcome stands at the end"
+
+
+def test_a_row_on_disk_is_shown_and_a_resumed_run_goes_back(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
+    run = write_run(tmp_path / "a", 5)
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/overview?x=updates")
+    wait_for_drawn(page, "Training episodes")
+    facts = page.locator(".facts")
+    facts.get_by_text("640 of").wait_for()  # 5 updates of 128 steps
+    write_rows(run, 6, 7)
+    facts.get_by_text("896 of").wait_for(timeout=5000)
+    write_rows(run, 3, 3, resume_at=2, **{"learner/approx_kl": 0.5})
+    facts.get_by_text("384 of").wait_for(timeout=10_000)
+    append_line(run / "events.jsonl", {"time": "2026-01-31T13:00:00Z", "event": "resumed", "update": 2})
+    panel(page, "Events").get_by_text("resumed").wait_for(timeout=10_000)
+
+
+def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
+    run = write_run(tmp_path / "a", 5)
+    with (run / "metrics" / "metrics.jsonl").open("ab") as file:
+        file.write(b"\0\0garbage\n")
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/overview")
+    page.get_by_text("1 line is damaged in metrics/metrics.jsonl and left out").wait_for()
+    end(server.process)
+    page.get_by_text("disconnected").wait_for(timeout=10_000)
+    page.complaints.clear()  # the browser says that it cannot connect
+
+
+def test_an_older_run_says_what_it_lacks(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
+    write_run(tmp_path / "a", 5)
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/curriculum")
+    page.get_by_text("This run has no snapshots of its curriculum").wait_for()
+    page.get_by_text("This run has no counts of its training episodes").wait_for()
+    for name, text in (
+        ("levels", "This run has no snapshots of its curriculum"),
+        ("evaluation", "No evaluation so far"),
+        ("replays", "No rollouts so far"),
+    ):
+        page.goto(f"http://127.0.0.1:{server.port}/#/run/a/{name}")
+        page.get_by_text(text).wait_for()
+
+
+def test_without_play_pages_say_so(tmp_path: Path, trained: Path, open_page: OpenPage, serve: Serve) -> None:
+    server = serve(trained, "--no-play")
+    page = open_page(server, "#/run/tiny/levels")
+    page.get_by_text("the server was started with --no-play").wait_for()
+    page.locator(".thumbnail").nth(7).wait_for()  # counts are there without pictures
+    page.wait_for_timeout(500)
+    page.complaints.clear()  # the browser counts an answer of 503 as an error
+
+
+def test_the_view_is_in_the_address_and_its_numbers_come_out(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
+    write_run(tmp_path / "a", 20)
+    server = serve(tmp_path)
+    page = open_page(server, "#/run/a/overview")
+    wait_for_drawn(page, "Training episodes")
+    page.get_by_label("axis").select_option("updates")
+    assert "x=updates" in page.url
+    box = panel(page, "Training episodes").locator(".u-over").bounding_box()
+    page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 50)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 50, steps=5)
+    page.mouse.up()
+    page.wait_for_function("() => location.hash.includes('from=')")
+    page.goto(f"http://127.0.0.1:{server.port}/#/run/a/overview?x=updates&from=5.5&to=8.5")
+    page.reload()
+    wait_for_drawn(page, "Training episodes")
+    with page.expect_download() as download:
+        panel(page, "Training episodes").get_by_text("CSV").click()
+    lines = Path(download.value.path()).read_text().split()
+    assert lines[0] == "updates,train/solve_rate"
+    assert lines[1:] == [f"{u},{solve_rate(u):g}" for u in (5, 6, 7, 8, 9)]
+    with page.expect_download() as download:
+        panel(page, "Training episodes").get_by_text("PNG").click()
+    assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("view", ["#/runs", "#/run/tiny/overview", "#/run/tiny/curriculum", "#/run/tiny/replays"])
+def test_nothing_is_cut_off_on_a_phone(trained_server: Server, open_page: OpenPage, view: str) -> None:
+    page = open_page(trained_server, view, viewport={"width": 390, "height": 844})
+    page.locator("main").wait_for()
+    page.wait_for_timeout(1000)
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
+
+
+def test_dark_and_light_differ_and_stay(trained_server: Server, open_page: OpenPage) -> None:
+    page = open_page(trained_server, color_scheme="light")
+    background = "() => getComputedStyle(document.body).backgroundColor"
+    light = page.evaluate(background)
+    page.get_by_label("dark or light").click()
+    dark = page.evaluate(background)
+    page.reload()
+    page.locator("nav").wait_for()
+    assert page.evaluate(background) == dark != light
