@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from jax2d.fields import as_dict, from_dict
 from jax2d.palette import (
     BELT_ARROW_M,
     BELT_SPACING_M,
@@ -82,11 +81,11 @@ class Primitive:
             "kind": self.kind,
             "part": list(self.part),
             "body": self.body,
-            "points": np.asarray(self.points).tolist(),
-            "fill": np.asarray(self.fill).tolist(),
+            "points": self.points.tolist(),
+            "fill": list(self.fill),
         }
         if self.outline is not None:
-            document["outline"] = np.asarray(self.outline).tolist()
+            document["outline"] = list(self.outline)
         if self.kind == DISC:
             document["radius"] = self.radius
         elif self.kind != POLYGON:
@@ -127,7 +126,7 @@ def display_list(
       motor_colours, thruster_colours: [J] and [T] indices into MOTOR_PALETTE and THRUSTER_PALETTE, which controls
         drive what; None paints all motors alike, and nozzles in ink.
     """
-    scene = from_dict(Scene, {name: np.asarray(values) for name, values in as_dict(scene).items()})
+    scene = _as_numpy(scene)
     colours = shape_colours(scene, roles, palette)
     parts = itertools.chain(
         _shapes(scene, colours),
@@ -136,6 +135,16 @@ def display_list(
         _joints(scene, motor_colours),
     )
     return DisplayList(num_shapes=len(colours), primitives=tuple(parts))
+
+
+def _as_numpy(scene: Scene) -> Scene:
+    """With all arrays on the host: they are read one number at a time."""
+    parts = {name: getattr(scene, name) for name in ("shapes", "joints", "springs", "thrusters")}
+    on_host = {
+        name: type(part)(**{field: np.asarray(values) for field, values in vars(part).items()})
+        for name, part in parts.items()
+    }
+    return dataclasses.replace(scene, **on_host)
 
 
 def shape_colours(scene: Scene, roles: Any = None, palette: Sequence[Colour] = ROLE_PALETTE) -> np.ndarray:
@@ -188,11 +197,11 @@ def _shapes(scene: Scene, colours: np.ndarray) -> Iterator[Primitive]:
     vertices, num_vertices = np.asarray(shapes.vertices, float), np.asarray(shapes.num_vertices)
     surface_speed, inverse_mass = np.asarray(shapes.surface_speed), np.asarray(shapes.inverse_mass)
     num_polygons = len(vertices)
-    outlines = colours.astype(float) * OUTLINE_SHADE
+    fills, outlines = colours.tolist(), (colours.astype(float) * OUTLINE_SHADE).tolist()
     # Fixed shapes first: what moves stays visible where a wall and a body overlap.
     for i in sorted(np.flatnonzero(np.asarray(shapes.active)).tolist(), key=lambda i: inverse_mass[i] > 0):
         facts: dict[str, Any] = {"part": (SHAPE, i), "body": i}
-        fill, outline = colours[i], outlines[i]
+        fill, outline = fills[i], outlines[i]
         if i < num_polygons:
             corners = vertices[i, : num_vertices[i]]
             yield Primitive(kind=POLYGON, points=corners, fill=fill, outline=outline, **facts)

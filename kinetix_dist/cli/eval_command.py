@@ -22,11 +22,11 @@ from kinetix_dist.cli.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.checkpoint import Checkpoint
-    from kinetix_dist.config import TrainConfig
     from kinetix_dist.env.environment import Environment
     from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
     from kinetix_dist.evaluation.policies import Player
     from kinetix_dist.level.level import Level
+    from kinetix_dist.play.players import Trained
 
 BASELINES = ("random", "noop")
 MAX_ROWS = 100  # levels in the printed table; the JSON file always has all of them
@@ -67,16 +67,17 @@ class Args:
 
 def run(args: Args) -> int:
     check(args)
-    checkpoint, config = checkpoint_of(args)
+    trained = trained_of(args)
+    checkpoint = None if trained is None else trained.checkpoint
     from kinetix_dist.env.physics import describe
     from kinetix_dist.level.sets import load_level_set
     from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
-    enable_compile_cache("" if config is None else config.run.compile_cache)
+    enable_compile_cache("" if trained is None else trained.config.run.compile_cache)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(args.levels, args.size)
-    env = environment_of(args, config, levels)
-    players = players_of(args, checkpoint, config, env, levels)
+    env = environment_of(args, trained, levels)
+    players = players_of(args, trained, env, levels)
     rates = _evaluate(args, env, players, levels, list(names))
     first = next(iter(rates))
     print(
@@ -167,63 +168,45 @@ def check(args: Args) -> None:
         raise UserError(f"{args.record} exists and recordings are never overwritten; give --record a new file")
 
 
-def checkpoint_of(args: Args) -> tuple[Checkpoint | None, TrainConfig | None]:
-    """The checkpoint to play, verified, and the config it was trained with; (None, None) for a baseline."""
+def trained_of(args: Args) -> Trained | None:
+    """The checkpoint to play and the config it was trained with; None for a baseline."""
     if args.policy != "trained":
-        return None, None
-    from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, newest_good
-    from kinetix_dist.config import from_dict_for_playing
+        return None
+    from kinetix_dist.play.players import checkpoint_at, newest_checkpoint_of
 
     if args.checkpoint is not None:
         if (args.checkpoint / "checkpoints").is_dir():
             raise UserError(f"{args.checkpoint} is a run directory; give it as --run {args.checkpoint}")
-        with user_errors(CheckpointError, ValueError, OSError):
-            checkpoint = load_checkpoint(args.checkpoint)
-    else:
-        assert args.run is not None  # check saw to it
-        if not args.run.is_dir():
-            raise UserError(f"{args.run} is not a directory; give --run a run directory such as runs/quickstart")
-        newest, rejected = newest_good(args.run / "checkpoints")
-        for bad in rejected:
-            print(f"checkpoint {bad.path.name} passed over: {bad.reason}")
-        if newest is None:
-            raise UserError(f"{args.run} has no checkpoint that can be used; train it further, or give --checkpoint")
-        checkpoint = newest
-    if "config" not in checkpoint.description:
-        raise UserError(f"checkpoint {checkpoint.path} does not say which config it was trained with")
-    with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
-        return checkpoint, from_dict_for_playing(checkpoint.description["config"])
+        return checkpoint_at(args.checkpoint)
+    assert args.run is not None  # check saw to it
+    trained, rejected = newest_checkpoint_of(args.run)
+    for bad in rejected:
+        print(f"checkpoint {bad.path.name} passed over: {bad.reason}")
+    return trained
 
 
-def environment_of(args: Args, config: TrainConfig | None, levels: Level) -> Environment:
+def environment_of(args: Args, trained: Trained | None, levels: Level) -> Environment:
     """The environment that the policy was trained in, or the default one; with the physics asked for."""
     from jax2d.settings import preset
     from kinetix_dist.env.environment import EnvConfig, Environment
     from kinetix_dist.level.fit import capacity_of
     from kinetix_dist.level.level import SIZES
 
-    env_config = config.env if config is not None else EnvConfig()
-    if args.preset is not None:
-        env_config = dataclasses.replace(env_config, physics=preset(args.preset))
     capacity = capacity_of(levels)
     size = next(name for name, known in SIZES.items() if known == capacity)
-    return Environment(dataclasses.replace(env_config, size=size, effect_groups=0))
+    env_config = EnvConfig(size=size) if trained is None else trained.env_config(size)
+    if args.preset is not None:
+        env_config = dataclasses.replace(env_config, physics=preset(args.preset))
+    return Environment(env_config)
 
 
-def players_of(
-    args: Args, checkpoint: Checkpoint | None, config: TrainConfig | None, env: Environment, levels: Level
-) -> dict[str, Player]:
+def players_of(args: Args, trained: Trained | None, env: Environment, levels: Level) -> dict[str, Player]:
     """Players by name, the one asked for first."""
-    from kinetix_dist.evaluation.load_policy import load_policy
-    from kinetix_dist.evaluation.policies import NetworkPolicy, NoopPolicy, Player, RandomPolicy
+    from kinetix_dist.evaluation.policies import NoopPolicy, Player, RandomPolicy
 
     players: dict[str, Player] = {}
-    if checkpoint is not None and config is not None:
-        with user_errors(
-            ValueError, prefix=f"checkpoint {checkpoint.path} does not fit levels of size {env.config.size}: "
-        ):
-            module, params = load_policy(checkpoint, config.policy, env, levels)
-        players["trained"] = Player(NetworkPolicy(module, env.action_distribution, greedy=args.greedy), params)
+    if trained is not None:
+        players["trained"] = trained.player(env, levels, greedy=args.greedy)
     baselines = {"random": RandomPolicy(env.action_space), "noop": NoopPolicy(env.action_space)}
     for name in BASELINES if args.policy == "trained" and args.baselines else (args.policy,):
         if name in baselines:

@@ -115,11 +115,11 @@ def _rollouts(args: Render) -> list[Rollout]:
         levels=args.levels, checkpoint=args.checkpoint, policy=args.by, preset=args.preset, baselines=False
     )
     eval_command.check(asked)
-    checkpoint, config = eval_command.checkpoint_of(asked)
-    enable_compile_cache("" if config is None else config.run.compile_cache)
+    trained = eval_command.trained_of(asked)
+    enable_compile_cache("" if trained is None else trained.config.run.compile_cache)
     levels, names = _levels(args)
-    env = eval_command.environment_of(asked, config, levels)
-    player = eval_command.players_of(asked, checkpoint, config, env, levels)[args.by]
+    env = eval_command.environment_of(asked, trained, levels)
+    player = eval_command.players_of(asked, trained, env, levels)[args.by]
     return record_rollouts(env, player, levels, jax.random.key(args.seed), names=names, seed=args.seed)
 
 

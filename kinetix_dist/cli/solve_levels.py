@@ -283,13 +283,6 @@ def _player(args: Solve, env: Environment, level: Level) -> Player | None:
     if args.checkpoint is None:
         return None
     from jax2d.scene import stack_worlds
-    from kinetix_dist.checkpoint import CheckpointError, load_checkpoint
-    from kinetix_dist.config import from_dict_for_playing
-    from kinetix_dist.evaluation.load_policy import load_policy
-    from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+    from kinetix_dist.play.players import checkpoint_at
 
-    with user_errors(CheckpointError, ValueError, OSError):
-        checkpoint = load_checkpoint(args.checkpoint)
-        config = from_dict_for_playing(checkpoint.description["config"])
-        module, params = load_policy(checkpoint, config.policy, env, stack_worlds([level]))
-    return Player(NetworkPolicy(module, env.action_distribution), params)
+    return checkpoint_at(args.checkpoint).player(env, stack_worlds([level]))

@@ -16,18 +16,19 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jax2d.display_list import rotate
 from jax2d.scene import JointKind
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.overlap import separation, world_corners
 from kinetix_dist.level.roles import Role
+from kinetix_dist.level.statistics import separations
 from kinetix_dist.level.walls import FLOOR_TOP_M, WALL_NAMES
 
-MIN_OVERLAP_M = 0.005  # what the solver leaves as it is (Settings.linear_slop)
+MIN_OVERLAP_M = 0.005  # less is half a pixel of a picture, and soon gone
 LIMIT_TOLERANCE = 1e-4  # rad or m: rounding of float32 angles in files
+
+_separations = jax.jit(separations)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -85,18 +86,6 @@ def _overlaps(level: Level, paths: dict[int, str]) -> Iterator[StartWarning]:
         if -gaps[a, b] > MIN_OVERLAP_M:
             text = f"{names} overlap by {-gaps[a, b]:.2g} m at the start: physics pushes them apart"
             yield StartWarning(kind="overlap", paths=(paths[a], paths[b]), text=text)
-
-
-@jax.jit
-def _separations(level: Level) -> jax.Array:
-    """[n, n] m, of all pairs of shapes: negative where they overlap."""
-    shapes = level.scene.shapes
-    num_circles, num_vertices = shapes.radius.shape[0], shapes.vertices.shape[1]
-    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((num_circles, num_vertices, 2))])
-    radius = jnp.concatenate([jnp.zeros(shapes.vertices.shape[0]), shapes.radius])
-    corners = world_corners(jnp.asarray(level.position), jnp.asarray(level.angle), vertices)
-    to_all = jax.vmap(separation, in_axes=(None, None, 0, 0))
-    return jax.vmap(to_all, in_axes=(0, 0, None, None))(corners, radius, corners, radius)
 
 
 def _uncontrollable(level: Level) -> Iterator[StartWarning]:

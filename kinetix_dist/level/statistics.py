@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import JointKind
+from jax2d.scene import Array, JointKind
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
 from kinetix_dist.level.overlap import separation, world_corners
@@ -288,18 +288,21 @@ def _joined(levels: Level) -> np.ndarray:
     return joined
 
 
+def separations(level: Level) -> Array:
+    """[n, n] m, of all pairs of shapes of one level, active or not: negative where they overlap. Pure."""
+    shapes, capacity = level.scene.shapes, capacity_of(level)
+    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
+    radius = jnp.concatenate([jnp.zeros(capacity.polygons), shapes.radius])
+    corners = world_corners(jnp.asarray(level.position), jnp.asarray(level.angle), vertices)
+    against = jax.vmap(separation, in_axes=(None, None, 0, 0))
+    return jax.vmap(lambda own, r: against(own, r, corners, radius))(corners, radius)
+
+
 def overlaps(levels: Level) -> np.ndarray:
     """[W, n, n] bool: which active shapes overlap, each pair once (the lower slot first)."""
-    capacity = capacity_of(levels)
 
     def of_level(level: Level) -> jax.Array:
-        shapes = level.scene.shapes
-        vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
-        radius = jnp.concatenate([jnp.zeros(capacity.polygons), shapes.radius])
-        corners = world_corners(level.position, level.angle, vertices)
-        against = jax.vmap(separation, in_axes=(None, None, 0, 0))
-        gap = jax.vmap(lambda own, r: against(own, r, corners, radius))(corners, radius)
-        active = jnp.asarray(shapes.active)
+        gap, active = separations(level), jnp.asarray(level.scene.shapes.active)
         return (gap < 0.0) & active[:, None] & active[None, :] & jnp.triu(jnp.ones_like(gap, dtype=bool), 1)
 
     return np.asarray(jax.jit(jax.vmap(of_level))(levels))

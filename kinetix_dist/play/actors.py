@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jax2d.scene import stack_worlds
 from jax2d.settings import preset
 from kinetix_dist.config import from_dict_for_playing
 from kinetix_dist.env.env_config import EnvConfig
@@ -42,7 +43,7 @@ class GivenPolicy:
         own = self.trained.config.env
         config = dataclasses.replace(env_config, observation=own.observation, action_space=own.action_space)
         env = programs.environment(config)
-        player = self.trained.player(env, level)
+        player = self.trained.player(env, stack_worlds([level]))
         about = {
             "kind": self.kind,
             "path": str(self.trained.checkpoint.path),

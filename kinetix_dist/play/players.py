@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from jax2d.scene import stack_worlds
 from kinetix_dist.checkpoint import Checkpoint, CheckpointError, Rejected, load_checkpoint, newest_good
 from kinetix_dist.config import TrainConfig, from_dict_for_playing
 from kinetix_dist.env.env_config import EnvConfig
@@ -32,11 +31,11 @@ class Trained:
     def env_config(self, size: str) -> EnvConfig:
         return env_config_of(self.config, size)
 
-    def player(self, env: Environment, level: Level, *, greedy: bool = False) -> Player:
-        """Its policy for one level (no leading axis). Raises UserError where it does not fit levels of this size."""
+    def player(self, env: Environment, levels: Level, *, greedy: bool = False) -> Player:
+        """Its policy for levels [W, ...] like these. Raises UserError where it does not fit levels of this size."""
         path, size = self.checkpoint.path, env.config.size
         with user_errors(ValueError, prefix=f"checkpoint {path} does not fit levels of size {size}: "):
-            module, params = load_policy(self.checkpoint, self.config.policy, env, stack_worlds([level]))
+            module, params = load_policy(self.checkpoint, self.config.policy, env, levels)
         return Player(NetworkPolicy(module, env.action_distribution, greedy=greedy), params)
 
 

@@ -58,6 +58,11 @@ class Service:
         with self._lock:
             return bool(self._requests) or self._loop.is_stepping
 
+    @property
+    def is_unused(self) -> bool:
+        """Whether there is no session either."""
+        return not self.is_busy and self._loop.num_sessions == 0
+
     def handle(self, message: Message) -> None:
         """One message of the client. Answers, now or later; raises nothing that a client could cause."""
         fields = message.content

@@ -13,6 +13,8 @@ import threading
 import time
 from typing import IO
 
+import psutil
+
 from kinetix_dist.play.wire import PROTOCOL_VERSION, ProtocolError, read
 
 IDLE_SECONDS = 900.0
@@ -20,6 +22,8 @@ IDLE_VARIABLE = "KINETIX_DIST_WORKER_IDLE_SECONDS"  # another number of seconds,
 NICE = 10
 NUM_THREADS = 2
 WATCH_SECONDS = 0.5
+MAX_RESIDENT_BYTES = 1_200_000_000  # above it an unused worker gives its programs back,
+FORGET_SECONDS = 30.0  # after so long without a message
 CLOSE_SECONDS = 2.0  # for the last messages
 
 
@@ -30,6 +34,7 @@ def main() -> None:
     # jax is imported below this line, once the process is prepared for it.
     from kinetix_dist.play.hello import hello
     from kinetix_dist.play.outbox import Outbox
+    from kinetix_dist.play.programs import forget_programs
     from kinetix_dist.play.service import Service
     from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
@@ -47,6 +52,7 @@ def main() -> None:
         os._exit(0)
 
     def watch() -> None:
+        process = psutil.Process()
         idle_seconds = float(os.environ.get(IDLE_VARIABLE, IDLE_SECONDS))
         while True:
             time.sleep(WATCH_SECONDS)
@@ -56,6 +62,9 @@ def main() -> None:
                 last_message[0] = time.monotonic()
             elif time.monotonic() - last_message[0] > idle_seconds:
                 end("idle")
+            elif service.is_unused and time.monotonic() - last_message[0] > FORGET_SECONDS:
+                if process.memory_info().rss > MAX_RESIDENT_BYTES:
+                    forget_programs()
 
     threading.Thread(target=watch, name="watch", daemon=True).start()
     while True:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.play.client import Client
+from bench.worker_client import Client
 
 
 @pytest.fixture

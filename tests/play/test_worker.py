@@ -15,6 +15,7 @@ import jax
 import numpy as np
 import pytest
 
+from bench.worker_client import Client
 from jax2d.scene import stack_worlds
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.env.env_config import EnvConfig
@@ -32,7 +33,6 @@ from kinetix_dist.play.wire import RequestError
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, LEVELS, REFRESH
 from kinetix_dist.telemetry.curriculum_log import write_snapshot as write_snapshot_file
 from kinetix_dist.telemetry.sinks.mcap import McapSink
-from tests.play.client import Client
 
 NAME = "s/hop_home"
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from bench.worker_client import WORKER, Client
 from kinetix_dist.play.worker import IDLE_VARIABLE
 from tests.helpers import REPOSITORY, python_path
-from tests.play.client import WORKER, Client
 from tests.play.test_worker import LONG, document
 
 

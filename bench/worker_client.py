@@ -1,4 +1,4 @@
-"""A client of the engine worker for tests: a real process, a real pipe, blocking calls."""
+"""A client of the engine worker for measurements and tests: a real process, a real pipe, blocking calls."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from typing import Any
 
 from kinetix_dist.play.frames import Frame, FrameSizes, decode
 from kinetix_dist.play.wire import NOT_FOUND, Message, RequestError, encode, read
-from tests.helpers import REPOSITORY, python_path
+
+REPOSITORY = Path(__file__).resolve().parent.parent
 
 WORKER = (sys.executable, "-m", "kinetix_dist.play.worker")
 SECONDS = 120.0  # for an answer, after which a worker is taken for hung
@@ -27,13 +28,14 @@ class Client:
 
     def __init__(self, *, log: Path, environment: dict[str, str] | None = None, slow: bool = False) -> None:
         self._log = log.open("wb")
+        search_path = os.pathsep.join([str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])])
         self.process = subprocess.Popen(
             WORKER,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
             cwd=REPOSITORY,
-            env=os.environ | {"PYTHONPATH": python_path()} | (environment or {}),
+            env=os.environ | {"PYTHONPATH": search_path} | (environment or {}),
         )
         self._ids = itertools.count(1)
         self._messages: queue.Queue[Message | None] = queue.Queue()
