@@ -169,7 +169,7 @@ def test_tools_by_touch(editing: Callable[..., Any], tmp_path: Path) -> None:
     bench.use("Thruster")
     stroke((1.2, 1.2), (1.2, 2.2))
     bench.use("Select")
-    stroke((3.15, 2.1), (3.35, 2.4), (3.65, 2.6))  # beside the joint, which lies on top
+    stroke((3.2, 2.13), (3.4, 2.4), (3.7, 2.63))  # beside the joint, which lies on top
     metres = "async () => document.querySelector('.editor-canvas').getBoundingClientRect().width"
     assert page.evaluate(metres) <= 390
     bench.save("touched.json")

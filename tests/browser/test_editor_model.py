@@ -147,7 +147,8 @@ GESTURES = """async ([start, engine, count, seed]) => {
     } else {
       const name = draw() < 0.5 ? "select" : pick(Object.keys(TOOLS));
       editor.use(name);
-      const pointer = () => ({ at: [5 * draw(), 5 * draw()], px: 0.01, add: draw() < 0.2, free: draw() < 0.3 });
+      const at = () => [5 * draw(), 5 * draw()];
+      const pointer = () => ({ at: at(), px: 0.01, thick: 1, add: draw() < 0.2, free: draw() < 0.3 });
       const shape = pick(editor.document.shapes);
       const first = { ...pointer(), ...(shape && draw() < 0.7 ? { at: [...shape.position] } : {}) };
       const gesture = TOOLS[name].down(editor, first);

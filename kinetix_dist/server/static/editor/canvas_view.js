@@ -6,6 +6,7 @@ import { drawOverlay, plate } from "./overlay.js";
 import { keyMark, MOTOR_KEYS, THRUSTER_KEYS } from "./play.js";
 import { TOOLS } from "./tools.js";
 
+const FINGER = 1.8; // how much farther a finger reaches than a mouse
 const WHEEL_FACTOR = 1.0015; // of the view, for each pixel of a wheel
 
 /**
@@ -119,7 +120,8 @@ function followPointers(canvas, editor, play) {
   };
   const pointer = (/** @type {PointerEvent} */ event) => ({
     at: world(event.clientX, event.clientY),
-    px: px() * (event.pointerType === "touch" ? 1.8 : 1), // fingers are thicker
+    px: px(),
+    thick: event.pointerType === "touch" ? FINGER : 1,
     add: event.shiftKey || editor.adds,
     free: event.altKey,
   });

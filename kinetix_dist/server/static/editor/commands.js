@@ -45,7 +45,7 @@ function arrow(editor, key) {
 /** Click with the cross. @param {Editor} editor */
 function click(editor) {
   const at = editor.cursor ?? editor.view.middle;
-  const pointer = { at, px: 0.01, add: false, free: true };
+  const pointer = { at, px: 0.01, thick: 1, add: false, free: true };
   TOOLS[editor.tool].down(editor, pointer)?.up(pointer);
 }
 

@@ -1,10 +1,12 @@
 // The panels beside the picture: fields of what is selected and of the level, what there is, what is wrong with it.
 import { html, useEffect, useState } from "../base/html.js";
+import { COMMANDS } from "./commands.js";
 import { PARTS, parsePath, thingAt, withThing } from "./document.js";
 import { renamed } from "./edits.js";
 import { fieldsOf, LEVEL_FIELDS, SHAPE_FIELDS, valueOf, withValue } from "./fields.js";
 
 /** @typedef {import("./state.js").Editor} Editor */
+const ALIGNMENTS = COMMANDS.filter((command) => command.label.startsWith("Align"));
 /** @typedef {import("./fields.js").Field} Field */
 
 /** What is typed: kept as text until it is a value; the text of another value takes its place. @param {{ value: any, parse: (text: string) => any, show: (value: any) => string, commit: (value: any) => void, label: string, type?: string, step?: number }} props */
@@ -104,6 +106,7 @@ function ManyPanel({ editor }) {
   const commit = (/** @type {Field} */ field, /** @type {any} */ value) =>
     editor.commit(shapes.reduce((level, path) => withThing(level, path, withValue(thingAt(level, path), field, value)), document));
   return html`<section class="panel" data-panel="selection"><header><h3>${selection.length} things</h3><span class="help">fields are set for all ${shapes.length} shapes</span></header>
+    <div class="row small">${ALIGNMENTS.map((command) => html`<button key=${command.label} title=${command.keys[0]} onClick=${() => command.run(editor, command.keys[0])}>${command.label.toLowerCase()}</button>`)}</div>
     ${first ? html`<div class="fields">${SHAPE_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${first} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>` : null}
   </section>`;
 }

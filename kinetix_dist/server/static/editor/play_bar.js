@@ -86,7 +86,9 @@ function Mind({ play }) {
 
 /** 64 attempts: p with its interval, and learnability. @param {{ editor: import("./state.js").Editor }} props */
 export function AttemptsPanel({ editor }) {
-  const [policy, setPolicy] = useState(editor.engine.pretrained.length ? `checkpoint:${editor.engine.pretrained[0]}` : "random");
+  const [chosen, setPolicy] = useState("");
+  const own = `sfl_${editor.document.size}`; // made for levels of this size
+  const policy = chosen || (editor.engine.pretrained.includes(own) ? `checkpoint:${own}` : "random");
   const [state, setState] = useState(/** @type {any} */ (null));
   const request = useRef("");
   const start = async () => {

@@ -8,13 +8,14 @@ import { snapped, snappedAngle, snapTargets } from "./snap.js";
 /**
  * @typedef {import("./geometry.js").Point} Point
  * @typedef {import("./state.js").Editor} Editor
- * @typedef {{ at: Point, px: number, add: boolean, free: boolean }} Pointer at: m; px: m of a pixel; add: shift is held; free: no snapping
+ * @typedef {{ at: Point, px: number, thick: number, add: boolean, free: boolean }} Pointer at: m; px: m of a pixel; thick: 1 of a mouse; add: shift is held; free: no snapping
  * @typedef {{ move: (pointer: Pointer) => void, up: (pointer: Pointer) => void }} Gesture
  * @typedef {{ key: string, label: string, mark: string, help: string, down: (editor: Editor, pointer: Pointer) => Gesture | null }} Tool
  */
 
 const CLICK_PX = 5; // less is no drag
-const REACH_PX = 12;
+const HANDLE_PX = 12; // how near a pointer has to come, times how thick it is
+const THING_PX = 8; // the same of joints and thrusters, which lie on shapes that are to be hit too
 const DEFAULT_M = 0.5; // side of a box that is placed by a click
 
 /** Where the pointer is meant to be. @param {Editor} editor @param {Pointer} pointer @param {ReadonlySet<string>} [but] @returns {Point} */
@@ -30,13 +31,13 @@ function aimed(editor, pointer, but) {
 function beginSelect(editor, pointer) {
   const before = editor.settled;
   const handles = handlesOf(before, editor.selection, editor.walls, pointer.px);
-  const held = handles.findIndex((handle) => distance(handle.at, pointer.at) <= REACH_PX * pointer.px);
+  const held = handles.findIndex((handle) => distance(handle.at, pointer.at) <= HANDLE_PX * pointer.px * pointer.thick);
   if (held >= 0) {
     const handle = handles[held];
     const number = handles.slice(0, held).filter((entry) => entry.kind === handle.kind).length;
     return dragHandle(editor, handle, number, pointer);
   }
-  const under = thingsAt(before, pointer.at, REACH_PX * pointer.px, editor.walls);
+  const under = thingsAt(before, pointer.at, THING_PX * pointer.px * pointer.thick, editor.walls);
   const isSelected = under.find((path) => editor.selection.includes(path));
   const [top] = under;
   if (pointer.add && top) {
@@ -65,7 +66,7 @@ function dragHandle(editor, handle, number, start) {
   let hasMoved = false;
   return {
     move(pointer) {
-      hasMoved ||= distance(pointer.at, start.at) > CLICK_PX * pointer.px;
+      hasMoved ||= distance(pointer.at, start.at) > CLICK_PX * pointer.px * pointer.thick;
       if (!hasMoved) return;
       const snaps = editor.snaps && !pointer.free;
       const point = isPoint ? aimed(editor, pointer, but) : pointer.at;
@@ -93,7 +94,7 @@ function dragThings(editor, start, clicked) {
   let hasMoved = false;
   return {
     move(pointer) {
-      hasMoved ||= distance(pointer.at, start.at) > CLICK_PX * pointer.px;
+      hasMoved ||= distance(pointer.at, start.at) > CLICK_PX * pointer.px * pointer.thick;
       if (!hasMoved) return;
       if (!first) return; // walls stay where they are
       const [dx, dy] = sub(pointer.at, start.at);
@@ -113,7 +114,7 @@ function dragRectangle(editor, start, wall) {
   let hasMoved = false;
   return {
     move(pointer) {
-      hasMoved ||= distance(pointer.at, start.at) > CLICK_PX * pointer.px;
+      hasMoved ||= distance(pointer.at, start.at) > CLICK_PX * pointer.px * pointer.thick;
       if (!hasMoved) return;
       editor.sketch = { kind: "rectangle", from: start.at, to: pointer.at };
       const [left, right] = [start.at[0], pointer.at[0]].sort((a, b) => a - b);
@@ -147,7 +148,7 @@ function drawing(kind, make, place) {
         if (shape) editor.preview(withShape(shape));
       },
       up(pointer) {
-        const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px;
+        const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px * pointer.thick;
         const shape = isClick ? place(from) : make(from, aimed(editor, pointer));
         if (!shape) return editor.cancel();
         editor.commit(withShape(shape), [`shapes[${before.shapes.length}]`]);
@@ -207,7 +208,7 @@ function joining(type, more) {
         editor.changed();
       },
       up(pointer) {
-        const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px;
+        const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px * pointer.thick;
         const last = isClick ? first : bodiesAt(editor, pointer.at);
         // What lies on top is b: run forward, the motor turns the wheel (b) counter-clockwise against the chassis (a).
         const [b, a] = isClick ? first : [first[0], last.find((id) => id !== first[0])];
@@ -236,8 +237,8 @@ function beginThruster(editor, start) {
   const at = aimed(editor, start);
   const path = `thrusters[${(before.thrusters ?? []).length}]`;
   const towards = (/** @type {Pointer} */ pointer) => {
-    const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px;
-    const free = isClick ? Math.PI / 2 : Math.atan2(pointer.at[1] - at[1], pointer.at[0] - at[0]);
+    const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px * pointer.thick;
+    const free = isClick ? Math.PI / 2 : Math.atan2(pointer.at[1] - start.at[1], pointer.at[0] - start.at[0]);
     const world = editor.snaps && !pointer.free ? snappedAngle(free) : free;
     const thruster = { shape: shape.id, position: roundedPoint(toLocal(shape, at)), angle: rounded(wrapped(world - (shape.angle ?? 0))), colour: 0 };
     return added(before, "thrusters", thruster);
