@@ -224,9 +224,12 @@ def test_what_is_wrong_leads_to_its_shape_and_nothing_is_lost(editing: Callable[
     again.get_by_role("button", name="bring it back").click()
     again.get_by_role("button", name="box_1").wait_for()
     again.close()
+    file.unlink()  # and then it is gone: what was agreed to was another file
     page.get_by_role("button", name="save over it").click()
+    page.get_by_text("hop.json is gone; nothing was saved").wait_for()
+    page.get_by_role("button", name="save it anew").click()
     page.get_by_text("saved to hop.json").wait_for()
-    assert [text.split("status of ")[1][:3] for text in page.complaints] == ["412"]  # Chromium tells of it too
+    assert [text.split("status of ")[1][:3] for text in page.complaints] == ["412", "412"]  # Chromium tells of it too
     page.complaints.clear()
     assert {shape["id"] for shape in json.loads(file.read_text())["shapes"]} >= {"box_1"}
 
@@ -284,6 +287,13 @@ def test_levels_come_in_and_go_out(editing: Callable[..., Any], tmp_path: Path) 
             {"name": "a.json", "mimeType": "application/json", "buffer": content}
         )
         page.locator(".note", has_text=text).wait_for()
+    picture = page.get_by_label("the level")
+    for key in ("Escape", "Escape", "b", "ArrowRight", "Shift+ArrowUp", "Enter"):  # a box without a mouse
+        picture.press(key)
+    page.get_by_role("heading", name="box_1").wait_for()
+    assert page.get_by_label("position 1", exact=True).input_value() == "2.55"
+    assert page.get_by_label("position 2", exact=True).input_value() == "2.505"
+    picture.press("Control+z")
     assert "Valid" in bench.checked()
     page.get_by_role("button", name="new level of size").click()
     page.locator(".note", has_text="a new random level").wait_for()

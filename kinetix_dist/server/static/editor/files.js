@@ -65,12 +65,14 @@ export async function openFile(editor, name) {
   editor.open(await readLevel(text), isPublic ? {} : { file: name, hash });
 }
 
-/** Saves to the file of the command line. @param {Editor} editor @param {string} name @param {{ over?: string | null }} [options] over:
- * the hash of what else is there, that a person agreed to lose @returns {Promise<{ conflict: string | null } | null>} null: saved */
-export async function saveFile(editor, name, { over } = {}) {
+/** @typedef {{ name: string, problem: string, hash: string | null }} Conflict hash: of what is there instead; null: nothing */
+
+/** Saves to a file of the command line, if it is what it was. @param {Editor} editor @param {string} name
+ * @param {Conflict | null} over what a person agreed to lose @returns {Promise<Conflict | null>} null: saved, or why not was said */
+export async function saveFile(editor, name, over = null) {
   const { document } = editor;
   const text = documentText(document);
-  const known = over ?? editor.files.get(name)?.hash ?? null;
+  const known = over ? over.hash : (editor.files.get(name)?.hash ?? null);
   /** @type {Record<string, string>} */
   const headers = known === null ? { "If-None-Match": "*" } : { "If-Match": `"${known}"` };
   const answer = await fetch(address(name), { method: "PUT", body: text, headers }).catch(() => null);
@@ -80,8 +82,7 @@ export async function saveFile(editor, name, { over } = {}) {
   }
   const content = await answer.json();
   if (answer.status === 412) {
-    editor.say(content.error);
-    return { conflict: content.hash };
+    return { name, problem: content.error, hash: content.hash };
   }
   if (!answer.ok) {
     editor.say(`not saved: ${content.error}`);
@@ -143,7 +144,7 @@ export async function unpacked(text) {
 /** What is worked on, kept by the browser until it is saved. @param {Editor} editor */
 export function keepDraft(editor) {
   const { document, file } = editor.history.present;
-  if (!editor.history.past.length) return;
+  if (!editor.history.past.length || !editor.isUnsaved) return;
   try {
     localStorage.setItem(DRAFT, JSON.stringify({ text: documentText(document), file, at: Date.now() }));
   } catch {

@@ -54,7 +54,7 @@ function Workplace({ engine, about }) {
   }, [engine]);
   const [panel, setPanel] = useState("level");
   const [policy, setPolicy] = useState("keys");
-  const [conflict, setConflict] = useState(/** @type {string | null | undefined} */ (undefined));
+  const [conflict, setConflict] = useState(/** @type {import("./files.js").Conflict | null} */ (null));
   const [draft, setDraft] = useState(findDraft);
   const [isDropping, setDropping] = useState(false);
   const connection = useConnection();
@@ -84,12 +84,11 @@ function Workplace({ engine, about }) {
   };
   useKeys(editor, play, start);
 
-  const save = async (/** @type {string | null} */ over = null) => {
-    const name = over !== null && editor.file ? editor.file : (editor.file ?? about.files?.only ?? askName(editor));
+  const save = async (/** @type {import("./files.js").Conflict | null} */ over = null) => {
+    const name = over?.name ?? editor.file ?? about.files?.only ?? askName(editor);
     if (!name) return;
-    const result = await saveFile(editor, name, over === null ? {} : { over });
-    setConflict(result ? result.conflict : undefined);
-    if (!result && !editor.isUnsaved) dropDraft();
+    setConflict(await saveFile(editor, name, over));
+    if (!editor.isUnsaved) dropDraft();
   };
   const open = async (/** @type {() => Promise<void>} */ act) => {
     await play.close();
@@ -137,10 +136,10 @@ function Workplace({ engine, about }) {
     </div>
     ${draft ? html`<div class="notes" role="alert">A level that was not saved is here from ${new Date(draft.at).toLocaleString()}.
       <button onClick=${() => open(async () => { editor.open(await readLevel(draft.text)); setDraft(null); })}>bring it back</button> <button onClick=${() => { dropDraft(); setDraft(null); }}>forget it</button></div>` : null}
-    ${conflict !== undefined ? html`<div class="notes" role="alert">${editor.file} was changed elsewhere; nothing was saved.
-      <button onClick=${() => save(conflict)}>save over it</button>
-      <button onClick=${() => { const name = editor.file; setConflict(undefined); if (name) void open(() => openFile(editor, name)); }}>open what is there</button>
-      <button onClick=${() => setConflict(undefined)}>leave it</button></div>` : null}
+    ${conflict ? html`<div class="notes" role="alert">${conflict.problem}.
+      <button onClick=${() => save(conflict)}>${conflict.hash === null ? "save it anew" : "save over it"}</button>
+      ${conflict.hash === null ? null : html`<button onClick=${() => { setConflict(null); void open(() => openFile(editor, conflict.name)); }}>open what is there</button>`}
+      <button onClick=${() => setConflict(null)}>leave it</button></div>` : null}
     <div class="workplace">
       <div class="picture">
         <${CanvasView} editor=${editor} play=${play} />
