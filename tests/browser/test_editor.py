@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 
+from kinetix_dist.level.document import level_to_json
+from kinetix_dist.level.fit import capacity_of_size, fit_level
 from kinetix_dist.level.schema import load_level
-from kinetix_dist.level.sets import files_of_set
+from kinetix_dist.level.sets import files_of_set, read_public_level
 from tests.helpers import REPOSITORY
 from tests.server.serving import Server, serving
 
@@ -135,6 +137,29 @@ def test_every_designed_level_is_opened_and_saved_unchanged(editing: Callable[..
     for file in DESIGNED:
         assert json.loads((tmp_path / file.name).read_text()) == json.loads(file.read_text()), file
     assert len(server.json("/api/files")["files"]) == len(DESIGNED) == 74
+
+
+def test_every_public_level_is_opened_and_saved_as_the_same_level(
+    editing: Callable[..., Any], tmp_path: Path, public_levels: Path
+) -> None:
+    """As what `kinetix-dist levels import` makes of it."""
+    bench, _ = editing(tmp_path)
+    files = sorted(public_levels.rglob("*.json"))
+    for k, file in enumerate(files):
+        save = """async ([name, text]) => {
+          const from = (name) => import(new URL(`static/editor/${name}.js`, location.href));
+          const [{ Editor }, { openText, saveFile }] = await Promise.all(["state", "files"].map(from));
+          const editor = new Editor(await (await fetch("api/engine")).json());
+          await openText(editor, text);
+          await saveFile(editor, name);
+          return editor.note;
+        }"""
+        assert bench.page.evaluate(save, [f"{k}.json", file.read_text()]) == f"saved to {k}.json", file
+        level, info = read_public_level(file)
+        written = json.loads((tmp_path / f"{k}.json").read_text())
+        expected = level_to_json(fit_level(level, capacity_of_size(info.size)), info)
+        assert written == expected | {"name": written["name"]}, file
+    assert len(files) == 74
 
 
 def test_tools_by_touch(editing: Callable[..., Any], tmp_path: Path) -> None:
