@@ -59,10 +59,10 @@ def write_run(run: Path, updates: int) -> Path:
 
 
 @contextmanager
-def serving(*paths: Path) -> Iterator[tuple[str, psutil.Process]]:
-    """Address and process of a dashboard over paths."""
+def serving(*paths: Path | str, name: str = "dashboard") -> Iterator[tuple[str, psutil.Process]]:
+    """Address and process of a dashboard (or `name="edit"`) over paths."""
     environment = os.environ | {"PYTHONPATH": str(CHECKOUT), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "kinetix_dist.cli.main", "dashboard", "--port", "0", *map(str, paths)]
+    command = [sys.executable, "-m", "kinetix_dist.cli.main", name, "--port", "0", *map(str, paths)]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         assert server.stdout is not None

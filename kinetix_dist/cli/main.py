@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
     "eval": ("kinetix_dist.cli.eval_command", "solve rates of a run or a checkpoint on a set of levels"),
     "import-checkpoint": ("kinetix_dist.cli.import_checkpoint", "a policy of the public package as a checkpoint"),
     "dashboard": ("kinetix_dist.cli.dashboard", "pages over runs: curves, curriculum, levels, rollouts, comparison"),
+    "edit": ("kinetix_dist.cli.edit", "make, change, check and play levels in a browser"),
     "replay": ("kinetix_dist.cli.replay", "turn a recording into an .rrd that rerun opens, or view it"),
     "levels": ("kinetix_dist.cli.levels", "list, show, validate, render, import, export, solve and count levels"),
     "bench": ("kinetix_dist.cli.bench", "measure the speed of engine, training, learner, scaling and curator"),

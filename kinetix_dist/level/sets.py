@@ -11,10 +11,8 @@ public package.
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -28,6 +26,7 @@ from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import LevelInfo, load_level
+from kinetix_dist.level.set_files import designed_files, designed_sets
 from kinetix_dist.level.validate import read_document
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
@@ -69,12 +68,6 @@ def load_level_set(
     return _stack(files_of_set(name), size)
 
 
-def designed_sets() -> dict[str, dict[str, Any]]:
-    """levels/sets.toml: for each set its description, size and level files (relative to levels/)."""
-    with (levels_root() / "sets.toml").open("rb") as file:
-        return tomllib.load(file)
-
-
 def read_level(path: Path) -> tuple[Level, LevelInfo]:
     """One level of a file in either format, in arrays of the size the file says, and what is known about it."""
     document = read_document(path)
@@ -98,9 +91,7 @@ def files_of_set(name: str) -> list[Path]:
     sets = designed_sets()
     if name in sets:
         return [levels_root() / file for file in sets[name]["levels"]]
-    designed = [levels_root() / f"{folder}{name}.json" for folder in ("", *(f"{size}/" for size in SIZES))]
-    found = [file for file in designed if file.is_file() and file.parent != levels_root()]
-    if found:
+    if found := designed_files(name):
         if len(found) > 1:
             raise ValueError(f"level {name!r} is in more than one size; name one of {', '.join(map(str, found))}")
         return found

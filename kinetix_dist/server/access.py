@@ -39,15 +39,24 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 class Access:
     """Checks requests. `middleware` is that of an aiohttp application."""
 
-    def __init__(self, *, port: int, host: str, allowed_hosts: Iterable[str] = (), open_paths: Iterable[str] = ()):
+    def __init__(
+        self,
+        *,
+        port: int,
+        host: str,
+        allowed_hosts: Iterable[str] = (),
+        open_paths: Iterable[str] = (),
+        first_page: str = "",
+    ):
         """host: that is listened on; open_paths: prefixes of paths that carry a ticket of their own instead of the
-        cookie."""
+        cookie; first_page: "#/edit", where the address with the token leads."""
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self.cookie_name = f"kinetix_dist_{port}"
         self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
         self._allowed = {name.lower() for name in allowed_hosts}
         self._own_names = LOOPBACK_NAMES | {socket.gethostname().lower() if _is_any(host) else host.lower()}
         self._open_paths = tuple(open_paths)
+        self._first_page = first_page
 
     @property
     def middleware(self) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
@@ -97,8 +106,9 @@ class Access:
             return web.Response(
                 status=401, text="wrong token: it is new with every start; use the address that was printed last\n"
             )
+        there = f"./{self._first_page}"
         response = web.Response(
-            text='<!doctype html><meta http-equiv="refresh" content="0;url=./"><a href="./">go on</a>',
+            text=f'<!doctype html><meta http-equiv="refresh" content="0;url={there}"><a href="{there}">go on</a>',
             content_type="text/html",
         )
         response.set_cookie(self.cookie_name, self._cookie, httponly=True, samesite="Strict", path="/")

@@ -25,6 +25,7 @@ from kinetix_dist.server.answers import BadRequestError, error_response
 from kinetix_dist.server.channel import Channel
 from kinetix_dist.server.compare_pages import ComparePages
 from kinetix_dist.server.curriculum_pages import CurriculumPages
+from kinetix_dist.server.editor_pages import EditorConfig, EditorPages
 from kinetix_dist.server.level_pages import LevelPages, worker_error_response
 from kinetix_dist.server.rerun_viewer import RerunViewer
 from kinetix_dist.server.run_pages import RunPages
@@ -46,6 +47,8 @@ class ServerConfig:
     host: str = "127.0.0.1"
     allowed_hosts: tuple[str, ...] = ()  # further names in Host and Origin, of a proxy say
     has_play: bool = True  # whether the engine worker may be started
+    editor: EditorConfig = dataclasses.field(default_factory=EditorConfig)
+    first_page: str = ""  # the part of the address behind # that the printed address leads to
 
 
 def make_app(config: ServerConfig, access: Access) -> web.Application:
@@ -77,6 +80,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
         ComparePages(service),
         CurriculumPages(service),
         LevelPages(service, worker),
+        EditorPages(config.editor, worker),
         rerun,
         StaticFiles(),
     ):

@@ -16,7 +16,18 @@ from kinetix_dist.server.level_pages import recording_path
 from kinetix_dist.server.run_service import RunService
 from kinetix_dist.server.worker_client import WorkerClient, WorkerError
 
-REQUESTS = ("play.open", "play.control", "play.close", "attempts", "check", "display", "document")
+REQUESTS = (
+    "play.open",
+    "play.control",
+    "play.close",
+    "attempts",
+    "check",
+    "display",
+    "document",
+    "convert",
+    "mutate",
+    "generate",
+)
 MAX_REQUESTS = 32  # of one page at a time
 
 

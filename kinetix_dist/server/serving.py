@@ -27,7 +27,13 @@ def serve(config: ServerConfig, listening: Callable[[str, int], None]) -> None:
     sockets = _listen(config.host, config.port)
     port = sockets.getsockname()[1]
     with sockets:
-        access = Access(port=port, host=config.host, allowed_hosts=config.allowed_hosts, open_paths=[OPEN_PATH])
+        access = Access(
+            port=port,
+            host=config.host,
+            allowed_hosts=config.allowed_hosts,
+            open_paths=[OPEN_PATH],
+            first_page=config.first_page,
+        )
         app = make_app(config, access)
         asyncio.run(_serve(app, sockets, lambda: listening(access.token, port)))
 

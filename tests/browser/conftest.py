@@ -33,7 +33,7 @@ def _missing(reason: str) -> None:
     pytest.skip(reason)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # Playwright keeps an event loop running: files of other tests have their own
 def browser() -> Iterator[Any]:
     try:
         from playwright.sync_api import sync_playwright

@@ -1,4 +1,4 @@
-"""The command `kinetix-dist dashboard` as a process, and requests to it."""
+"""The commands `kinetix-dist dashboard` and `edit` as processes, and requests to them."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Server:
         return status, json.loads(content)["error"]
 
 
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "kinetix_dist.cli.main", "dashboard", *arguments]
+def command(*arguments: str, name: str = "dashboard") -> list[str]:
+    return [sys.executable, "-m", "kinetix_dist.cli.main", name, *arguments]
 
 
 def environment(**more: str) -> dict[str, str]:
@@ -68,10 +68,10 @@ def environment(**more: str) -> dict[str, str]:
 
 
 @contextmanager
-def serving(*arguments: str | Path, **more: str) -> Iterator[Server]:
-    """The server over paths and options, at a free port. `more`: environment."""
+def serving(*arguments: str | Path, name: str = "dashboard", **more: str) -> Iterator[Server]:
+    """The server over paths and options, at a free port. `name`: of the command; `more`: environment."""
     process = subprocess.Popen(
-        command("--port", "0", *map(str, arguments)),
+        command("--port", "0", *map(str, arguments), name=name),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -10,6 +10,7 @@ import { LevelsPage } from "./dashboard/levels.js";
 import { OverviewPage } from "./dashboard/overview.js";
 import { ReplaysPage } from "./dashboard/replays.js";
 import { RunsPage } from "./dashboard/runs.js";
+import { EditorPage } from "./editor/page.js";
 
 /** Pages of a run, in the order of the navigation. @type {Record<string, [string, any]>} */
 const RUN_PAGES = {
@@ -28,6 +29,7 @@ function App() {
       <a class="name" href="#/runs">kinetix-dist</a>
       <a href="#/runs" aria-current=${area === "runs" ? "page" : null}>Runs</a>
       <a href="#/compare" aria-current=${area === "compare" ? "page" : null}>Compare</a>
+      <a href="#/edit" aria-current=${area === "edit" ? "page" : null}>Editor</a>
       ${run ? html`<span class="of">${run}</span>
         ${Object.entries(RUN_PAGES).map(([key, [label]]) => html`<a key=${key} href=${addressOf(["run", run, key], shared(query))}
           aria-current=${page === key ? "page" : null}>${label}</a>`)}` : null}
@@ -49,6 +51,7 @@ function shared(query) {
 function Page({ area, run, page }) {
   if (area === "runs") return html`<${RunsPage} />`;
   if (area === "compare") return html`<${ComparePage} />`;
+  if (area === "edit") return html`<${EditorPage} />`;
   if (run && page in RUN_PAGES) {
     document.title = `${run} · ${RUN_PAGES[page][0]}`;
     return html`<${RUN_PAGES[page][1]} key=${`${run} ${page}`} run=${run} />`;

@@ -19,6 +19,11 @@ class Channel {
     this.state = "connecting";
     this.hasPlay = false;
     this.wait = FIRST_WAIT_MS;
+    /** @type {Map<string, { resolve: (reply: Message) => void, reject: (error: Error) => void, progress?: Listener }>} */
+    this.requests = new Map();
+    /** @type {Map<number, { frame: (bytes: ArrayBuffer) => void, end: Listener }>} */
+    this.sessions = new Map();
+    this.nextRequest = 1;
   }
 
   connect() {
@@ -26,6 +31,7 @@ class Channel {
     address.protocol = address.protocol.replace("http", "ws");
     address.hash = address.search = "";
     const socket = new WebSocket(address);
+    socket.binaryType = "arraybuffer";
     this.socket = socket;
     socket.onopen = () => {
       this.wait = FIRST_WAIT_MS;
@@ -33,9 +39,13 @@ class Channel {
       for (const { run, place } of this.watches.values()) this.say({ type: "watch", run, ...place() });
       this.#setState("connected");
     };
-    socket.onmessage = (event) => this.#hear(JSON.parse(event.data));
+    socket.onmessage = ({ data }) => {
+      if (data instanceof ArrayBuffer) this.sessions.get(new DataView(data).getUint16(2, true))?.frame(data);
+      else this.#hear(JSON.parse(data));
+    };
     socket.onclose = () => {
       this.#setState("disconnected");
+      this.#lose();
       setTimeout(() => this.connect(), this.wait);
       this.wait = Math.min(2 * this.wait, LONGEST_WAIT_MS);
     };
@@ -61,9 +71,48 @@ class Channel {
     };
   }
 
+  /**
+   * A request to the engine worker (docs/play_protocol.md); rejected with an error of one line.
+   * @param {string} type @param {Record<string, any>} fields @param {Listener} [progress] @param {(id: string) => void} [started]
+   * @returns {Promise<Message>}
+   */
+  request(type, fields, progress, started) {
+    const id = String(this.nextRequest++);
+    return new Promise((resolve, reject) => {
+      if (this.socket?.readyState !== WebSocket.OPEN) {
+        reject(new Error("the server is not connected"));
+        return;
+      }
+      this.requests.set(id, { resolve, reject, progress });
+      started?.(id);
+      this.say({ type, id, ...fields });
+    });
+  }
+
+  /** What was asked for or is played is lost with the connection. */
+  #lose() {
+    const lost = "the connection to the server was lost";
+    for (const { reject } of this.requests.values()) reject(new Error(lost));
+    for (const { end } of this.sessions.values()) end({ type: "error", text: lost });
+    this.requests.clear();
+    this.sessions.clear();
+  }
+
   /** @param {Message} message */
   #hear(message) {
     if (message.type === "hello") this.hasPlay = message.play;
+    const request = this.requests.get(message.id);
+    if (request) {
+      if (message.type === "progress") request.progress?.(message);
+      else this.requests.delete(message.id);
+      if (message.type === "reply") request.resolve(message);
+      if (message.type === "error") request.reject(Object.assign(new Error(message.text), { code: message.code }));
+      return;
+    }
+    if (message.session !== undefined) {
+      this.sessions.get(message.session)?.end(message);
+      return;
+    }
     if (message.type === "error") console.warn(message.text);
     for (const [listener, { run }] of [...this.watches]) if (message.run === run) listener(message);
   }

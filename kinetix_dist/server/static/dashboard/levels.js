@@ -1,5 +1,5 @@
 // Levels of a buffer as thumbnails: sorted, filtered, and one of them in a drawer with its counts and its file.
-import { setQuery, useAddress } from "../base/address.js";
+import { addressOf, setQuery, useAddress } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { percent, rateWithCount, short } from "../base/format.js";
 import { html, useState } from "../base/html.js";
@@ -101,7 +101,7 @@ function Drawer({ run, snapshot, level, picture, palette }) {
     ${picture && palette ? html`<${Picture} display=${picture.display} poses=${picture.poses} palette=${palette} size=${340} letters=${true} label=${`level ${level.index}`} />` : html`<p class="missing">no picture</p>`}
     <dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>
     <p class="soft">${Object.entries(level.features).map(([name, count]) => `${count} ${name.replace("_", " ")}`).join(", ")}</p>
-    ${picture ? html`<a class="button" href=${address} download>download as a level file</a>` : null}
+    ${picture ? html`<a class="button" href=${addressOf(["edit"], new URLSearchParams({ from: address.slice("api/".length) }))}>edit and play</a> <a class="button" href=${address} download>download as a level file</a>` : null}
   </aside>`;
 }
 

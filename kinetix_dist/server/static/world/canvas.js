@@ -26,7 +26,7 @@
 
 export const VIEW = [-0.12, -0.12, 5.12, 5.12]; // lowest x, lowest y, highest x, highest y, m: the box and a rim of its walls
 const ROLE_LETTERS = ["", "G", "B", "R"];
-const LETTER_FROM_M = 0.16; // smaller shapes have no letter
+export const LETTER_FROM_M = 0.16; // smaller shapes have no letter
 
 /**
  * The points of a primitive in the world, m; of rail and spring those of a line through all of them. null: a flame that

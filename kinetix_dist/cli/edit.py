@@ -1,0 +1,64 @@
+"""`kinetix-dist edit [LEVEL|FILE|DIR]`: draws, checks and plays levels in a browser.
+
+    kinetix-dist edit                   the gallery of designed levels; what is made is downloaded
+    kinetix-dist edit s/hop_home        a designed level, likewise
+    kinetix-dist edit mine.json         this file, which need not be there yet; it is saved there
+    kinetix-dist edit my_levels/        the level files of this directory and its folders; they are saved there
+
+Nothing is written but the file, or files of the directory, that was named; a file that was changed elsewhere is left
+as it is until you say so. Buffers and policies of the runs below runs/ can be opened too, if there are some.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from kinetix_dist.cli.dashboard import RUNS
+from kinetix_dist.cli.errors import UserError
+from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.editor.level_files import SUFFIX, LevelFiles
+from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.set_files import designed_files
+from kinetix_dist.server.editor_pages import EditorConfig
+
+PAGE = "#/edit"
+
+
+@dataclasses.dataclass
+class Args(ServerArgs):
+    """Make, change, check and play levels in a browser."""
+
+    level: Annotated[str | None, tyro.conf.Positional] = None
+    """A designed level, a level file (it may be new), or a directory of them; default: the gallery."""
+
+
+def run(args: Args) -> int:
+    editor = _editor(args.level)
+    return serve_pages("editor", args, paths=(RUNS,) if RUNS.is_dir() else (), editor=editor, first_page=PAGE)
+
+
+def _editor(given: str | None) -> EditorConfig:
+    """Raises UserError for what is no level, file or directory."""
+    if given is None:
+        return EditorConfig()
+    path = Path(given)
+    if path.is_dir():
+        return EditorConfig(files=LevelFiles(directory=path))
+    if path.is_file() or (path.suffix == SUFFIX and path.parent.is_dir()):
+        if path.suffix != SUFFIX or path.name.startswith("."):
+            raise UserError(f"{given} is not named as a level file; its name has to end in {SUFFIX}")
+        return EditorConfig(files=LevelFiles(directory=path.parent, only=path.name), opens=f"file/{path.name}")
+    designed = designed_files(given)
+    if len(designed) > 1:
+        raise UserError(f"level {given!r} is in more than one size; name one of {', '.join(map(str, designed))}")
+    if not designed:
+        raise UserError(
+            f"{given!r} is no designed level, level file or directory of them; `kinetix-dist levels list` names "
+            f"levels, and a new file has a name that ends in {SUFFIX}, in a directory that is there"
+        )
+    name = designed[0].relative_to(levels_root()).with_suffix("").as_posix()
+    return EditorConfig(opens=f"designed/{name}")

@@ -1,0 +1,68 @@
+"""Options of the commands that serve pages, and what they print."""
+
+from __future__ import annotations
+
+import dataclasses
+import getpass
+import os
+import socket
+import sys
+import webbrowser
+from typing import Any
+
+from kinetix_dist.cli.errors import UserError
+from kinetix_dist.server.access import is_loopback
+from kinetix_dist.server.app import DEFAULT_PORT, ServerConfig
+from kinetix_dist.server.serving import serve
+
+
+@dataclasses.dataclass
+class ServerArgs:
+    """Where pages are served, to whom."""
+
+    port: int = DEFAULT_PORT
+    """Where to listen; the next free one if it is busy, any if 0."""
+    host: str = "127.0.0.1"
+    """The address to listen on; others than 127.0.0.1 can be reached from other machines, without encryption."""
+    allow_host: tuple[str, ...] = ()
+    """Further names under which the server is reached, behind a proxy say."""
+    open: bool = False
+    """Open the address in a browser."""
+    no_play: bool = False
+    """Start no process that plays levels and draws them; pages that need it say so."""
+
+
+def serve_pages(name: str, args: ServerArgs, **config: Any) -> int:
+    """Until Ctrl-C. name: what the address is called; config: further fields of ServerConfig."""
+    if not 0 <= args.port <= 65535:
+        raise UserError(f"--port is {args.port}; it must be 0 to 65535")
+    server = ServerConfig(
+        port=args.port, host=args.host, allowed_hosts=args.allow_host, has_play=not args.no_play, **config
+    )
+
+    def listening(token: str, port: int) -> None:
+        address = f"http://{_in_address(args.host)}:{port}/?token={token}"
+        print(f"{name:<10} {address}")
+        if args.port not in (0, port):
+            print(f"           port {args.port} is busy")
+        if not is_loopback(args.host):
+            print("           reachable from other machines; traffic is not encrypted")
+        elif not _has_display():
+            print(f"from afar  ssh -L {port}:127.0.0.1:{port} {getpass.getuser()}@{socket.gethostname()}")
+        print("           Ctrl-C ends it", flush=True)
+        if args.open and not webbrowser.open(address):
+            print("kinetix-dist: no browser could be opened; open the address above in one", file=sys.stderr)
+
+    serve(server, listening)
+    return 0
+
+
+def _in_address(host: str) -> str:
+    """The name of this machine under which an address that is listened on is reached."""
+    if host in ("0.0.0.0", "::"):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
+
+
+def _has_display() -> bool:
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

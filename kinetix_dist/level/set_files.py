@@ -1,0 +1,22 @@
+"""The designed sets and the files of their levels. Reads no level, so that it needs no jax."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.level.paths import levels_root
+
+
+def designed_sets() -> dict[str, dict[str, Any]]:
+    """levels/sets.toml: for each set its description, size and level files (relative to levels/)."""
+    with (levels_root() / "sets.toml").open("rb") as file:
+        return tomllib.load(file)
+
+
+def designed_files(name: str) -> list[Path]:
+    """Files of the designed level "hop_home" or "s/hop_home": none, one, or one in each size that has the name."""
+    sizes = sorted({entry["size"] for entry in designed_sets().values()})
+    found = [levels_root() / f"{folder}{name}.json" for folder in ("", *(f"{size}/" for size in sizes))]
+    return [file for file in found if file.is_file() and file.parent != levels_root()]

@@ -1,0 +1,59 @@
+// Asks the engine worker about the level while it is changed: complaints, warnings, facts. The newest question counts.
+import { channel } from "../base/channel.js";
+
+const WAIT_MS = 120; // after a change; a person who drags is not asked for every pixel
+const PLAY_WAIT_MS = 700; // until it is tried whether the level solves itself
+
+/**
+ * @typedef {{ path: string, problem: string, remedy: string }} Problem
+ * @typedef {{ problems: Problem[], numProblems: number, warnings: { kind: string, paths: string[], text: string }[], facts: any,
+ *   isCurrent: boolean, error: string }} Checked
+ */
+
+export class Checks {
+  /** @param {() => void} changed */
+  constructor(changed) {
+    this.changed = changed;
+    /** @type {Checked} */
+    this.checked = { problems: [], numProblems: 0, warnings: [], facts: null, isCurrent: false, error: "" };
+    /** @type {any} */
+    this.document = null;
+    this.timer = 0;
+    this.milliseconds = 0; // that the last answer took
+  }
+
+  /** @param {any} document */
+  ask(document) {
+    if (document === this.document) return;
+    this.document = document;
+    this.checked = { ...this.checked, isCurrent: false };
+    clearTimeout(this.timer);
+    this.timer = window.setTimeout(() => void this.#ask(document, false), WAIT_MS);
+    this.changed();
+  }
+
+  /** @param {any} document @param {boolean} play */
+  async #ask(document, play) {
+    const began = performance.now();
+    try {
+      const answer = await channel.request("check", { document, play });
+      if (document !== this.document) return;
+      this.milliseconds = performance.now() - began;
+      this.checked = { problems: answer.problems, numProblems: answer.num_problems, warnings: answer.warnings, facts: answer.facts, isCurrent: true, error: "" };
+      if (!play && answer.facts) this.timer = window.setTimeout(() => void this.#ask(document, true), PLAY_WAIT_MS);
+    } catch (error) {
+      if (document !== this.document) return;
+      this.checked = { problems: [], numProblems: 0, warnings: [], facts: null, isCurrent: true, error: error instanceof Error ? error.message : String(error) };
+      this.timer = window.setTimeout(() => {
+        this.document = null; // asked again with the next change, or when the connection is there
+        this.ask(document);
+      }, 3000);
+    }
+    this.changed();
+  }
+
+  end() {
+    clearTimeout(this.timer);
+    this.document = null;
+  }
+}

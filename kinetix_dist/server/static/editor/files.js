@@ -1,0 +1,164 @@
+// Levels in and out: files of the command line, dropped and pasted files, downloads, links, drafts, pictures.
+import { channel } from "../base/channel.js";
+import { download } from "../base/format.js";
+import { drawWorld } from "../world/canvas.js";
+import { levelPicture } from "../world/display_list.js";
+import { setClipboard, paste } from "./commands.js";
+import { documentText } from "./document.js";
+import { COPIED_FORMAT } from "./edits.js";
+
+/** @typedef {import("./state.js").Editor} Editor */
+
+export const MAX_TEXT = 3_000_000; // characters; a message to the server has at most 4 MiB
+const PICTURE_PIXELS = 1048;
+const DRAFT = "kinetix-dist draft";
+
+/** A level of the text of a file in either format. Throws an Error with one line.
+ * @param {string} text @returns {Promise<import("./document.js").Level>} */
+export async function readLevel(text) {
+  if (text.length > MAX_TEXT) throw new Error(`this is too large for a level: ${(text.length / 1e6).toFixed(1)} MB; a level has a few kB`);
+  let document;
+  try {
+    document = JSON.parse(text);
+  } catch (error) {
+    throw new Error(`this is not JSON (${error instanceof Error ? error.message : error})`);
+  }
+  if (document === null || typeof document !== "object" || Array.isArray(document)) throw new Error("this is no level: it is no JSON object");
+  if ("env_state" in document) document = (await channel.request("convert", { document, to: "kinetix-dist" })).document;
+  if (!Array.isArray(document.shapes)) throw new Error("this is no level: it has no list of shapes");
+  const all = ["shapes", "joints", "thrusters"].map((part) => document[part] ?? []);
+  if (!all.every(Array.isArray)) throw new Error("this is no level: joints and thrusters are lists");
+  if (all.some((part) => part.length > 1000)) throw new Error("this is too large for a level: more than 1,000 shapes, joints or thrusters");
+  if (all.some((part) => part.some((/** @type {any} */ thing) => thing === null || typeof thing !== "object"))) throw new Error("this is no level: shapes, joints and thrusters are objects");
+  return document;
+}
+
+/** Of a level that is dropped or pasted, or a part that was copied. @param {Editor} editor @param {string} text */
+export async function openText(editor, text) {
+  try {
+    const part = text.includes(COPIED_FORMAT) ? JSON.parse(text) : null;
+    if (part?.format === COPIED_FORMAT) {
+      setClipboard(part);
+      paste(editor, part);
+      return;
+    }
+    editor.open(await readLevel(text));
+    editor.say("opened; undo brings back the level before");
+  } catch (error) {
+    editor.say(error instanceof Error ? error.message : String(error));
+  }
+}
+
+/** @param {string} name @returns {Promise<{ name: string, text: string, hash: string }>} */
+export async function readFile(name) {
+  const answer = await fetch(address(name));
+  const content = await answer.json();
+  if (!answer.ok) throw new Error(content.error);
+  return content;
+}
+
+/** @param {Editor} editor @param {string} name */
+export async function openFile(editor, name) {
+  const { text, hash } = await readFile(name);
+  const isPublic = text.includes('"env_state"');
+  // A file of the other format is not written over: what is made of it is another level.
+  editor.open(await readLevel(text), isPublic ? {} : { file: name, hash });
+}
+
+/** @typedef {{ name: string, problem: string, hash: string | null }} Conflict hash: of what is there instead; null: nothing */
+
+/** Saves to a file of the command line, if it is what it was. @param {Editor} editor @param {string} name
+ * @param {Conflict | null} over what a person agreed to lose @returns {Promise<Conflict | null>} null: saved, or why not was said */
+export async function saveFile(editor, name, over = null) {
+  const { document } = editor;
+  const text = documentText(document);
+  const known = over ? over.hash : (editor.files.get(name)?.hash ?? null);
+  /** @type {Record<string, string>} */
+  const headers = known === null ? { "If-None-Match": "*" } : { "If-Match": `"${known}"` };
+  const answer = await fetch(address(name), { method: "PUT", body: text, headers }).catch(() => null);
+  if (!answer) {
+    editor.say("not saved: the server does not answer");
+    return null;
+  }
+  const content = await answer.json();
+  if (answer.status === 412) {
+    return { name, problem: content.error, hash: content.hash };
+  }
+  if (!answer.ok) {
+    editor.say(`not saved: ${content.error}`);
+    return null;
+  }
+  editor.files.set(name, { hash: content.hash, text });
+  if (editor.file !== name) editor.commit(document, editor.selection, name);
+  editor.say(`saved to ${name}`);
+  return null;
+}
+
+/** @param {string} name */
+const address = (name) => `api/files/${name.split("/").map(encodeURIComponent).join("/")}`;
+
+/** @param {Editor} editor @param {"kinetix-dist" | "public"} format */
+export async function downloadLevel(editor, format) {
+  try {
+    const { document } = editor;
+    const isOurs = format === "kinetix-dist";
+    const text = isOurs ? documentText(document) : JSON.stringify((await channel.request("convert", { document, to: format })).document);
+    download(`${fileName(document)}${isOurs ? "" : ".public"}.json`, new Blob([text], { type: "application/json" }));
+  } catch (error) {
+    editor.say(error instanceof Error ? error.message : String(error));
+  }
+}
+
+/** @param {Editor} editor */
+export function downloadPicture(editor) {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = PICTURE_PIXELS;
+  const { display, poses } = levelPicture(editor.document, editor.engine);
+  drawWorld(canvas, display, poses, editor.engine.palette, { letters: true });
+  canvas.toBlob((blob) => blob && download(`${fileName(editor.document)}.png`, blob), "image/png");
+}
+
+/** @param {{ name?: any }} document */
+const fileName = (document) => String(document.name ?? "").replace(/[^\w-]+/g, "_").replace(/^_+|_+$/g, "") || "level";
+
+/** The level as text for an address: deflated, base64url. @param {any} document @returns {Promise<string>} */
+export async function packed(document) {
+  const stream = new Blob([JSON.stringify(document)]).stream().pipeThrough(new CompressionStream("deflate-raw"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join("")).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
+}
+
+/** @param {string} text of `packed` @returns {Promise<string>} */
+export async function unpacked(text) {
+  const bytes = Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (character) => character.charCodeAt(0));
+  const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
+  const decoder = new TextDecoder();
+  let result = "";
+  for (let part = await reader.read(); !part.done; part = await reader.read()) {
+    result += decoder.decode(part.value, { stream: true });
+    if (result.length > MAX_TEXT) throw new Error("the level of this link is too large"); // a few bytes can be many
+  }
+  return result + decoder.decode();
+}
+
+/** What is worked on, kept by the browser until it is saved. @param {Editor} editor */
+export function keepDraft(editor) {
+  const { document, file } = editor.history.present;
+  if (!editor.history.past.length || !editor.isUnsaved) return;
+  try {
+    localStorage.setItem(DRAFT, JSON.stringify({ text: documentText(document), file, at: Date.now() }));
+  } catch {
+    editor.say("the browser keeps no draft: its storage is full or off");
+  }
+}
+
+/** @returns {{ text: string, file: string | null, at: number } | null} */
+export function findDraft() {
+  try {
+    return JSON.parse(localStorage.getItem(DRAFT) ?? "null");
+  } catch {
+    return null; // of another version
+  }
+}
+
+export const dropDraft = () => localStorage.removeItem(DRAFT);

@@ -1,0 +1,158 @@
+// What a pointer can take hold of: things of the level, and handles of what is selected.
+import { boundsOf, contains, cornersOf, jointEnds, jointsOf, parsePath, reshaped, shapesOf, thrusterPlace, thrustersOf, toLocal, toWorld } from "./document.js";
+import { middleOf, selectedShapes, turned } from "./edits.js";
+import { add, distance, hull, isInside, rotate, rounded, roundedPoint, signedArea, sub, wrapped } from "./geometry.js";
+import { snappedAngle } from "./snap.js";
+
+/**
+ * @typedef {import("./geometry.js").Point} Point
+ * @typedef {import("./document.js").Level} Level
+ * @typedef {import("./document.js").Wall} Wall
+ * @typedef {{ kind: "corner" | "vertex" | "radius" | "turn" | "direction" | "lower" | "upper", at: Point, index: number, middle?: Point }} Handle
+ */
+
+const TURN_PX = 34; // how far the handle that turns is from what it turns
+const ARROW_M = 0.45; // from a thruster to the handle of its direction
+export const ARC_M = 0.32; // radius of the arc that shows limits
+const SMALLEST_M = 0.02;
+
+/** Paths of all things at a point, the one on top first; walls come last.
+ * @param {Level} document @param {Point} point @param {number} reach m, for joints and thrusters @param {readonly Wall[]} walls */
+export function thingsAt(document, point, reach, walls) {
+  /** @type {string[]} */
+  const found = [];
+  jointsOf(document).forEach((joint, k) => {
+    if (jointEnds(document, joint, walls)?.some((end) => distance(end, point) <= reach)) found.push(`joints[${k}]`);
+  });
+  thrustersOf(document).forEach((thruster, k) => {
+    const place = thrusterPlace(document, thruster);
+    if (place && distance(add(place.at, rotate([0.06, 0], place.angle)), point) <= reach) found.push(`thrusters[${k}]`);
+  });
+  return [...found, ...shapePathsAt(document, point), ...walls.filter((wall) => isInWall(wall, point)).map((wall) => `walls.${wall.name}`)];
+}
+
+/** Shapes that are drawn later lie on top: what moves over what is fixed, circles over polygons. @param {Level} document @param {Point} point */
+function shapePathsAt(document, point) {
+  const drawn = document.shapes.map((shape, index) => ({ shape, index })).filter(({ shape }) => shapesOf(document).includes(shape) && contains(shape, point));
+  const order = (/** @type {{ shape: any, index: number }} */ { shape, index }) => [Number(!shape.fixed), Number(shape.type === "circle"), index];
+  drawn.sort((a, b) => order(a).reduce((result, value, k) => result || order(b)[k] - value, 0));
+  return drawn.map(({ index }) => `shapes[${index}]`);
+}
+
+/** @param {Wall} wall @param {Point} point */
+function isInWall(wall, point) {
+  return [0, 1].every((axis) => Math.abs(point[axis] - wall.position[axis]) <= wall.half_extents[axis]);
+}
+
+/** Angle of b against a less that at rest: what limits bound. @param {Level} document @param {any} joint @param {readonly Wall[]} walls */
+export function hingeFacts(document, joint, walls) {
+  const ends = jointEnds(document, joint, walls);
+  const shape = (/** @type {string} */ id) => shapesOf(document).find((entry) => entry.id === id);
+  if (!ends) return null;
+  const [a, b] = [shape(joint.a), shape(joint.b)];
+  const now = (b?.angle ?? 0) - (a?.angle ?? 0);
+  const arm = b ? sub(b.position, ends[1]) : /** @type {Point} */ ([0, 0]);
+  const towards = Math.hypot(...arm) > 1e-3 ? Math.atan2(arm[1], arm[0]) : (b?.angle ?? 0);
+  return { at: ends[0], coordinate: now - (joint.rest_angle ?? now), towards };
+}
+
+/** Of what is selected, if that is one thing or some shapes. @param {Level} document @param {readonly string[]} selection
+ * @param {readonly Wall[]} walls @param {number} px m of a pixel @returns {Handle[]} */
+export function handlesOf(document, selection, walls, px) {
+  const indices = selectedShapes(document, selection).filter((index) => shapesOf(document).includes(document.shapes[index]));
+  if (indices.length === 1 && selection.length === 1) return shapeHandles(document.shapes[indices[0]], indices[0], px);
+  if (indices.length > 1) {
+    const shapes = indices.map((index) => document.shapes[index]);
+    const middle = middleOf(shapes);
+    const top = Math.max(...shapes.map((shape) => boundsOf(shape)[3]));
+    return [{ kind: "turn", index: -1, at: [middle[0], top + TURN_PX * px], middle }];
+  }
+  const only = selection.length === 1 ? parsePath(selection[0]) : null;
+  if (only?.part === "thrusters" && thrustersOf(document)[only.index]) {
+    const place = thrusterPlace(document, thrustersOf(document)[only.index]);
+    return place ? [{ kind: "direction", index: only.index, at: add(place.at, rotate([ARROW_M, 0], place.angle)) }] : [];
+  }
+  const joint = only?.part === "joints" ? jointsOf(document)[only.index] : null;
+  if (only?.part === "joints" && joint?.type === "revolute" && joint.limits) {
+    const facts = hingeFacts(document, joint, walls);
+    if (!facts) return [];
+    return /** @type {const} */ (["lower", "upper"]).map((kind, k) => ({
+      kind,
+      index: only.index,
+      at: add(facts.at, rotate([ARC_M, 0], facts.towards + joint.limits[k] - facts.coordinate)),
+    }));
+  }
+  return [];
+}
+
+/** @param {import("./document.js").Shape} shape @param {number} index @param {number} px @returns {Handle[]} */
+function shapeHandles(shape, index, px) {
+  const corners = cornersOf(shape);
+  const top = shape.type === "circle" ? shape.radius : Math.max(...corners.map((corner) => corner[1]));
+  /** @type {Handle} */
+  const turn = { kind: "turn", index, at: toWorld(shape, [0, top + TURN_PX * px]), middle: shape.position };
+  if (shape.type === "circle") return [turn, { kind: "radius", index, at: toWorld(shape, [shape.radius, 0]) }];
+  const kind = shape.type === "box" ? "corner" : "vertex";
+  return [turn, ...corners.map((corner) => /** @type {Handle} */ ({ kind, index, at: toWorld(shape, corner) }))];
+}
+
+/**
+ * The document after a handle was dragged to a point; null where that cannot be (a polygon that is not convex).
+ * @param {Level} document as it was when the gesture began @param {readonly string[]} selection @param {Handle} handle
+ * @param {number} number of the handle among those of its kind @param {Point} point @param {boolean} snaps @param {readonly Wall[]} walls
+ * @returns {Level | null}
+ */
+export function dragged(document, selection, handle, number, point, snaps, walls) {
+  const shape = document.shapes[handle.index];
+  if (handle.kind === "turn" && handle.middle) {
+    const now = Math.atan2(point[1] - handle.middle[1], point[0] - handle.middle[0]);
+    const before = Math.atan2(handle.at[1] - handle.middle[1], handle.at[0] - handle.middle[0]);
+    const own = handle.index >= 0 ? (shape.angle ?? 0) : 0;
+    const turn = snaps ? snappedAngle(own + now - before) - own : now - before;
+    return turned(document, selection, turn, walls);
+  }
+  if (handle.kind === "direction") {
+    const thruster = thrustersOf(document)[handle.index];
+    const place = thrusterPlace(document, thruster);
+    if (!place) return null;
+    const world = Math.atan2(point[1] - place.at[1], point[0] - place.at[0]);
+    const angle = rounded(wrapped((snaps ? snappedAngle(world) : world) - (place.shape.angle ?? 0)));
+    return { ...document, thrusters: thrustersOf(document).with(handle.index, { ...thruster, angle }) };
+  }
+  if (handle.kind === "lower" || handle.kind === "upper") return withLimit(document, handle, point, snaps, walls);
+  if (handle.kind === "radius") {
+    const radius = rounded(Math.max(SMALLEST_M, distance(point, shape.position)));
+    return reshaped(document, handle.index, { ...shape, radius }, walls);
+  }
+  if (handle.kind === "corner") {
+    const [x, y] = cornersOf(shape)[number];
+    const opposite = toWorld(shape, [-x, -y]);
+    const across = rotate(sub(point, opposite), -(shape.angle ?? 0));
+    const size = across.map((value) => rounded(Math.max(SMALLEST_M, Math.abs(value))));
+    const half = /** @type {Point} */ (across.map((value, k) => ((Math.sign(value) || 1) * size[k]) / 2));
+    const position = roundedPoint(add(opposite, rotate(half, shape.angle ?? 0)));
+    return reshaped(document, handle.index, { ...shape, width: size[0], height: size[1], position }, walls);
+  }
+  const vertices = cornersOf(shape).with(number, roundedPoint(toLocal(shape, point)));
+  return isConvex(vertices) ? reshaped(document, handle.index, { ...shape, vertices }, walls) : null;
+}
+
+/** Whether all corners are those of their hull, in its order. @param {Point[]} corners */
+export function isConvex(corners) {
+  return signedArea(corners) > 1e-4 && hull(corners).length === corners.length && corners.every((corner) => isInside(corner, corners));
+}
+
+/** @param {Level} document @param {Handle} handle @param {Point} point @param {boolean} snaps @param {readonly Wall[]} walls */
+function withLimit(document, handle, point, snaps, walls) {
+  const joint = jointsOf(document)[handle.index];
+  const facts = hingeFacts(document, joint, walls);
+  if (!facts) return null;
+  const k = handle.kind === "upper" ? 1 : 0;
+  const before = joint.limits[k] - facts.coordinate;
+  const direction = Math.atan2(point[1] - facts.at[1], point[0] - facts.at[0]) - facts.towards;
+  const turn = before + wrapped(direction - before); // the nearest: limits may lie beyond a whole turn
+  const free = turn + facts.coordinate;
+  const value = snaps ? snappedAngle(free) : rounded(free);
+  const limits = k ? [joint.limits[0], Math.max(value, joint.limits[0])] : [Math.min(value, joint.limits[1]), joint.limits[1]];
+  return { ...document, joints: jointsOf(document).with(handle.index, { ...joint, limits }) };
+}

@@ -1,0 +1,55 @@
+// What was, what is and what was undone. Values share what they have in common, so that 500 of them are small.
+
+export const MAX_UNDO = 500;
+
+/** @template T */
+export class History {
+  /** @param {T} first */
+  constructor(first) {
+    /** @type {T[]} */
+    this.past = [];
+    this.present = first;
+    /** @type {T[]} */
+    this.future = [];
+    /** @type {T | null} what a gesture that goes on would make of it */
+    this.preview = null;
+  }
+
+  /** What is shown: the gesture that goes on, or what is. */
+  get shown() {
+    return this.preview ?? this.present;
+  }
+
+  /** One step that can be undone, whatever was previewed before. Nothing where it is what is already. @param {T} next */
+  commit(next) {
+    this.preview = null;
+    if (next === this.present) return;
+    this.past.push(this.present);
+    if (this.past.length > MAX_UNDO) this.past.shift();
+    this.present = next;
+    this.future = [];
+  }
+
+  /** Ends a gesture without a step. */
+  cancel() {
+    this.preview = null;
+  }
+
+  undo() {
+    this.preview = null;
+    const before = this.past.pop();
+    if (before === undefined) return false;
+    this.future.push(this.present);
+    this.present = before;
+    return true;
+  }
+
+  redo() {
+    this.preview = null;
+    const next = this.future.pop();
+    if (next === undefined) return false;
+    this.past.push(this.present);
+    this.present = next;
+    return true;
+  }
+}

@@ -1,0 +1,168 @@
+// What the editor draws over the world: selection, handles, limits, guides, sketches, keys. Told by shape, not by colour alone.
+import { LETTER_FROM_M } from "../world/canvas.js";
+import { boundsOf, jointEnds, jointsOf, parsePath, shapesOf, thrusterPlace, thrustersOf, worldCorners } from "./document.js";
+import { distance } from "./geometry.js";
+import { ARC_M, handlesOf, hingeFacts } from "./handles.js";
+
+/**
+ * @typedef {import("./geometry.js").Point} Point
+ * @typedef {{ context: CanvasRenderingContext2D, x: (value: number) => number, y: (value: number) => number, scale: number, dot: number }} Paper
+ *   x, y: pixels of m; scale: pixels of a metre; dot: pixels of the canvas for one of the page
+ */
+
+const HANDLE_PX = 6;
+const LETTERS = { green: "G", blue: "B", red: "R" };
+
+/** @param {Paper} paper @param {import("./state.js").Editor} editor */
+export function drawOverlay(paper, editor) {
+  const { context, dot } = paper;
+  const accent = "#0b62b8";
+  context.lineWidth = 1.5 * dot;
+  smallRoles(paper, editor.document);
+  for (const path of editor.selection) outlineOf(paper, editor, path, accent);
+  for (const path of editor.selection) limitsOf(paper, editor, path, accent);
+  for (const handle of handlesOf(editor.document, editor.selection, editor.walls, dot / paper.scale)) {
+    if (handle.kind === "turn" && handle.middle) line(paper, [handle.middle, handle.at], accent, [3, 3]);
+    const [x, y] = [paper.x(handle.at[0]), paper.y(handle.at[1])];
+    context.beginPath();
+    if (["turn", "direction"].includes(handle.kind)) context.arc(x, y, HANDLE_PX * dot, 0, 2 * Math.PI);
+    else context.rect(x - (HANDLE_PX - 1) * dot, y - (HANDLE_PX - 1) * dot, 2 * (HANDLE_PX - 1) * dot, 2 * (HANDLE_PX - 1) * dot);
+    context.fillStyle = "#ffffff";
+    context.fill();
+    context.strokeStyle = accent;
+    context.stroke();
+  }
+  for (const { axis, at } of editor.guides) line(paper, axis ? [[-99, at], [99, at]] : [[at, -99], [at, 99]], "#d55e00", [4, 4]);
+  sketchOf(paper, editor.sketch, accent);
+  if (editor.cursor) cross(paper, editor.cursor);
+}
+
+/** Roles of shapes that are too small for a letter, beside them. @param {Paper} paper @param {import("./document.js").Level} document */
+function smallRoles({ context, x, y, dot }, document) {
+  context.font = `600 ${11 * dot}px sans-serif`;
+  context.textAlign = "center";
+  context.textBaseline = "bottom";
+  context.fillStyle = "#343640";
+  for (const shape of shapesOf(document)) {
+    const letter = LETTERS[/** @type {keyof typeof LETTERS} */ (shape.role)];
+    const [left, bottom, right, top] = boundsOf(shape);
+    const reach = shape.type === "circle" ? shape.radius : Math.min(...worldCorners(shape).map((corner) => distance(corner, [(left + right) / 2, (bottom + top) / 2])));
+    if (letter && reach < LETTER_FROM_M) context.fillText(letter, x((left + right) / 2), y(top) - 2 * dot);
+  }
+}
+
+/** @param {Paper} paper @param {import("./state.js").Editor} editor @param {string} path @param {string} accent */
+function outlineOf(paper, editor, path, accent) {
+  const { context, x, y, scale, dot } = paper;
+  const found = parsePath(path);
+  if (!found) return;
+  context.beginPath();
+  if (found.part === "walls") {
+    const wall = editor.walls.find((entry) => entry.name === found.name);
+    if (!wall) return;
+    const [[px, py], [hx, hy]] = [wall.position, wall.half_extents];
+    context.rect(x(px - hx), y(py + hy), 2 * hx * scale, 2 * hy * scale);
+  } else if (found.part === "shapes") {
+    const shape = editor.document.shapes[found.index];
+    if (!shapesOf(editor.document).includes(shape)) return;
+    if (shape.type === "circle") context.arc(x(shape.position[0]), y(shape.position[1]), shape.radius * scale, 0, 2 * Math.PI);
+    else {
+      for (const corner of worldCorners(shape)) context.lineTo(x(corner[0]), y(corner[1]));
+      context.closePath();
+    }
+  } else if (found.part === "joints") {
+    for (const end of jointEnds(editor.document, jointsOf(editor.document)[found.index], editor.walls) ?? []) ring(paper, end);
+  } else {
+    const place = thrusterPlace(editor.document, thrustersOf(editor.document)[found.index]);
+    if (!place) return;
+    ring(paper, place.at);
+    line(paper, [place.at, [place.at[0] + 0.45 * Math.cos(place.angle), place.at[1] + 0.45 * Math.sin(place.angle)]], accent, []);
+    return;
+  }
+  // White below blue: seen on any colour.
+  context.setLineDash([]);
+  context.strokeStyle = "#ffffff";
+  context.lineWidth = 4 * dot;
+  context.stroke();
+  context.strokeStyle = accent;
+  context.lineWidth = 2 * dot;
+  context.stroke();
+}
+
+/** @param {Paper} paper @param {Point} at */
+function ring({ context, x, y, dot }, at) {
+  context.moveTo(x(at[0]) + 11 * dot, y(at[1]));
+  context.arc(x(at[0]), y(at[1]), 11 * dot, 0, 2 * Math.PI);
+}
+
+/** The range of a hinge as an arc about it, with a mark where it is. @param {Paper} paper @param {import("./state.js").Editor} editor @param {string} path @param {string} accent */
+function limitsOf(paper, editor, path, accent) {
+  const found = parsePath(path);
+  const joint = found?.part === "joints" ? jointsOf(editor.document)[found.index] : null;
+  if (!joint?.limits || joint.type !== "revolute") return;
+  const facts = hingeFacts(editor.document, joint, editor.walls);
+  if (!facts) return;
+  const { context, x, y, scale } = paper;
+  const [low, high] = joint.limits.map((/** @type {number} */ limit) => facts.towards + limit - facts.coordinate);
+  context.beginPath();
+  context.moveTo(x(facts.at[0]), y(facts.at[1]));
+  context.arc(x(facts.at[0]), y(facts.at[1]), ARC_M * scale, -low, -high, true); // pixels run down
+  context.closePath();
+  context.fillStyle = "rgba(11, 98, 184, 0.18)";
+  context.fill();
+  context.strokeStyle = accent;
+  context.stroke();
+  line(paper, [facts.at, [facts.at[0] + ARC_M * Math.cos(facts.towards), facts.at[1] + ARC_M * Math.sin(facts.towards)]], accent, [3, 2]);
+}
+
+/** @param {Paper} paper @param {Point[]} points @param {string} stroke @param {number[]} dash */
+function line({ context, x, y, dot }, points, stroke, dash) {
+  context.save();
+  context.beginPath();
+  points.forEach((point, k) => (k ? context.lineTo(x(point[0]), y(point[1])) : context.moveTo(x(point[0]), y(point[1]))));
+  context.setLineDash(dash.map((length) => length * dot));
+  context.strokeStyle = stroke;
+  context.lineWidth = 1.5 * dot;
+  context.stroke();
+  context.restore();
+}
+
+/** @param {Paper} paper @param {import("./state.js").Sketch | null} sketch @param {string} accent */
+function sketchOf(paper, sketch, accent) {
+  if (!sketch) return;
+  if (sketch.kind === "rectangle") {
+    const { from, to } = sketch;
+    line(paper, [from, [to[0], from[1]], to, [from[0], to[1]], from], accent, [5, 4]);
+  } else if (sketch.kind === "line") line(paper, [sketch.from, sketch.to], accent, [5, 4]);
+  else {
+    const points = sketch.to ? [...sketch.points, sketch.to] : sketch.points;
+    line(paper, points, accent, []);
+    for (const point of points) cross(paper, point);
+  }
+}
+
+/** @param {Paper} paper @param {Point} at */
+function cross(paper, [x, y]) {
+  const reach = (8 * paper.dot) / paper.scale;
+  for (const end of /** @type {Point[]} */ ([[reach, 0], [0, reach]])) {
+    line(paper, [[x - end[0], y - end[1]], [x + end[0], y + end[1]]], "#d55e00", []);
+  }
+}
+
+/** A word on a plate, at a point of the world. @param {Paper} paper @param {Point} at @param {string} text @param {boolean} isPressed */
+export function plate({ context, x, y, dot }, at, text, isPressed) {
+  context.font = `600 ${12 * dot}px sans-serif`;
+  const width = context.measureText(text).width + 8 * dot;
+  const [left, top] = [x(at[0]) + 8 * dot, y(at[1]) - 22 * dot];
+  context.fillStyle = isPressed ? "#0b62b8" : "rgba(255, 255, 255, 0.92)";
+  context.strokeStyle = "#343640";
+  context.lineWidth = dot;
+  context.beginPath();
+  context.roundRect(left, top, width, 18 * dot, 4 * dot);
+  context.fill();
+  context.stroke();
+  context.fillStyle = isPressed ? "#ffffff" : "#343640";
+  context.textAlign = "left";
+  context.textBaseline = "middle";
+  context.fillText(text, left + 4 * dot, top + 9 * dot);
+}

@@ -1,0 +1,285 @@
+// The editor: bar of tools, picture, panels. #/edit; #/edit?level=... has a level in it, #/edit?from=api/... leads to one.
+import { readAddress, setQuery } from "../base/address.js";
+import { get, useRequest } from "../base/api.js";
+import { useConnection } from "../base/channel.js";
+import { html, useEffect, useMemo, useRef, useState } from "../base/html.js";
+import { CanvasView } from "./canvas_view.js";
+import { Checks } from "./checks.js";
+import { COMMANDS, commandOf, keyOf } from "./commands.js";
+import { newLevel } from "./document.js";
+import { copied } from "./edits.js";
+import { downloadLevel, downloadPicture, dropDraft, findDraft, keepDraft, MAX_TEXT, openFile, openText, packed, readLevel, saveFile, unpacked } from "./files.js";
+import { Gallery, levelOf } from "./gallery.js";
+import { MakePanel } from "./make_panel.js";
+import { LevelPanel, ProblemsPanel, SelectionPanel, ThingsPanel } from "./panels.js";
+import { Play } from "./play.js";
+import { AttemptsPanel, PlayBar, PolicyChoice, policyOf } from "./play_bar.js";
+import { Editor } from "./state.js";
+import { TOOLS } from "./tools.js";
+
+export function EditorPage() {
+  const engine = useRequest(() => get("engine"), []);
+  const about = useRequest(() => get("levels"), []);
+  const problem = engine.error ?? about.error;
+  if (problem) return html`<main><p class="missing" role="alert">The editor needs the engine: ${problem}</p></main>`;
+  if (!engine.data || !about.data) return html`<main><p class="soft" role="status">the engine starts, some seconds ...</p></main>`;
+  return html`<${Workplace} engine=${engine.data} about=${about.data} />`;
+}
+
+/** Draws the component again, once a picture, when one of these calls. @param {Set<() => void>} listeners */
+function useListeners(listeners) {
+  const [, set] = useState(0);
+  useEffect(() => {
+    let wanted = 0;
+    const update = () => {
+      wanted ||= requestAnimationFrame(() => {
+        wanted = 0;
+        set((count) => count + 1);
+      });
+    };
+    listeners.add(update);
+    return () => {
+      listeners.delete(update);
+      cancelAnimationFrame(wanted);
+    };
+  }, [listeners]);
+}
+
+/** @param {{ engine: import("../world/display_list.js").Engine, about: any }} props */
+function Workplace({ engine, about }) {
+  const { editor, play, checks } = useMemo(() => {
+    const made = new Editor(engine);
+    const changed = () => made.changed();
+    return { editor: made, play: new Play(changed), checks: new Checks(changed) };
+  }, [engine]);
+  const [panel, setPanel] = useState("level");
+  const [policy, setPolicy] = useState("keys");
+  const [conflict, setConflict] = useState(/** @type {import("./files.js").Conflict | null} */ (null));
+  const [draft, setDraft] = useState(findDraft);
+  const [isDropping, setDropping] = useState(false);
+  const connection = useConnection();
+  const drafted = useRef(/** @type {any} */ (null));
+  useListeners(editor.listeners);
+  document.title = `${editor.document.name} · editor`;
+
+  useEffect(() => void begin(editor, about, () => setPanel("gallery")), [editor]);
+  useEffect(() => {
+    if (connection === "connected") checks.ask(editor.history.present.document);
+  }, [editor.history.present.document, connection]);
+  useEffect(() => {
+    if (drafted.current === editor.history.present) return undefined;
+    drafted.current = editor.history.present;
+    const timer = setTimeout(() => keepDraft(editor), 300);
+    return () => clearTimeout(timer);
+  }, [editor.history.present]);
+  useEffect(() => () => {
+    checks.end();
+    void play.close();
+  }, [checks, play]);
+
+  const start = async () => {
+    if (play.isOpen) return play.close();
+    editor.cancel();
+    await play.open({ document: editor.document }, policyOf(policy));
+  };
+  useKeys(editor, play, start);
+
+  const save = async (/** @type {import("./files.js").Conflict | null} */ over = null) => {
+    const name = over?.name ?? editor.file ?? about.files?.only ?? askName(editor);
+    if (!name) return;
+    setConflict(await saveFile(editor, name, over));
+    if (!editor.isUnsaved) dropDraft();
+  };
+  const open = async (/** @type {() => Promise<void>} */ act) => {
+    await play.close();
+    try {
+      await act();
+      setPanel("level");
+    } catch (error) {
+      editor.say(error instanceof Error ? error.message : String(error));
+    }
+  };
+  const drop = (/** @type {DragEvent} */ event) => {
+    event.preventDefault();
+    setDropping(false);
+    const file = event.dataTransfer?.files[0];
+    if (!file) return;
+    if (file.size > MAX_TEXT) return editor.say(`${file.name} is too large for a level: ${(file.size / 1e6).toFixed(1)} MB; a level has a few kB`);
+    void open(async () => openText(editor, await file.text()));
+  };
+  const link = async () => {
+    setQuery({ level: await packed(editor.document), from: null });
+    await navigator.clipboard?.writeText(location.href).catch(() => {}); // the address bar has it where the browser refuses
+    editor.say(`the level is in the address now (${location.href.length} characters)${navigator.clipboard ? ", and copied" : ""}`);
+  };
+  const { facts } = checks.checked;
+
+  return html`<main class="editor ${isDropping ? "dropping" : ""}" onDragOver=${(/** @type {DragEvent} */ e) => { e.preventDefault(); setDropping(true); }} onDragLeave=${() => setDropping(false)} onDrop=${drop}>
+    <div class="bar tools" role="toolbar" aria-label="tools">
+      ${Object.entries(TOOLS).map(([name, tool]) => html`<button key=${name} aria-pressed=${editor.tool === name} aria-label=${tool.label} title=${`${tool.label} (${tool.key.toUpperCase()}): ${tool.help}`} disabled=${play.isOpen} onClick=${() => editor.use(name)}>${tool.mark}<small>${tool.key}</small></button>`)}
+      <span class="gap"></span>
+      ${COMMANDS.filter((command) => command.mark).map((command) => html`<button key=${command.label} aria-label=${command.label} title=${`${command.label} (${command.keys[0]})`} disabled=${play.isOpen} onClick=${() => command.run(editor, command.keys[0])}>${command.mark}</button>`)}
+      <button aria-pressed=${editor.adds} title="add to the selection with each click (as shift)" onClick=${() => { editor.adds = !editor.adds; editor.changed(); }} aria-label="Add to the selection">⊞</button>
+    </div>
+    <div class="bar">
+      <button class="primary" onClick=${start} title="Space">${play.isOpen ? "■ stop" : "▶ play"}</button>
+      <${PolicyChoice} value=${policy} choose=${setPolicy} engine=${engine} label="who plays" />
+      <span class="gap"></span>
+      ${about.files ? html`<button onClick=${() => save()} title="Ctrl+S">save${editor.isUnsaved ? " •" : ""}</button>` : null}
+      <button onClick=${() => downloadLevel(editor, "kinetix-dist")}>download</button>
+      <button onClick=${() => downloadLevel(editor, "public")} title="as a file of the public Kinetix package">public format</button>
+      <button onClick=${() => downloadPicture(editor)}>PNG</button>
+      <button onClick=${link} title="an address with the level in it">link</button>
+      <button onClick=${() => open(async () => editor.open(newLevel()))}>new</button>
+      <label class="button">open<input type="file" accept=".json" hidden onChange=${(/** @type {any} */ e) => { const [file] = e.target.files; if (file) void open(async () => (file.size > MAX_TEXT ? editor.say(`${file.name} is too large for a level`) : openText(editor, await file.text()))); e.target.value = ""; }} /></label>
+      <span class="soft file">${editor.file ?? (about.files ? "not saved yet" : "")}</span>
+    </div>
+    ${draft ? html`<div class="notes" role="alert">A level that was not saved is here from ${new Date(draft.at).toLocaleString()}.
+      <button onClick=${() => open(async () => { editor.open(await readLevel(draft.text)); setDraft(null); })}>bring it back</button> <button onClick=${() => { dropDraft(); setDraft(null); }}>forget it</button></div>` : null}
+    ${conflict ? html`<div class="notes" role="alert">${conflict.problem}.
+      <button onClick=${() => save(conflict)}>${conflict.hash === null ? "save it anew" : "save over it"}</button>
+      ${conflict.hash === null ? null : html`<button onClick=${() => { setConflict(null); void open(() => openFile(editor, conflict.name)); }}>open what is there</button>`}
+      <button onClick=${() => setConflict(null)}>leave it</button></div>` : null}
+    <div class="workplace">
+      <div class="picture">
+        <${CanvasView} editor=${editor} play=${play} />
+        ${play.isOpen || play.problem ? html`<${PlayBar} play=${play} again=${() => play.close()} />` : html`<p class="note" role="status">${editor.note || TOOLS[editor.tool].help}</p>`}
+      </div>
+      <aside class="side">
+        <${ProblemsPanel} editor=${editor} checked=${checks.checked} />
+        <div class="row small" role="tablist">${["level", "gallery", "help"].map((name) => html`<button key=${name} role="tab" aria-pressed=${panel === name} onClick=${() => setPanel(name)}>${name}</button>`)}</div>
+        ${panel === "gallery" ? html`<${Gallery} about=${about} engine=${engine} openDesigned=${(/** @type {any} */ entry) => open(async () => editor.open(await levelOf(entry)))} openFile=${(/** @type {string} */ name) => open(() => openFile(editor, name))} />` : null}
+        ${panel === "help" ? html`<${Help} />` : null}
+        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${AttemptsPanel} editor=${editor} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} facts=${facts} /><${MakePanel} editor=${editor} />` : null}
+      </aside>
+    </div>
+  </main>`;
+}
+
+/** The level that the address or the command line names. @param {Editor} editor @param {any} about @param {() => void} showGallery */
+async function begin(editor, about, showGallery) {
+  const { query } = readAddress();
+  const [level, from] = [query.get("level"), query.get("from")];
+  try {
+    if (level) editor.open(await readLevel(await unpacked(level)));
+    else if (from?.startsWith("runs/")) editor.open(await get(from));
+    else if (about.opens?.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
+    else if (about.opens) await openDesigned(editor, about, about.opens.replace("designed/", ""));
+    else showGallery();
+  } catch (error) {
+    editor.say(`the level cannot be opened: ${error instanceof Error ? error.message : error}`);
+  }
+  editor.history.past = []; // there is nothing before the first level
+  editor.changed();
+}
+
+/** @param {Editor} editor @param {string} name of the file of the command line, which may be new */
+async function openNamed(editor, name) {
+  const listed = await get("files");
+  if (listed.files.some((/** @type {any} */ entry) => entry.name === name)) return openFile(editor, name);
+  editor.open({ ...newLevel(), name: name.replace(/\.json$/, "") }, { file: name, hash: null });
+  return undefined;
+}
+
+/** @param {Editor} editor @param {any} about @param {string} name */
+async function openDesigned(editor, about, name) {
+  for (const set of about.sets) {
+    const { levels } = await get(`levels/sets/${set.name}`);
+    const found = levels.find((/** @type {any} */ entry) => entry.name === name);
+    if (found) return editor.open(await levelOf(found));
+  }
+  throw new Error(`there is no level ${name}`);
+}
+
+/** @param {Editor} editor @returns {string | null} */
+function askName(editor) {
+  const proposed = `${String(editor.document.name).replace(/[^\w-]+/g, "_")}.json`;
+  return prompt("Save as which file of the directory?", proposed);
+}
+
+/** Keys go to play while a level is played, to the editor otherwise; never while text is typed.
+ * @param {Editor} editor @param {Play} play @param {() => void} start */
+function useKeys(editor, play, start) {
+  const latest = useRef(start);
+  latest.current = start;
+  useEffect(() => {
+    const down = (/** @type {KeyboardEvent} */ event) => {
+      const target = /** @type {Element} */ (event.target);
+      const isOnButton = target instanceof HTMLButtonElement || target instanceof HTMLAnchorElement;
+      if (target.matches("select, textarea, input:not([type=range]):not([type=checkbox])")) return;
+      const key = keyOf(event);
+      if (key === "ctrl+s") {
+        event.preventDefault();
+        /** @type {HTMLButtonElement | null} */ (document.querySelector("[title='Ctrl+S']"))?.click();
+      } else if (key === " " && !isOnButton) {
+        event.preventDefault();
+        latest.current();
+      } else if (play.isOpen) {
+        if (playKey(play, key) || play.press(event.key, true)) event.preventDefault();
+      } else {
+        // Tab goes on through the page but from the picture; Enter is that of a button that has the focus.
+        if (key.endsWith("tab") && !target.matches(".editor-canvas")) return;
+        if (key === "enter" && isOnButton) return;
+        const command = commandOf(key);
+        if (!command || ["ctrl+c", "ctrl+x", "ctrl+v"].includes(key)) return; // these come as events of the clipboard
+        event.preventDefault();
+        command.run(editor, key);
+      }
+    };
+    const up = (/** @type {KeyboardEvent} */ event) => void (play.isOpen && play.press(event.key, false));
+    const leave = () => play.release();
+    const isFree = (/** @type {ClipboardEvent} */ event) => !play.isOpen && !/** @type {Element} */ (event.target).matches("input, textarea");
+    const pasted = (/** @type {ClipboardEvent} */ event) => {
+      const text = event.clipboardData?.getData("text/plain") ?? "";
+      if (isFree(event) && text.trim().startsWith("{")) void openText(editor, text);
+    };
+    const copy = (/** @type {ClipboardEvent} */ event) => {
+      if (!isFree(event) || !getSelection()?.isCollapsed || !editor.selection.length) return;
+      event.clipboardData?.setData("text/plain", JSON.stringify(copied(editor.settled, editor.selection)));
+      event.preventDefault();
+      commandOf(event.type === "cut" ? "ctrl+x" : "ctrl+c")?.run(editor, "");
+    };
+    addEventListener("keydown", down);
+    addEventListener("keyup", up);
+    addEventListener("blur", leave);
+    addEventListener("paste", pasted);
+    addEventListener("copy", copy);
+    addEventListener("cut", copy);
+    return () => {
+      removeEventListener("keydown", down);
+      removeEventListener("keyup", up);
+      removeEventListener("blur", leave);
+      removeEventListener("paste", pasted);
+      removeEventListener("copy", copy);
+      removeEventListener("cut", copy);
+    };
+  }, [editor, play]);
+}
+
+/** @type {Record<string, [string, (play: Play) => void]>} */
+const PLAY_KEYS = {
+  p: ["pause, or go on", (play) => void play.control(play.isRunning ? "pause" : "run")],
+  ".": ["one step on", (play) => void play.control("step", { steps: 1 })],
+  ",": ["one step back", (play) => void play.control("seek", { step: Math.max(0, (play.frame?.step ?? 0) - 1) })],
+  backspace: ["from the start", (play) => void play.control("reset").then(() => play.control("run"))],
+  escape: ["edit", (play) => void play.close()],
+};
+
+/** @param {Play} play @param {string} key */
+function playKey(play, key) {
+  PLAY_KEYS[key]?.[1](play);
+  return key in PLAY_KEYS;
+}
+
+function Help() {
+  const row = (/** @type {string} */ keys, /** @type {string} */ text) => html`<tr key=${keys + text}><td><kbd>${keys}</kbd></td><td>${text}</td></tr>`;
+  return html`<section class="panel" data-panel="help"><header><h3>Keys</h3></header>
+    <table><tbody>
+      ${row("space", "play, or edit")}${row("ctrl+s", "save")}${row("alt", "held: no snapping")}
+      ${COMMANDS.map((command) => row(command.keys.join(" "), command.label))}
+    </tbody></table>
+    <header><h3>While a level is played</h3></header>
+    <table><tbody>${row("→ ← · ↑ ↓ · D A · W S", "motors 0, 1, 2, 3 forward and backward")}${row("1 · 2", "thrusters 0, 1")}
+      ${Object.entries(PLAY_KEYS).map(([key, [text]]) => row(key, text))}</tbody></table>
+  </section>`;
+}

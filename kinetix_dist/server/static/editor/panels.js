@@ -1,0 +1,156 @@
+// The panels beside the picture: fields of what is selected and of the level, what there is, what is wrong with it.
+import { html, useEffect, useState } from "../base/html.js";
+import { COMMANDS } from "./commands.js";
+import { PARTS, parsePath, thingAt, withThing } from "./document.js";
+import { renamed } from "./edits.js";
+import { fieldsOf, LEVEL_FIELDS, SHAPE_FIELDS, valueOf, withValue } from "./fields.js";
+
+/** @typedef {import("./state.js").Editor} Editor */
+const ALIGNMENTS = COMMANDS.filter((command) => command.label.startsWith("Align"));
+/** @typedef {import("./fields.js").Field} Field */
+
+/** What is typed: kept as text until it is a value; the text of another value takes its place. @param {{ value: any, parse: (text: string) => any, show: (value: any) => string, commit: (value: any) => void, label: string, type?: string, step?: number }} props */
+function Typed({ value, parse, show, commit, label, type = "text", step }) {
+  const shown = show(value);
+  const [text, setText] = useState(shown);
+  useEffect(() => setText(shown), [shown]);
+  const finish = () => {
+    const parsed = parse(text);
+    if (parsed === undefined) setText(shown);
+    else if (show(parsed) !== shown) commit(parsed);
+  };
+  return html`<input value=${text} type=${type} step=${step ?? "any"} aria-label=${label} onInput=${(/** @type {any} */ e) => setText(e.target.value)}
+    onChange=${finish} onKeyDown=${(/** @type {any} */ e) => e.key === "Enter" && finish()} />`;
+}
+
+/** @param {any} value */
+const numberText = (value) => (value === undefined ? "" : String(Number(Number(value).toFixed(6))));
+/** @param {string} text */
+function parseNumber(text) {
+  const value = Number(text);
+  return text.trim() === "" || !Number.isFinite(value) ? undefined : value;
+}
+
+/** @param {{ field: Field, thing: any, commit: (value: any) => void }} props */
+function FieldInput({ field, thing, commit }) {
+  const value = valueOf(thing, field);
+  const label = field.label ?? field.name.replace("motor.", "motor ");
+  const title = `${field.name}${field.unit ? `, ${field.unit}` : ""}${field.missing === undefined ? "" : `; ${JSON.stringify(field.missing)} if left out`}`;
+  let input;
+  if (field.kind === "choice") {
+    const options = field.options ?? [];
+    const known = options.includes(String(value ?? ""));
+    input = html`<select aria-label=${label} onChange=${(/** @type {any} */ e) => commit(typeof field.missing === "number" ? Number(e.target.value) : e.target.value)}>
+      ${(known ? options : [String(value), ...options]).map((option) => html`<option key=${option} value=${option} selected=${option === String(value ?? "")}>${option || "-"}</option>`)}</select>`;
+  } else if (field.kind === "flag") {
+    input = html`<input type="checkbox" aria-label=${label} checked=${value} onChange=${(/** @type {any} */ e) => commit(e.target.checked)} />`;
+  } else if (field.kind === "number") {
+    input = html`<${Typed} value=${value} parse=${parseNumber} show=${numberText} commit=${commit} label=${label} type="number" step=${field.step} />`;
+  } else if (field.kind === "point") {
+    const pair = Array.isArray(value) ? value : [0, 0];
+    input = html`<span class="pair">${[0, 1].map((k) => html`<${Typed} key=${k} value=${pair[k]} parse=${parseNumber} show=${numberText}
+      commit=${(/** @type {number} */ entry) => commit(k ? [pair[0], entry] : [entry, pair[1]])} label=${`${label} ${k + 1}`} type="number" />`)}</span>`;
+  } else if (field.kind === "words") {
+    const parse = (/** @type {string} */ text) => text.split(",").map((word) => word.trim()).filter(Boolean);
+    input = html`<${Typed} value=${value} parse=${parse} show=${(/** @type {any} */ words) => (Array.isArray(words) ? words.join(", ") : String(words))} commit=${commit} label=${label} />`;
+  } else {
+    input = html`<${Typed} value=${value} parse=${(/** @type {string} */ text) => text} show=${(/** @type {any} */ entry) => String(entry ?? "")} commit=${commit} label=${label} />`;
+  }
+  return html`<label class="field" title=${title}><span>${label}${field.unit ? html` <i>${field.unit}</i>` : null}</span>${input}</label>`;
+}
+
+/** @param {{ editor: Editor }} props */
+export function SelectionPanel({ editor }) {
+  const { document, selection } = editor;
+  if (!selection.length) {
+    return html`<section class="panel" data-panel="selection"><header><h3>Nothing is selected</h3></header>
+      <p class="soft">Click a shape, joint, thruster or wall; Tab goes through all.</p></section>`;
+  }
+  if (selection.length > 1) return html`<${ManyPanel} editor=${editor} />`;
+  const [path] = selection;
+  const found = parsePath(path);
+  const thing = thingAt(document, path);
+  if (!found || !thing) return null;
+  const bodies = [...document.shapes.map((shape) => shape.id), ...(found.part === "joints" ? editor.walls.map((wall) => wall.name) : [])];
+  const commit = (/** @type {Field} */ field, /** @type {any} */ value) => {
+    if (found.part === "shapes" && field.name === "id") {
+      if (document.shapes.some((shape) => shape.id === value)) return editor.say(`there is a shape ${value} already`);
+      return editor.commit(renamed(document, found.index, value));
+    }
+    editor.commit(withThing(document, path, withValue(thing, field, value)));
+  };
+  const change = (/** @type {any} */ next) => editor.commit(withThing(document, path, next));
+  return html`<section class="panel" data-panel="selection"><header><h3>${nameOf(document, path)}</h3><span class="help">${path}</span></header>
+    <div class="fields">${fieldsOf(found.part, thing, bodies).map((field) => html`<${FieldInput} key=${`${path} ${field.name}`} field=${field} thing=${thing} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>
+    ${found.part === "joints" ? html`<div class="row small"><${JointSwitches} joint=${thing} change=${change} /></div>` : null}
+  </section>`;
+}
+
+/** Motor and limits are there or not. @param {{ joint: any, change: (joint: any) => void }} props */
+function JointSwitches({ joint, change }) {
+  const switched = (/** @type {string} */ name, /** @type {any} */ value) => {
+    const next = { ...joint, [name]: value };
+    if (joint[name]) delete next[name];
+    change(next);
+  };
+  const limits = joint.type === "prismatic" ? [-0.5, 0.5] : [-0.785398, 0.785398];
+  return html`<button aria-pressed=${Boolean(joint.motor)} onClick=${() => switched("motor", { speed: 1, power: 1, colour: 0 })}>motor</button>
+    ${joint.type === "fixed" ? null : html`<button aria-pressed=${Boolean(joint.limits)} onClick=${() => switched("limits", limits)}>limits</button>`}`;
+}
+
+/** Fields that all selected shapes share. @param {{ editor: Editor }} props */
+function ManyPanel({ editor }) {
+  const { document, selection } = editor;
+  const shapes = selection.filter((path) => path.startsWith("shapes["));
+  const first = thingAt(document, shapes[0] ?? "");
+  const commit = (/** @type {Field} */ field, /** @type {any} */ value) =>
+    editor.commit(shapes.reduce((level, path) => withThing(level, path, withValue(thingAt(level, path), field, value)), document));
+  return html`<section class="panel" data-panel="selection"><header><h3>${selection.length} things</h3><span class="help">fields are set for all ${shapes.length} shapes</span></header>
+    <div class="row small">${ALIGNMENTS.map((command) => html`<button key=${command.label} title=${command.keys[0]} onClick=${() => command.run(editor, command.keys[0])}>${command.label.toLowerCase()}</button>`)}</div>
+    ${first ? html`<div class="fields">${SHAPE_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${first} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>` : null}
+  </section>`;
+}
+
+/** @param {{ editor: Editor, facts: any }} props */
+export function LevelPanel({ editor, facts }) {
+  const { document } = editor;
+  return html`<section class="panel" data-panel="level"><header><h3>Level</h3></header>
+    <div class="fields">${LEVEL_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${document} commit=${(/** @type {any} */ value) => editor.commit(withValue(document, field, value))} />`)}</div>
+    ${facts ? html`<p class="soft">room for ${Object.entries(facts.room).map(([kind, count]) => `${count} ${kind}`).join(", ")} more</p>` : null}
+  </section>`;
+}
+
+/** What there is, as buttons: by keyboard and for what is hard to hit. @param {{ editor: Editor, facts: any }} props */
+export function ThingsPanel({ editor, facts }) {
+  const paths = [
+    ...PARTS.flatMap((part) => (editor.document[part] ?? []).map((/** @type {any} */ _, /** @type {number} */ k) => `${part}[${k}]`)),
+    ...editor.walls.map((wall) => `walls.${wall.name}`),
+  ];
+  return html`<section class="panel" data-panel="things"><header><h3>Things</h3><span class="help">mass in kg</span></header>
+    <div class="things">${paths.map((path) => html`<button key=${path} aria-pressed=${editor.selection.includes(path)}
+      onClick=${(/** @type {MouseEvent} */ e) => editor.select(e.shiftKey || editor.adds ? [...editor.selection, path] : [path])}>${nameOf(editor.document, path)}${facts?.masses[path] ? html` <i>${facts.masses[path].toPrecision(2)}</i>` : null}</button>`)}</div>
+  </section>`;
+}
+
+/** @param {import("./document.js").Level} document @param {string} path */
+function nameOf(document, path) {
+  const found = parsePath(path);
+  const thing = thingAt(document, path);
+  if (!found || !thing) return path;
+  if (found.part === "walls") return `${found.name.replace("_", " ")}${thing.role && thing.role !== "none" ? ` (${thing.role})` : ""}`;
+  if (found.part === "shapes") return `${thing.id ?? path}${thing.role && thing.role !== "none" ? ` (${thing.role})` : ""}`;
+  return found.part === "joints" ? `${thing.type} ${thing.a} - ${thing.b}` : `thruster ${thing.shape}`;
+}
+
+/** Complaints of the validator and warnings; each leads to what it is about. @param {{ editor: Editor, checked: import("./checks.js").Checked }} props */
+export function ProblemsPanel({ editor, checked }) {
+  const { problems, warnings } = checked;
+  const title = checked.error ? "Not checked" : problems.length ? `${checked.numProblems} problem${checked.numProblems > 1 ? "s" : ""}` : warnings.length ? `Valid, ${warnings.length} warning${warnings.length > 1 ? "s" : ""}` : "Valid";
+  return html`<section class="panel" data-panel="problems" aria-live="polite" data-checked=${checked.isCurrent}><header><h3 class=${problems.length ? "bad" : ""}>${problems.length ? "✗" : checked.isCurrent && !checked.error ? "✓" : "…"} ${checked.isCurrent ? title : "checking ..."}</h3></header>
+    ${checked.error ? html`<p class="missing">${checked.error}</p>` : null}
+    <div class="things column">
+      ${problems.map((problem, k) => html`<button key=${k} class="problem" onClick=${() => editor.show(problem.path)}><b>${problem.path}</b> ${problem.problem}; ${problem.remedy}</button>`)}
+      ${warnings.map((warning, k) => html`<button key=${k} class="warning" onClick=${() => editor.select(warning.paths)}>⚠ ${warning.text}</button>`)}
+    </div>
+  </section>`;
+}
