@@ -56,9 +56,9 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def serve() -> Iterator[Callable[..., Server]]:
-    """serve(path, options): a server that ends after the pages of the test."""
+    """serve(path, options): a server that ends after the pages of the test: those that lose theirs complain."""
     with contextlib.ExitStack() as stack:
-        yield lambda *arguments: stack.enter_context(serving(*arguments))
+        yield lambda *arguments, **options: stack.enter_context(serving(*arguments, **options))
 
 
 @pytest.fixture

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from kinetix_dist.level.fit import capacity_of_size, fit_level
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import files_of_set, read_public_level
 from tests.helpers import REPOSITORY
-from tests.server.serving import Server, serving
+from tests.server.serving import Server
 
 OpenPage = Callable[..., Any]
 VIEW_M = 5.5  # WHOLE_VIEW of state.js: along the shorter side of the picture, about (2.5, 2.5)
@@ -69,14 +68,12 @@ class Bench:
 
 
 @pytest.fixture
-def editing(open_page: OpenPage) -> Iterator[Callable[..., tuple[Bench, Server]]]:
-    with contextlib.ExitStack() as stack:
+def editing(open_page: OpenPage, serve: Callable[..., Server]) -> Callable[..., tuple[Bench, Server]]:
+    def edit(given: Path | str, **options: Any) -> tuple[Bench, Server]:
+        server = serve(given, name="edit")
+        return Bench(open_page(server, "#/edit", **options)), server
 
-        def edit(given: Path | str, **options: Any) -> tuple[Bench, Server]:
-            server = stack.enter_context(serving(given, name="edit"))
-            return Bench(open_page(server, "#/edit", **options)), server
-
-        yield edit
+    return edit
 
 
 def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..., Any], tmp_path: Path) -> None:
