@@ -29,6 +29,15 @@ def panel(page: Any, title: str) -> Any:
     return page.locator(f'[data-panel^="{title}"]')
 
 
+def box_of(page: Any, locator: Any) -> dict[str, float]:
+    """Where an element is, once it is there: one that is just made again is nowhere."""
+    for _ in range(100):
+        if (box := locator.bounding_box()) is not None:
+            return box
+        page.wait_for_timeout(100)
+    raise AssertionError(f"{locator} is nowhere")
+
+
 def wait_for_drawn(page: Any, title: str, selector: str = "canvas") -> None:
     """Until the first canvas of a panel is more than blank."""
     canvas = panel(page, title).locator(selector).first
@@ -163,8 +172,10 @@ def test_the_view_is_in_the_address_and_its_numbers_come_out(tmp_path: Path, ope
     page = open_page(server, "#/run/a/overview")
     wait_for_drawn(page, "Training episodes")
     page.get_by_label("axis").select_option("updates")
-    assert "x=updates" in page.url
-    box = panel(page, "Training episodes").locator(".u-over").bounding_box()
+    page.wait_for_function("() => location.hash.includes('x=updates')")
+    page.wait_for_load_state("networkidle")  # charts are made again from what comes
+    wait_for_drawn(page, "Training episodes")
+    box = box_of(page, panel(page, "Training episodes").locator(".u-over"))
     page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 50)
     page.mouse.down()
     page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 50, steps=5)
