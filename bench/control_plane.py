@@ -10,14 +10,13 @@ does not hold is left out, and its record says so.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import sys
 import time
 
 import psutil
 
-from bench.program import exit_code, output_file, parser_of
+from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
 
 ROUNDS = 50  # of calls; the median counts
@@ -82,12 +81,7 @@ def main() -> int:
 def run(options: argparse.Namespace) -> int:
     if min(options.processes) < 1:
         raise UserError(f"--processes has {min(options.processes)}; give numbers of processes, each 1 or more")
-    records = []
-    for count in options.processes:
-        records.append(measure(count))
-        print(records[-1], flush=True)
-        if options.json is not None:
-            options.json.write_text(json.dumps(records, indent=1) + "\n")
+    report_each(map(measure, options.processes), options.json)
     return 0
 
 

@@ -129,29 +129,40 @@ def measure_live(browser: Any, run: Path) -> dict[str, Any]:
         }
 
 
+def add_browser_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--browser", type=Path, default=CHECKOUT / ".cache" / "browser" / "chromium")
+
+
+@contextmanager
+def launched(program: Path) -> Iterator[Any]:
+    """A headless Chromium. Raises UserError where there is none."""
+    if not program.is_file():
+        raise UserError(f"--browser {program} is no file; `make browser` fetches one")
+    from playwright.sync_api import sync_playwright
+
+    options = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=str(program), args=options)
+        yield browser
+        browser.close()
+
+
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--browser", type=Path, default=CHECKOUT / ".cache" / "browser" / "chromium")
+    add_browser_argument(parser)
     parser.add_argument("--json", type=output_file)
     arguments = parser.parse_args()
     return exit_code(parser, lambda: run(arguments))
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if not arguments.browser.is_file():
-        raise UserError(f"--browser {arguments.browser} is no file; `make browser` fetches one")
-    from playwright.sync_api import sync_playwright
-
-    options = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+    with tempfile.TemporaryDirectory() as folder, launched(arguments.browser) as browser:
         runs = Path(folder) / "runs"
         for k in range(NUM_RUNS):
             write_run(runs / f"run_{k}", NUM_UPDATES)
         long = write_run(Path(folder) / "long", NUM_LONG)
         live = write_run(Path(folder) / "live", FIRST_LIVE)
-        browser = playwright.chromium.launch(executable_path=str(arguments.browser), args=options)
         result = measure(browser, runs, long) | measure_live(browser, live)
-        browser.close()
     for name, value in result.items():
         shown = (
             f"{statistics.median(value):.3f} (median of {len(value)})" if isinstance(value, list) else f"{value:.3f}"

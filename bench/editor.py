@@ -13,12 +13,11 @@ import argparse
 import json
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.dashboard import CHECKOUT, serving
+from bench.dashboard import add_browser_argument, launched, serving
 from bench.program import exit_code, output_file, parser_of
 from kinetix_dist.errors import UserError
 
@@ -114,7 +113,7 @@ def measure(browser: Any, play_seconds: float) -> dict[str, list[float]]:
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--browser", type=Path, default=CHECKOUT / ".cache" / "browser" / "chromium")
+    add_browser_argument(parser)
     parser.add_argument("--play-seconds", type=float, default=6.0, help="an episode has 8.5 s")
     parser.add_argument("--json", type=output_file)
     arguments = parser.parse_args()
@@ -122,15 +121,8 @@ def main() -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if not arguments.browser.is_file():
-        raise UserError(f"--browser {arguments.browser} is no file; `make browser` fetches one")
-    from playwright.sync_api import sync_playwright
-
-    options = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=str(arguments.browser), args=options)
+    with launched(arguments.browser) as browser:
         result = measure(browser, arguments.play_seconds)
-        browser.close()
     for name, values in result.items():
         median, high = np.percentile(values, [50, 95])
         print(f"{name:12s} median {median:6.1f}, 95 % {high:6.1f} ({len(values)})")

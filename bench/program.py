@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from jax2d.fidelity.arguments import OneLineParser
 from kinetix_dist.errors import UserError
@@ -21,6 +23,16 @@ def exit_code(parser: OneLineParser, work: Callable[[], int]) -> int:
         return work()
     except UserError as error:
         parser.error(str(error))
+
+
+def report_each(records: Iterable[Any], file: Path | None) -> None:
+    """Prints each record as it comes; `file` has all so far, so that what is cut short leaves what it had measured."""
+    found = []
+    for record in records:
+        found.append(record)
+        print(record, flush=True)
+        if file is not None:
+            file.write_text(json.dumps(found, indent=1) + "\n")
 
 
 def output_file(text: str) -> Path:

@@ -10,14 +10,13 @@ third of the levels and uniform for the others.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-from bench.program import exit_code, output_file, parser_of
+from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
 
 REPEATS = 5  # of writing and reading; the median counts
@@ -103,12 +102,7 @@ def run(options: argparse.Namespace) -> int:
     for name in options.recipes:
         if name not in RECIPES or RECIPES[name]().curriculum.name != "sfl":
             raise UserError(f"--recipes has {name!r}; give recipes whose curriculum is sfl")
-    records = []
-    for name in options.recipes:
-        records.append(measure(name))
-        print(records[-1], flush=True)
-        if options.json is not None:
-            options.json.write_text(json.dumps(records, indent=1) + "\n")
+    report_each(map(measure, options.recipes), options.json)
     return 0
 
 

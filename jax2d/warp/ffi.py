@@ -71,7 +71,7 @@ def solver_parameters(settings: Settings) -> np.ndarray:
 
 def _worlds_last(x: Array, dtype: Any) -> jax.Array:
     """[num_worlds, ...] -> [rows, num_worlds]."""
-    if 0 in np.shape(x):  # nothing is captured that holds nothing: see `learner/sharding.py` on_devices
+    if 0 in np.shape(x):  # not captured by the program: jax 0.11 cannot compile some that capture what holds nothing
         return jnp.zeros((math.prod(np.shape(x)[1:]), np.shape(x)[0]), dtype)
     x = jnp.asarray(x)
     return x.reshape(x.shape[0], math.prod(x.shape[1:])).astype(dtype).T

@@ -49,13 +49,14 @@ def on_devices(function: Callable[..., Any], mesh: Mesh, *, in_specs: Any, out_s
         used = [index for index, leaf in enumerate(leaves) if np.size(leaf)]
 
         def with_all_used(*values: Any) -> Any:
-            value_of = dict(zip(used, jax.lax.optimization_barrier(values), strict=True))
-            empty = {
-                index: jnp.zeros(NamedSharding(mesh, specs[index]).shard_shape(np.shape(leaf)), leaf.dtype)
-                for index, leaf in enumerate(leaves)
-                if index not in value_of
-            }
-            return function(*jax.tree.unflatten(structure, [(value_of | empty)[index] for index in range(len(leaves))]))
+            given = iter(jax.lax.optimization_barrier(values))
+
+            def inside(leaf: Any, spec: PartitionSpec) -> Any:
+                if np.size(leaf):
+                    return next(given)
+                return jnp.zeros(NamedSharding(mesh, spec).shard_shape(np.shape(leaf)), leaf.dtype)
+
+            return function(*jax.tree.unflatten(structure, map(inside, leaves, specs)))
 
         with_specs = tuple(specs[index] for index in used)
         on_mesh = jax.shard_map(with_all_used, mesh=mesh, in_specs=with_specs, out_specs=out_specs, check_vma=False)
