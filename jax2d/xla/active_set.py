@@ -16,14 +16,20 @@ from jax2d.xla.bodies import Bodies, Pair, PairVelocities
 class ActiveSet(NamedTuple):
     now: jax.Array  # [n] bool
     again: jax.Array  # [] bool, in a repeated pass: only what holds or touches these is solved
+    only: jax.Array  # [n] bool, bodies that all passes are about
 
     @classmethod
     def everything(cls, bodies: Bodies) -> ActiveSet:
-        return cls(jnp.ones(bodies.inverse_mass.shape, bool), jnp.array(False))
+        return cls.of(jnp.ones(bodies.inverse_mass.shape, bool))
+
+    @classmethod
+    def of(cls, only: jax.Array) -> ActiveSet:
+        return cls(only, jnp.array(False), only)
 
     def includes(self, pair: Pair) -> jax.Array:
         """[...] bool, pairs that are solved."""
-        return ~self.again | jnp.any((pair.is_a | pair.is_b) & self.now, axis=-1)
+        has_only, has_now = (jnp.any((pair.is_a | pair.is_b) & these, axis=-1) for these in (self.only, self.now))
+        return has_only & (~self.again | has_now)
 
     def moves(self, before: PairVelocities, after: PairVelocities) -> jax.Array:
         """[] bool, whether a joint or spring calls for another pass: only one that a repeated pass changes does."""

@@ -95,11 +95,11 @@ def apply_damping(bodies: Bodies, scene: Scene, h: Scalar) -> Bodies:
     )
 
 
-def kinetic_energy(bodies: Bodies) -> jax.Array:
-    """J, of all that moves."""
-    velocity, omega = bodies.velocities
+def kinetic_energy(bodies: Bodies, velocities: Velocities) -> jax.Array:
+    """[n] J, with these velocities."""
+    velocity, omega = velocities
     mass, inertia = vec2.inverse_or_zero(bodies.inverse_mass), vec2.inverse_or_zero(bodies.inverse_inertia)
-    return 0.5 * jnp.sum(mass * vec2.dot(velocity, velocity) + inertia * omega * omega)
+    return 0.5 * (mass * vec2.dot(velocity, velocity) + inertia * omega * omega)
 
 
 def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies:

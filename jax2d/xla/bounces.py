@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax2d.constants import CONSTANTS as C
 from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import joints as joints_of
+from jax2d.xla import springs as springs_of
 from jax2d.xla import vec2
 from jax2d.xla.active_set import ActiveSet
 from jax2d.xla.bodies import Bodies, Velocities, pair_velocities, scatter_velocities
@@ -125,7 +126,8 @@ def energy(bodies: Bodies, velocities: Velocities, gravity: jax.Array, h: Scalar
 
 def carried_work(bodies: Bodies, joints: Joints, contacts: Contacts, h: Scalar) -> jax.Array:
     """J, what moving surfaces and kinematic bodies have done in this sub-step."""
-    return surface_work(bodies, contacts, h) + joints_of.kinematic_work(bodies, joints)
+    by_contacts, by_joints = surface_work(bodies, contacts, h), joints_of.kinematic_work(bodies, joints)
+    return jnp.sum(by_contacts) + jnp.sum(by_joints) + jnp.sum(springs_of.kinematic_work(bodies, joints.springs))
 
 
 def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -> tuple[Velocities, jax.Array]:

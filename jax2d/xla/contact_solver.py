@@ -29,8 +29,13 @@ from jax2d.xla.contacts import Contacts, forget
 
 
 def warm_start(bodies: Bodies, contacts: Contacts) -> tuple[Bodies, Contacts]:
-    """Applies the remembered impulses, all at once: they do not depend on one another. A blow does not last."""
+    """Applies the remembered impulses. A blow does not last."""
     contacts = forget(contacts, contacts.is_blow)
+    return apply_impulses(bodies, contacts), contacts
+
+
+def apply_impulses(bodies: Bodies, contacts: Contacts) -> Bodies:
+    """All that they exert, where the bodies are now, at once: they do not depend on one another."""
     impulse = (
         contacts.normal * contacts.impulse_normal[:, None]
         + vec2.right(contacts.normal) * contacts.impulse_tangent[:, None]
@@ -39,7 +44,7 @@ def warm_start(bodies: Bodies, contacts: Contacts) -> tuple[Bodies, Contacts]:
     after = apply_impulse(before, contacts.pair, *arms_now(bodies, contacts), impulse)
     if contacts.rolling_impulse is not None:
         after = apply_angular_impulse(after, contacts.pair, contacts.rolling_impulse)
-    return bodies._replace(velocities=scatter_velocities(bodies.velocities, contacts.pair, before, after)), contacts
+    return bodies._replace(velocities=scatter_velocities(bodies.velocities, contacts.pair, before, after))
 
 
 def moved_apart(bodies: Bodies, contacts: Contacts) -> jax.Array:
@@ -76,7 +81,7 @@ def carried_arms(
 
 
 def surface_work(bodies: Bodies, contacts: Contacts, h: Scalar) -> jax.Array:
-    """J, what moving surfaces have done to the bodies in this sub-step of h."""
+    """[K] J, what moving surfaces have done to the bodies in this sub-step of h."""
     row = rows_now(bodies, contacts, -0.5 * h)
     on_b = row.normal * row.impulse_normal[:, None] + vec2.right(row.normal) * row.impulse_tangent[:, None]
     of = pair_velocities(row.pair, bodies.velocities)
@@ -85,7 +90,7 @@ def surface_work(bodies: Bodies, contacts: Contacts, h: Scalar) -> jax.Array:
     work = jnp.where(contacts.kinematic_a, by_a, 0) - jnp.where(contacts.kinematic_b, by_b, 0)
     if contacts.surface_speed is not None:
         work += contacts.impulse_tangent * contacts.surface_speed * (contacts.key >= 0)
-    return jnp.sum(work)
+    return work
 
 
 def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:

@@ -385,15 +385,14 @@ def solve_held(
 
 
 def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
-    """J, what motors and springs have added to the bodies' energy in this sub-step."""
+    """[J] J, what motors have added to the bodies' energy in this sub-step."""
     speed = speed_along(constraints(bodies, joints).axial, pair_velocities(joints.pair, bodies.velocities))
     work = jnp.maximum(joints.impulses.angular_impulse * speed, 0)
-    motors = jnp.sum(jnp.where(joints.is_driven & joints.is_held, work, 0))
-    return motors + springs_of.work(bodies, joints.springs)
+    return jnp.where(joints.is_driven & joints.is_held, work, 0)
 
 
 def kinematic_work(bodies: Bodies, joints: Joints) -> jax.Array:
-    """J, what kinematic bodies have done through joints and springs in this sub-step."""
+    """[J] J, what kinematic bodies have done through joints in this sub-step."""
     rows, impulses, pair = constraints(bodies, joints), joints.impulses, joints.pair
     parts = (
         (rows.first, impulses.point[:, 0]),
@@ -403,5 +402,4 @@ def kinematic_work(bodies: Bodies, joints: Joints) -> jax.Array:
     on_b = sum(row.direction * impulse[:, None] for row, impulse in parts)
     angular_a = sum(row.lever_a * impulse for row, impulse in parts)
     angular_b = sum(row.lever_b * impulse for row, impulse in parts)
-    by_joints = work_of_kinematic(bodies, pair, on_b, angular_a, angular_b)
-    return by_joints + springs_of.kinematic_work(bodies, joints.springs)
+    return work_of_kinematic(bodies, pair, on_b, angular_a, angular_b)

@@ -7,7 +7,6 @@ from typing import NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from jax2d.solver_numbers import Scalar
 from jax2d.xla import vec2
 from jax2d.xla.bodies import Bodies, Pair, PairVelocities, pair_velocities, pick
 
@@ -74,11 +73,11 @@ def current_gap(bodies: Bodies, of: Anchored, arm_a: jax.Array, arm_b: jax.Array
 
 def work_of_kinematic(
     bodies: Bodies, pair: Pair, on_b: jax.Array, angular_a: jax.Array, angular_b: jax.Array
-) -> Scalar:
-    """J, what kinematic bodies have done with impulses `on_b` [k, 2] N s, their opposite on a, and what these are about
-    both centres of mass, [k] N m s."""
+) -> jax.Array:
+    """[k] J, what kinematic bodies have done with impulses `on_b` [k, 2] N s, their opposite on a, and what these are
+    about both centres of mass, [k] N m s."""
     of = pair_velocities(pair, bodies.velocities)
     by_a = vec2.dot(on_b, of.velocity_a) + angular_a * of.omega_a
     by_b = vec2.dot(on_b, of.velocity_b) + angular_b * of.omega_b
     is_a, is_b = (pick(body, bodies.is_kinematic.astype(on_b.dtype)) > 0 for body in (pair.is_a, pair.is_b))
-    return jnp.sum(jnp.where(is_a, by_a, 0) - jnp.where(is_b, by_b, 0))
+    return jnp.where(is_a, by_a, 0) - jnp.where(is_b, by_b, 0)

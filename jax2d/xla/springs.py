@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Scene, State
-from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
+from jax2d.solver_numbers import Softness, SolverNumbers
 from jax2d.xla import vec2
 from jax2d.xla.active_set import ActiveSet, marked
 from jax2d.xla.bodies import Bodies, Pair, Velocities, is_slowed, pair_up, pair_velocities, scatter_velocities
@@ -209,16 +209,16 @@ def limit_impulse(
     return jnp.maximum(accumulated + jnp.where(room > 0, hard, yielding), 0)
 
 
-def work(bodies: Bodies, springs: Springs) -> Scalar:
-    """J, what they have added to the bodies' energy in this sub-step."""
+def work(bodies: Bodies, springs: Springs) -> jax.Array:
+    """[S] J, what they have added to the bodies' energy in this sub-step."""
     speed = speed_along(line(bodies, springs)[0], pair_velocities(springs.pair, bodies.velocities))
-    return jnp.sum(jnp.maximum(springs.impulses.force * speed, 0))
+    return jnp.maximum(springs.impulses.force * speed, 0)
 
 
-def kinematic_work(bodies: Bodies, springs: Springs) -> Scalar:
-    """J, what kinematic bodies have done through them in this sub-step."""
+def kinematic_work(bodies: Bodies, springs: Springs) -> jax.Array:
+    """[S] J, what kinematic bodies have done through them in this sub-step."""
     if springs.rest_length.shape[0] == 0:
-        return jnp.zeros((), bodies.velocities.velocity.dtype)
+        return jnp.zeros(0, bodies.velocities.velocity.dtype)
     rows, impulse = line(bodies, springs)[0], springs.impulses.total
     return work_of_kinematic(
         bodies, springs.pair, rows.direction * impulse[:, None], rows.lever_a * impulse, rows.lever_b * impulse

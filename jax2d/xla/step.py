@@ -21,9 +21,9 @@ from jax2d.xla import (
     paper_contacts,
     published,
     reports,
-    vec2,
 )
 from jax2d.xla import contacts as contacts_of
+from jax2d.xla import islands as islands_of
 from jax2d.xla import joints as joints_of
 from jax2d.xla import springs as springs_of
 from jax2d.xla.active_set import ActiveSet
@@ -152,7 +152,8 @@ def soft_step(
         substep = jnp.where(interrupted, substep, substep + 1)
         interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
         bodies, joints, contacts = _relax(bodies, joints, contacts, begun, params, rules)
-        max_energy += joints_of.motor_work(bodies, joints) + forces.work(bodies, thrusters, h)
+        max_energy += jnp.sum(joints_of.motor_work(bodies, joints)) + forces.work(bodies, thrusters, h)
+        max_energy += jnp.sum(springs_of.work(bodies, joints.springs))
         max_energy += forces.external_work(bodies, controls, h)
         carried = bounces.carried_work(bodies, joints, contacts, h)
         max_energy += carried
@@ -198,12 +199,22 @@ class Pass(NamedTuple):
 
 
 def _solve_passes(
-    bodies: Bodies, joints: Joints, contacts: Contacts, params: SolverNumbers, rules: Rules, *, use_bias: bool
+    bodies: Bodies,
+    joints: Joints,
+    contacts: Contacts,
+    params: SolverNumbers,
+    rules: Rules,
+    *,
+    use_bias: bool,
+    only: jax.Array | None = None,
 ) -> tuple[Bodies, Joints, Contacts]:
-    """Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
-    With bias, where a speed limit takes back what stops a body, the rest of it is asked for again. And where something
-    hits, passes go on until all that it reaches has its share."""
-    everything = ActiveSet.everything(bodies)
+    """`only`: the bodies [n] that this is about; None: all.
+
+    Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one. With
+    bias, where a speed limit takes back what stops a body, the rest of it is asked for again. And where something hits,
+    passes go on until all that it reaches has its share.
+    """
+    everything = ActiveSet.everything(bodies) if only is None else ActiveSet.of(only)
 
     def solve(now: Pass, index: jax.Array) -> Pass:
         def joint_pass(carry: tuple[Bodies, Joints], _: None) -> tuple[tuple[Bodies, Joints], jax.Array]:
@@ -214,7 +225,7 @@ def _solve_passes(
         (bodies, joints), moved = jax.lax.scan(joint_pass, (now.bodies, now.joints), length=joint_passes)
         moved = jnp.any(moved, axis=0)
         bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
-        next_active = ActiveSet(moved | hit, jnp.array(True))
+        next_active = ActiveSet(moved | hit, jnp.array(True), everything.only)
         follows = jnp.any(next_active.now) & (index < rules.blow_passes)
         if not use_bias:
             return Pass(bodies, joints, contacts, next_active, follows, now.was_limited)
@@ -237,44 +248,39 @@ def _solve_passes(
 
 
 class Relaxed(NamedTuple):
-    """A world without bias, and whether it has gained energy by that."""
+    """A world without bias, and what has gained energy by that."""
 
     bodies: Bodies
     joints: Joints
     contacts: Contacts
-    gains: jax.Array  # [] bool
+    gains: jax.Array  # [n] bool
 
 
 def _relax(
     bodies: Bodies, joints: Joints, contacts: Contacts, begun: Velocities, params: SolverNumbers, rules: Rules
 ) -> tuple[Bodies, Joints, Contacts]:
-    """Solves without bias. What holds takes energy, or none: where a world has more than `begun`, impulses are not
-    solved yet, or those remembered from another place of the bodies are far off; bodies that jam do that."""
-    from_nothing = bodies._replace(velocities=begun)
-    mass = jnp.sum(vec2.inverse_or_zero(bodies.inverse_mass))
-    max_energy = bodies_of.kinetic_energy(from_nothing) * (1 + params.h * C.slack_rate)
-    max_energy += params.h * C.slack_power * mass
-
-    def gains_energy(bodies: Bodies, joints: Joints, contacts: Contacts, index: jax.Array) -> jax.Array:
-        would_forget = index + 1 == C.remembered_energy_passes
-        gain = bodies_of.kinetic_energy(bodies) - max_energy - jnp.where(would_forget, C.forgetting_gain * mass, 0)
-        work = joints_of.motor_work(bodies, joints) + bounces.carried_work(bodies, joints, contacts, params.h)
-        return jnp.any(contacts.key >= 0) & (gain > 0) & (gain > work)
+    """Solves without bias, islands that gain energy by that again."""
+    islands = islands_of.find(bodies, contacts, joints)
+    allowed = islands_of.max_energy(bodies, begun, params.h)
 
     def solve(now: Relaxed, index: jax.Array) -> Relaxed:
-        contacts = contacts_of.forget(now.contacts, jnp.array(True))
-        start = now.bodies._replace(velocities=begun), now.joints.with_nothing_remembered(), contacts
-        start = choose(index == C.remembered_energy_passes, start, (now.bodies, now.joints, now.contacts))
-        end = _solve_passes(*start, params, rules, use_bias=False)
-        return Relaxed(*end, gains_energy(*end, index))
+        forgotten = islands_of.forget(islands, now.bodies, now.joints, now.contacts, begun, now.gains)
+        forgets = index == C.remembered_energy_passes
+        start = choose(forgets, forgotten, (now.bodies, now.joints, now.contacts))
+        end = _solve_passes(*start, params, rules, use_bias=False, only=now.gains)
+        spare = jnp.where(index + 1 == C.remembered_energy_passes, C.forgetting_gain, 0)
+        gains = now.gains & islands_of.gains_energy(islands, *end, allowed, params.h, spare)
+        return Relaxed(*end, gains)
 
     def one_pass(now: Relaxed, index: jax.Array) -> tuple[Relaxed, None]:
+        gains = jnp.any(now.gains)
+
         def solved() -> Relaxed:
-            return choose(now.gains, solve(now, index), now)
+            return choose(gains, solve(now, index), now)
 
-        return jax.lax.cond(in_any_world(now.gains), solved, lambda: now), None
+        return jax.lax.cond(in_any_world(gains), solved, lambda: now), None
 
-    first = Relaxed(bodies, joints, contacts, gains=jnp.array(True))
+    first = Relaxed(bodies, joints, contacts, gains=jnp.ones(bodies.inverse_mass.shape, bool))
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(1 + C.energy_passes))
     return last.bodies, last.joints, last.contacts
 

@@ -5,13 +5,18 @@ struct ActiveSet {
   ARRAY(unsigned int, now, SHAPE_WORDS);
   ARRAY(unsigned int, next, SHAPE_WORDS);
   bool again;  // in a repeated pass
+  ARRAY(unsigned int, only, SHAPE_WORDS);  // bodies that all passes are about, where `is_restricted`
+  bool is_restricted;
 
   KFN void begin() {
-    again = false;
+    again = is_restricted = false;
     for (int word = 0; word < SHAPE_WORDS && SHARES_BLOWS; ++word) next[word] = 0u;
   }
 
-  KFN bool leaves_out(int a, int b) const { return SHARES_BLOWS && again && !Bodies::has(now, a) && !Bodies::has(now, b); }
+  KFN bool leaves_out(int a, int b) const {
+    if (is_restricted && !Bodies::has(only, a) && !Bodies::has(only, b)) return true;
+    return SHARES_BLOWS && again && !Bodies::has(now, a) && !Bodies::has(now, b);
+  }
 
   KFN void mark(const Bodies& bodies, int a, int b) {
     if (!SHARES_BLOWS) return;

@@ -149,15 +149,12 @@ struct Bodies {
     }
   }
 
-  // J, of all that moves.
-  KFN real kinetic_energy() const {
-    real twice = real(0);
-    for (Each each = Each::of(moving); each.next();) {
-      int i = each.shape;
-      twice += Math::inverse_or_zero(inverse_mass(i)) * velocity(i).dot(velocity(i)) +
-               Math::inverse_or_zero(inverse_inertia(i)) * omega(i) * omega(i);
-    }
-    return real(0.5) * twice;
+  KFN real mass(int i) const { return Math::inverse_or_zero(inverse_mass(i)); }
+
+  // J
+  KFN real kinetic_energy(int i) const {
+    return real(0.5) * (mass(i) * velocity(i).dot(velocity(i)) +
+                        Math::inverse_or_zero(inverse_inertia(i)) * omega(i) * omega(i));
   }
 
   // No state that a call returns moves faster than the limits: what the last relax pass and bounces gave counts too.
@@ -226,6 +223,16 @@ struct Pair {
             bodies.inverse_mass(b),
             bodies.inverse_inertia(a),
             bodies.inverse_inertia(b)};
+  }
+
+  // Of which impulses take back what they gave.
+  KFN static Pair reversed(const Bodies& bodies, int a, int b) {
+    Pair pair = of(bodies, a, b);
+    pair.inverse_mass_a = -pair.inverse_mass_a;
+    pair.inverse_mass_b = -pair.inverse_mass_b;
+    pair.inverse_inertia_a = -pair.inverse_inertia_a;
+    pair.inverse_inertia_b = -pair.inverse_inertia_b;
+    return pair;
   }
 
   // Of two where what is not kinematic has no mass, and what is has one of 1 and stands still: impulses are what it takes.

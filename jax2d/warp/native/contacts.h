@@ -222,8 +222,12 @@ struct Contacts {
     surfaces.forget(k);
   }
 
-  KFN void forget_all() {
-    for (int k = 0; k < count; ++k) forget(k);
+  // All that contact k exerts, where the bodies are now.
+  KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
+    const Contact& c = list[k];
+    Arms arms = arms_now(bodies, c, moved(bodies, c));
+    pair.apply_impulse(arms.a, arms.b, (c.normal * c.impulse_normal).plus(c.normal.right(), c.impulse_tangent));
+    surfaces.warm_start(pair, k);
   }
 
   // Whether the same impulse is to be expected again: not that of a blow or bounce.
@@ -242,28 +246,28 @@ struct Contacts {
   // J, what moving surfaces have done to the bodies in this sub-step of h.
   KFN real surface_work(const Bodies& bodies, real h) const {
     real work = real(0);
-    for (int i = 0; i < count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++i) {
-      const Contact& c = list[i];
-      if (HAS_SURFACE_SPEED) work += c.impulse_tangent * surfaces.speed_of(i);
-      if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) continue;
-      bool is_a = bodies.is_kinematic(c.a);
-      int k = is_a ? c.a : c.b;
-      Arms arms = carried_arms(bodies, c, moved(bodies, c), real(-0.5) * h);
-      Vec2 impulse_on_b = c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent;
-      real done = impulse_on_b.dot(bodies.velocity(k) + (is_a ? arms.a : arms.b).left() * bodies.omega(k));
-      work += is_a ? done : -done;
-    }
+    for (int i = 0; i < count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++i) work += surface_work(bodies, i, h);
     return work;
+  }
+
+  KFN real surface_work(const Bodies& bodies, int i, real h) const {
+    const Contact& c = list[i];
+    real work = real(0);
+    if (HAS_SURFACE_SPEED) work += c.impulse_tangent * surfaces.speed_of(i);
+    if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) return work;
+    bool is_a = bodies.is_kinematic(c.a);
+    int k = is_a ? c.a : c.b;
+    Arms arms = carried_arms(bodies, c, moved(bodies, c), real(-0.5) * h);
+    Vec2 impulse_on_b = c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent;
+    real done = impulse_on_b.dot(bodies.velocity(k) + (is_a ? arms.a : arms.b).left() * bodies.omega(k));
+    return work + (is_a ? done : -done);
   }
 
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
-      Contact& c = list[i];
-      if (!lasts(c)) forget(i);
-      Pair pair = Pair::of(bodies, c.a, c.b);
-      Arms arms = arms_now(bodies, c, moved(bodies, c));
-      pair.apply_impulse(arms.a, arms.b, (c.normal * c.impulse_normal).plus(c.normal.right(), c.impulse_tangent));
-      surfaces.warm_start(pair, i);
+      if (!lasts(list[i])) forget(i);
+      Pair pair = Pair::of(bodies, list[i].a, list[i].b);
+      apply_impulses(bodies, pair, i);
       pair.write_back(bodies);
     }
   }

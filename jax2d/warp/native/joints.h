@@ -153,13 +153,12 @@ struct Joints {
     }
   }
 
-  KFN void forget_all() {
-    springs.forget_all();
-    for (int k = 0; k < count; ++k) {
-      list[k].impulse = Vec2{real(0), real(0)};
-      list[k].angular_impulse = list[k].impulse_lower = list[k].impulse_upper = real(0);
-    }
+  KFN void forget(int k) {
+    list[k].impulse = {real(0), real(0)};
+    list[k].angular_impulse = list[k].impulse_lower = list[k].impulse_upper = real(0);
   }
+
+  KFN bool is_at_limit(int k) const { return list[k].impulse_lower + list[k].impulse_upper > real(0); }
 
   // All that joint k exerts, with its arms as they are.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
@@ -220,27 +219,31 @@ struct Joints {
   // J, what motors and springs have added to the bodies' energy in this sub-step.
   KFN real motor_work(const Bodies& bodies) const {
     real work = springs.work(bodies);
-    for (int k = 0; k < count && HAS_MOTORS; ++k) {
-      const Joint& joint = list[k];
-      if (!joint.is_driven()) continue;
-      real speed = bodies.omega(joint.b) - bodies.omega(joint.a);
-      if (joint.is_prismatic())
-        speed = Slider::of(bodies, joint, local_axis[k]).axial_speed(Pair::of(bodies, joint.a, joint.b));
-      work += Math::max(joint.angular_impulse * speed, real(0));
-    }
+    for (int k = 0; k < count && HAS_MOTORS; ++k) work += motor_work(bodies, k);
     return work;
+  }
+
+  KFN real motor_work(const Bodies& bodies, int k) const {
+    const Joint& joint = list[k];
+    if (!joint.is_driven()) return real(0);
+    real speed = bodies.omega(joint.b) - bodies.omega(joint.a);
+    if (joint.is_prismatic())
+      speed = Slider::of(bodies, joint, local_axis[k]).axial_speed(Pair::of(bodies, joint.a, joint.b));
+    return Math::max(joint.angular_impulse * speed, real(0));
   }
 
   // J, what kinematic bodies have done through joints and springs in this sub-step.
   KFN real kinematic_work(const Bodies& bodies) const {
     real work = springs.kinematic_work(bodies);
-    for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) {
-      if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) continue;
-      Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
-      apply_impulses(bodies, taken, k);
-      work += taken.work_of_kinematic(bodies);
-    }
+    for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) work += kinematic_work(bodies, k);
     return work;
+  }
+
+  KFN real kinematic_work(const Bodies& bodies, int k) const {
+    if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) return real(0);
+    Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
+    apply_impulses(bodies, taken, k);
+    return taken.work_of_kinematic(bodies);
   }
 
   // Angle and common point at once: one after the other, each undoes most of the other where the arms are long beside

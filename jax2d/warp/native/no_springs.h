@@ -1,14 +1,20 @@
 // In the place of springs.h in kernels without springs: nothing, of which nothing is kept.
 
 struct Springs {
+  enum { count = 0 };
+  KFN int a_of(int) const { return 0; }
+  KFN int b_of(int) const { return 0; }
   KFN void load(const Bodies&, const Column&, const IntColumn&, const Column&, const Column&) {}
   KFN void load_impulses(const Column&) {}
   KFN void forget_slowed(const Bodies&) {}
   KFN void store(const Column&) const {}
   KFN void prepare(const Bodies&) {}
-  KFN void forget_all() {}
+  KFN void forget(int) {}
+  KFN void apply_impulses(const Bodies&, Pair&, int) const {}
   KFN void warm_start(Bodies&) {}
   KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}
   KFN real kinematic_work(const Bodies&) const { return real(0); }
   KFN real work(const Bodies&) const { return real(0); }
+  KFN real kinematic_work(const Bodies&, int) const { return real(0); }
+  KFN real work(const Bodies&, int) const { return real(0); }
 };

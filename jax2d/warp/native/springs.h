@@ -119,20 +119,25 @@ struct Springs {
     }
   }
 
+  KFN int a_of(int k) const { return list[k].a; }
+  KFN int b_of(int k) const { return list[k].b; }
+
   KFN void prepare(const Bodies& bodies) {
     for (int k = 0; k < count; ++k)
       list[k].centre_gap = bodies.position[list[k].b] - bodies.position[list[k].a];
   }
 
-  KFN void forget_all() {
-    for (int k = 0; k < count; ++k) list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0);
+  KFN void forget(int k) { list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0); }
+
+  // All that spring k exerts, where the bodies are now.
+  KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
+    list[k].line(bodies).push(pair, list[k].total());
   }
 
   KFN void warm_start(Bodies& bodies) {
     for (int k = 0; k < count; ++k) {
-      Spring& spring = list[k];
-      Pair pair = Pair::of(bodies, spring.a, spring.b);
-      spring.line(bodies).push(pair, spring.total());
+      Pair pair = Pair::of(bodies, list[k].a, list[k].b);
+      apply_impulses(bodies, pair, k);
       pair.write_back(bodies);
     }
   }
@@ -155,22 +160,26 @@ struct Springs {
   // J, what kinematic bodies have done through them in this sub-step.
   KFN real kinematic_work(const Bodies& bodies) const {
     real sum = real(0);
-    for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) {
-      if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) continue;
-      Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
-      list[k].line(bodies).push(taken, list[k].total());
-      sum += taken.work_of_kinematic(bodies);
-    }
+    for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) sum += kinematic_work(bodies, k);
     return sum;
+  }
+
+  KFN real kinematic_work(const Bodies& bodies, int k) const {
+    if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) return real(0);
+    Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
+    list[k].line(bodies).push(taken, list[k].total());
+    return taken.work_of_kinematic(bodies);
   }
 
   // J, what they have added to the bodies' energy in this sub-step.
   KFN real work(const Bodies& bodies) const {
     real sum = real(0);
-    for (int k = 0; k < count; ++k) {
-      real speed = list[k].line(bodies).speed(Pair::of(bodies, list[k].a, list[k].b));
-      sum += Math::max(list[k].impulse * speed, real(0));
-    }
+    for (int k = 0; k < count; ++k) sum += work(bodies, k);
     return sum;
+  }
+
+  KFN real work(const Bodies& bodies, int k) const {
+    real speed = list[k].line(bodies).speed(Pair::of(bodies, list[k].a, list[k].b));
+    return Math::max(list[k].impulse * speed, real(0));
   }
 };

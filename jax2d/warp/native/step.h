@@ -14,7 +14,7 @@ struct World {
   Joints joints;
   Thrusters thrusters;
   Bounces bounces;
-  Begun begun;
+  Islands islands;
   Report report;
   Soft soft;
   ARRAY(unsigned int, touching_now, NUM_SHAPES * TOUCH_WORDS);  // a row a shape, a bit a slot
@@ -77,6 +77,7 @@ struct World {
         first = false;
         contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true, !interrupted);
         joints.prepare(bodies, scene, controls, params, h);
+        islands.find(bodies, contacts, joints);
         if (substep == 0 && !interrupted) every_substep = contacts.each_substep;
         if (contacts.may_bounce) {
           bounces.begin(bodies, gravity, h);
@@ -89,7 +90,7 @@ struct World {
         thrusters.apply(bodies, h);
         ExternalForces::apply(bodies, controls, h);
         bodies.apply_damping(scene, h);
-        begun.begin(bodies, h);
+        islands.begin(bodies, h);
         joints.warm_start(bodies);
         contacts.warm_start(bodies);
         if (reports) report.warm_start(contacts);
@@ -149,14 +150,10 @@ struct World {
         }
         contacts.active.begin();
         bool would_forget = energy_passes + 1 == REMEMBERED_ENERGY_PASSES;
-        real spare = would_forget ? begun.mass * FORGETTING_GAIN : real(0);
-        if (contacts.count > 0 && energy_passes < ENERGY_PASSES && gains_energy(h, spare)) {
+        if (energy_passes < ENERGY_PASSES && gains_energy(h, would_forget ? FORGETTING_GAIN : real(0), energy_passes > 0)) {
           ++energy_passes;
-          if (would_forget) {
-            begun.restore(bodies);
-            joints.forget_all();
-            contacts.forget_all();
-          }
+          contacts.active.is_restricted = true;
+          if (would_forget) islands.forget(bodies, contacts, joints, contacts.active.only);
           --round;
           continue;
         }
@@ -192,10 +189,10 @@ struct World {
     joints.load_impulses(impulses);
   }
 
-  // More than `spare` J.
-  KFN bool gains_energy(real h, real spare) const {
-    real gain = bodies.kinetic_energy() - begun.max_energy - spare;
-    return gain > real(0) && gain > joints.motor_work(bodies) + carried_work(h);
+  // More than `spare` J/kg; `again`: of islands that did so before.
+  KFN bool gains_energy(real h, real spare, bool again) {
+    if (contacts.count == 0 && !(HAS_JOINT_LIMITS && joints.count > 0)) return false;
+    return islands.find_gains(bodies, contacts, joints, h, spare, again, contacts.active.only);
   }
 
   // J, what moving surfaces and kinematic bodies have done in this sub-step.

@@ -1,0 +1,131 @@
+"""Islands: bodies that contacts, joints and springs join, directly or by others that can be pushed.
+
+What holds takes energy from an island, or none. Where one has more kinetic energy once it is relaxed than the sub-step
+began with, when forces had acted and nothing had been solved, impulses are not solved yet, or those remembered from
+another place of the bodies are far off; bodies that jam, and arms at their limits, do that. It is solved again, alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.constants import CONSTANTS as C
+from jax2d.solver_numbers import Scalar
+from jax2d.xla import bodies as bodies_of
+from jax2d.xla import contact_solver, vec2
+from jax2d.xla import contacts as contacts_of
+from jax2d.xla import joints as joints_of
+from jax2d.xla import springs as springs_of
+from jax2d.xla.bodies import Bodies, Pair, Velocities
+from jax2d.xla.contacts import Contacts
+from jax2d.xla.joints import Joints
+
+
+class Islands(NamedTuple):
+    together: jax.Array  # [n, n] bool, in one island
+    anchored: jax.Array  # [n] bool, in an island that is held by what cannot be pushed
+
+
+def find(bodies: Bodies, contacts: Contacts, joints: Joints) -> Islands:
+    n = bodies.inverse_mass.shape[0]
+    together, anchored = jnp.eye(n, dtype=bool), jnp.zeros(n, bool)
+    held = (
+        (contacts.pair, contacts.key >= 0),
+        (joints.pair, joints.is_held),
+        (joints.springs.pair, joints.springs.is_held),
+    )
+    for pair, is_held in held:
+        a, b = (body & bodies.is_dynamic & is_held[:, None] for body in (pair.is_a, pair.is_b))
+        joined = jnp.any(a[:, :, None] & b[:, None, :], axis=0)
+        together |= joined | joined.T
+        has_a, has_b = jnp.any(a, axis=1, keepdims=True), jnp.any(b, axis=1, keepdims=True)
+        anchored |= jnp.any((a & ~has_b) | (b & ~has_a), axis=0)
+    for _ in range(math.ceil(math.log2(max(n, 2)))):  # twice as far each time
+        together = together.astype(jnp.float32) @ together.astype(jnp.float32) > 0
+    return Islands(together, jnp.any(together & anchored, axis=1))
+
+
+def max_energy(bodies: Bodies, begun: Velocities, h: Scalar) -> jax.Array:
+    """[n] J, what may be left to each body beside the work of motors, springs and what carries."""
+    mass = vec2.inverse_or_zero(bodies.inverse_mass)
+    return bodies_of.kinetic_energy(bodies, begun) * (1 + h * C.slack_rate) + h * C.slack_power * mass
+
+
+def gains_energy(
+    islands: Islands, bodies: Bodies, joints: Joints, contacts: Contacts, allowed: jax.Array, h: Scalar, spare: Scalar
+) -> jax.Array:
+    """[n] bool, bodies of islands that a contact or a limit holds and that have gained more than `spare` J/kg.
+
+    allowed: `max_energy`."""
+    mass = vec2.inverse_or_zero(bodies.inverse_mass)
+    gain = bodies_of.kinetic_energy(bodies, bodies.velocities) - allowed - spare * mass
+    work = (
+        (contacts.pair, contact_solver.surface_work(bodies, contacts, h)),
+        (joints.pair, joints_of.motor_work(bodies, joints) + joints_of.kinematic_work(bodies, joints)),
+        (
+            joints.springs.pair,
+            springs_of.work(bodies, joints.springs) + springs_of.kinematic_work(bodies, joints.springs),
+        ),
+    )
+    gain, work = (jnp.sum(jnp.where(islands.together, x, 0), axis=1) for x in (gain, _by_body(bodies, work)))
+    at_limit = joints.is_held & (joints.impulses.lower + joints.impulses.upper > 0)
+    holding = _by_body(bodies, ((contacts.pair, contacts.key >= 0), (joints.pair, at_limit))) > 0
+    is_held = jnp.any(islands.together & holding, axis=1)
+    return bodies.is_dynamic & is_held & (gain > 0) & (gain > work)
+
+
+def forget(
+    islands: Islands, bodies: Bodies, joints: Joints, contacts: Contacts, begun: Velocities, which: jax.Array
+) -> tuple[Bodies, Joints, Contacts]:
+    """Without any impulse on bodies of `which` [n] bool, whole islands.
+
+    What is anchored gets the velocities that the sub-step began with. Elsewhere that would change angular momentum,
+    since bodies have moved: impulses are taken back where they are.
+    """
+    contacts_on, joints_on, springs_on = (
+        jnp.any((pair.is_a | pair.is_b) & which, axis=-1) for pair in (contacts.pair, joints.pair, joints.springs.pair)
+    )
+
+    def taken(impulses: jax.Array, on: jax.Array) -> jax.Array:
+        return jnp.where(on.reshape(-1, *[1] * (impulses.ndim - 1)), -impulses, 0)
+
+    def left(impulses: jax.Array, on: jax.Array) -> jax.Array:
+        return jnp.where(on.reshape(-1, *[1] * (impulses.ndim - 1)), 0, impulses)
+
+    rolling = contacts.rolling_impulse
+    back = contact_solver.apply_impulses(
+        bodies,
+        contacts._replace(
+            impulse_normal=taken(contacts.impulse_normal, contacts_on),
+            impulse_tangent=taken(contacts.impulse_tangent, contacts_on),
+            rolling_impulse=None if rolling is None else taken(rolling, contacts_on),
+        ),
+    )
+
+    def changed(change: Callable[[jax.Array, jax.Array], jax.Array]) -> Joints:
+        impulses = jax.tree.map(lambda x: change(x, joints_on), joints.impulses)
+        of_springs = jax.tree.map(lambda x: change(x, springs_on), joints.springs.impulses)
+        return joints._replace(impulses=impulses, springs=joints.springs._replace(impulses=of_springs))
+
+    back = joints_of.warm_start(back, changed(taken))
+    restored = which & islands.anchored
+    velocities = Velocities(
+        jnp.where(restored[:, None], begun.velocity, back.velocities.velocity),
+        jnp.where(restored, begun.omega, back.velocities.omega),
+    )
+    return bodies._replace(velocities=velocities), changed(left), contacts_of.forget(contacts, contacts_on)
+
+
+def _by_body(bodies: Bodies, parts: tuple[tuple[Pair, jax.Array], ...]) -> jax.Array:
+    """[n] sums of numbers of constraints, each at a body of its pair that can be pushed."""
+    total = jnp.zeros_like(bodies.inverse_mass)
+    for pair, number in parts:
+        is_a, is_b = pair.is_a & bodies.is_dynamic, pair.is_b & bodies.is_dynamic
+        body = is_a | (is_b & ~jnp.any(is_a, axis=1, keepdims=True))
+        total += jnp.sum(jnp.where(body, number[:, None], 0), axis=0)
+    return total
