@@ -12,7 +12,7 @@ struct Islands {
   ARRAY(unsigned int, anchored, SHAPE_WORDS);  // a bit an island, at its first body: it is held by what cannot be pushed
 
   KFN void find(const Bodies& bodies, const Contacts& contacts, const Joints& joints) {
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) first[each.shape] = each.shape;
+    for (int i = 0; i < ISLAND_SHAPES; ++i) first[i] = i;
     for (int k = 0; k < contacts.count; ++k) join(bodies, contacts.list[k].a, contacts.list[k].b);
     for (int k = 0; k < joints.count; ++k) join(bodies, joints.list[k].a, joints.list[k].b);
     for (int k = 0; k < joints.springs.count; ++k) join(bodies, joints.springs.a_of(k), joints.springs.b_of(k));
@@ -74,7 +74,7 @@ struct Islands {
     first[a > b ? a : b] = a > b ? b : a;
   }
 
-  // Of two bodies, one of which can be pushed.
+  // Of two bodies, one of which can be pushed; else it stands for nothing.
   KFN int of(const Bodies& bodies, int a, int b) const { return first[bodies.is_dynamic(a) ? a : b]; }
 
   // When forces have acted.
@@ -120,16 +120,16 @@ struct Islands {
       int island = of(bodies, joints.springs.a_of(k), joints.springs.b_of(k));
       gain[island] -= joints.springs.work(bodies, k) + joints.springs.kinematic_work(bodies, k);
     }
+    unsigned int found[SHAPE_WORDS];
+    Bodies::clear(found);
     any = false;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
-      bool gains = gain[first[i]] > real(0) && Bodies::has(held, first[i]) && (!again || Bodies::has(gaining, i));
-      if (gains)
-        Bodies::add(gaining, i);
-      else
-        gaining[i / 32] &= ~(1u << (i % 32));
-      any |= gains;
+      if (gain[first[i]] <= real(0) || !Bodies::has(held, first[i]) || (again && !Bodies::has(gaining, i))) continue;
+      Bodies::add(found, i);
+      any = true;
     }
+    for (int word = 0; word < SHAPE_WORDS; ++word) gaining[word] = found[word];
     return any;
   }
 };
