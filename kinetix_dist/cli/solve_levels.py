@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 import math
 import os
 import time
@@ -133,11 +134,12 @@ def proof_tasks(args: Solve) -> list[ProofTask]:
     return tasks
 
 
-def _environment(args: Solve, size: str) -> Environment:
+@functools.cache  # what is compiled for one belongs to it
+def _environment(preset_name: str, size: str) -> Environment:
     from jax2d.settings import preset
     from kinetix_dist.env.environment import EnvConfig, Environment
 
-    return Environment(EnvConfig(size=size, physics=preset(args.preset)))
+    return Environment(EnvConfig(size=size, physics=preset(preset_name)))
 
 
 def _by_size(tasks: Iterable[ProofTask]) -> dict[str, list[ProofTask]]:
@@ -154,7 +156,10 @@ def _check_proofs(args: Solve, tasks: list[ProofTask]) -> int:
         if fault is None:
             assert proof is not None and rollout is not None
             claimed = "" if rollout.num_steps == proof.num_steps else f" (the proof: {proof.num_steps})"
-            print(f"{task.name}: solved in {rollout.num_steps} steps{claimed}")
+            share = _robustness(args, task, proof)
+            before = "" if proof.robustness is None else f" (the proof: {proof.robustness:.0%})"
+            also = f"also from {share:.0%} of slightly different starts"
+            print(f"{task.name}: solved in {rollout.num_steps} steps{claimed}, {also}{before}", flush=True)
         else:
             print(f"{task.name}: {fault}")
     num_good = sum(fault is None for *_, fault in replayed)
@@ -162,6 +167,16 @@ def _check_proofs(args: Solve, tasks: list[ProofTask]) -> int:
     if args.picture is not None:
         _write_picture(args.picture, [rollout for _, _, rollout, _ in replayed if rollout is not None])
     return 0 if num_good == len(tasks) else 1
+
+
+def _robustness(args: Solve, task: ProofTask, proof: Proof) -> float:
+    """Share of slightly different starts from which a proof solves its level with this engine."""
+    from kinetix_dist.evaluation.search.polish import robustness
+    from kinetix_dist.evaluation.search.worlds import Worlds
+
+    worlds = Worlds(_environment(args.preset, task.size), task.level, args.worlds)
+    starts = worlds.different_starts(np.random.default_rng(args.seed))
+    return robustness(worlds, starts, [proof.actions])[0]
 
 
 def _write_picture(path: Path, rollouts: list[Rollout]) -> None:
@@ -186,7 +201,7 @@ def replay_proofs(
 
     results: list[tuple[ProofTask, Proof | None, Rollout | None, str | None]] = []
     for size, of_size in _by_size(tasks).items():
-        env = _environment(args, size)
+        env = _environment(args.preset, size)
         good: list[tuple[ProofTask, Proof]] = []
         for task in of_size:
             if not task.proof_file.is_file():
@@ -236,7 +251,7 @@ def _search(args: Solve, tasks: list[ProofTask]) -> int:
     )
     num_solved = 0
     for size, of_size in _by_size(tasks).items():
-        env = _environment(args, size)
+        env = _environment(args.preset, size)
         for task in of_size:
             proof = good.get(id(task))
             if proof is not None:

@@ -20,7 +20,7 @@ ENOUGH = 0.97  # robustness beyond which shorter is better
 def polish(
     worlds: Worlds, found: list[np.ndarray], rng: np.random.Generator, budget: Budget
 ) -> tuple[np.ndarray, float]:
-    """The best of `found` and its variants, [t, 6], and its robustness: the share of other starts that it solves.
+    """The best of `found` and its variants, [t, 6], and its robustness.
 
     `found` are solutions from the start of the level, and so is what is returned.
     """
@@ -28,7 +28,7 @@ def polish(
     candidates = found[:NUM_CANDIDATES]
     best: list[tuple[np.ndarray, float]] = []
     for _ in range(ROUNDS):
-        best += zip(candidates, _robustness(worlds, starts, candidates, budget))
+        best += zip(candidates, robustness(worlds, starts, candidates, budget))
         best = sorted(best, key=lambda one: rank(*one), reverse=True)[: NUM_CANDIDATES // 2]
         if budget.is_spent:
             break
@@ -60,8 +60,10 @@ def _candidates(
     return list({actions.tobytes(): actions for actions in found}.values())[:NUM_CANDIDATES]
 
 
-def _robustness(worlds: Worlds, starts: object, candidates: list[np.ndarray], budget: Budget) -> list[float]:
-    """Share of other starts from which each of the candidates solves the level."""
+def robustness(
+    worlds: Worlds, starts: object, candidates: list[np.ndarray], budget: Budget | None = None
+) -> list[float]:
+    """Share of other starts (`Worlds.different_starts`) from which each of the candidates [t, 6] solves the level."""
     tries = worlds.num_worlds // len(candidates)
     repeated = [actions for actions in candidates for _ in range(tries)]
     repeated += [candidates[-1]] * (worlds.num_worlds - len(repeated))
@@ -71,7 +73,7 @@ def _robustness(worlds: Worlds, starts: object, candidates: list[np.ndarray], bu
 
 def padded(worlds: Worlds, sequences: list[np.ndarray]) -> np.ndarray:
     """[max_steps, W, 6]: sequences [t, 6], nothing done after their ends."""
-    padded = np.zeros((worlds.max_steps, len(sequences), worlds.actions.shape[1]), np.int32)
+    padded = np.zeros((worlds.max_steps, len(sequences), sequences[0].shape[1]), np.int32)
     for world, actions in enumerate(sequences):
         padded[: len(actions), world] = actions[: worlds.max_steps]
     return padded

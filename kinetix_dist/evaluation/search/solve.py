@@ -21,7 +21,7 @@ from kinetix_dist.evaluation.search.best_first import best_first
 from kinetix_dist.evaluation.search.cross_entropy import cross_entropy
 from kinetix_dist.evaluation.search.from_stored import from_stored
 from kinetix_dist.evaluation.search.policy_search import policy_search
-from kinetix_dist.evaluation.search.polish import polish, rank
+from kinetix_dist.evaluation.search.polish import polish, rank, robustness
 from kinetix_dist.evaluation.search.random_search import random_search
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds
 from kinetix_dist.level.level import Level
@@ -96,14 +96,16 @@ def solve(
         found = searches[method](worlds, rng, budget)
         tried.append(f"{method}: {budget.num_steps:,} steps, green came within {budget.min_distance:.2f} m of blue")
         if found:
-            actions, robustness = polish(worlds, found, rng, Budget(POLISH_SHARE * seconds))
-            if best is None or rank(actions, robustness) > rank(*best[:2]):
-                best = actions, robustness, method
-            if robustness >= ROBUST:
+            actions, _ = polish(worlds, found, rng, Budget(POLISH_SHARE * seconds))
+            # From starts of their own: from those by which the best was chosen, it looks better than it is.
+            [share] = robustness(worlds, worlds.different_starts(rng), [actions])
+            if best is None or rank(actions, share) > rank(*best[:2]):
+                best = actions, share, method
+            if share >= ROBUST:
                 break
     if best is None:
         return Solved(proof=None, tried=tuple(tried))
-    actions, robustness, method = best
+    actions, share, method = best
     proof = Proof(
         level=name,
         level_sha256=level_hash(document),
@@ -113,7 +115,7 @@ def solve(
         action_space=env.action_space.name,
         actions=actions,
         method=method,
-        robustness=round(robustness, 3),
+        robustness=round(share, 3),
     )
     rollout = replay(env, [level], [proof])[0]
     if not (rollout.solved and rollout.num_steps == proof.num_steps):

@@ -69,9 +69,13 @@ class Worlds:
     def __init__(self, env: Environment, level: Level, num_worlds: int) -> None:
         self.env, self.level, self.num_worlds = env, level, num_worlds
         self.prepared = env.prepare(stack_worlds([level] * num_worlds))
-        self.actions = useful_actions(level)
         self.movable = np.flatnonzero(level.scene.shapes.active & (level.scene.shapes.inverse_mass > 0))
         self.green = int(np.flatnonzero(level.scene.shapes.active & (level.shape_role == Role.GREEN))[0])
+
+    @functools.cached_property
+    def actions(self) -> np.ndarray:
+        """Those of `useful_actions`, which may raise."""
+        return useful_actions(self.level)
 
     @property
     def max_steps(self) -> int:
