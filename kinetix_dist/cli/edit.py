@@ -37,11 +37,11 @@ class Args(ServerArgs):
 
 
 def run(args: Args) -> int:
-    editor = _editor(args.level)
+    editor = editor_of(args.level)
     return serve_pages("editor", args, paths=(RUNS,) if RUNS.is_dir() else (), editor=editor, first_page=PAGE)
 
 
-def _editor(given: str | None) -> EditorConfig:
+def editor_of(given: str | None) -> EditorConfig:
     """Raises UserError for what is no level, file or directory."""
     if given is None:
         return EditorConfig()

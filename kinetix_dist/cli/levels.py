@@ -1,4 +1,4 @@
-"""`kinetix-dist levels list|show|validate|render|import|export|solve|stats`: see, check, convert, solve."""
+"""`kinetix-dist levels list|show|play|validate|render|import|export|generate|solve|stats`: what is done with levels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import tyro
 
 from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.generate_levels import Generate, run_generate
 from kinetix_dist.cli.level_stats import Stats, run_stats
+from kinetix_dist.cli.play_level import Play, run_play
 from kinetix_dist.cli.render_levels import Render, run_render
 from kinetix_dist.cli.solve_levels import Solve, run_solve
 
@@ -50,10 +52,12 @@ class Validate:
 Args = (
     Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Show, tyro.conf.subcommand("show")]
+    | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Generate, tyro.conf.subcommand("generate")]
     | Annotated[Solve, tyro.conf.subcommand("solve")]
     | Annotated[Stats, tyro.conf.subcommand("stats")]
 )
@@ -62,6 +66,8 @@ Args = (
 def run(args: Any) -> int:
     """Runs the chosen subcommand; 0, or 1 where one of several files was wrong or `solve` found no proof."""
     with_status: dict[type, Callable[[Any], int]] = {
+        Play: run_play,
+        Generate: run_generate,
         Validate: _validate,
         Solve: run_solve,
         Render: run_render,
@@ -123,8 +129,9 @@ def _row(path: Path) -> dict[str, Any]:
 def _show(args: Show) -> None:
     from kinetix_dist.level.document import level_to_json
     from kinetix_dist.level.kinetix_format import is_kinetix_document
+    from kinetix_dist.level.sets import file_of_level
 
-    path = _one_file(args.level)
+    path = file_of_level(args.level)
     level, info = _read(path)
     document = json.loads(path.read_text(encoding="utf-8"))
     if is_kinetix_document(document):
@@ -180,15 +187,6 @@ def _validate(args: Validate) -> int:
             print(text if str(path) in text else f"{path}: {text}")
     print(f"{len(files) - num_wrong} of {len(files)} files are valid")
     return 1 if num_wrong else 0
-
-
-def _one_file(name: str) -> Path:
-    from kinetix_dist.level.sets import files_of_set
-
-    files = files_of_set(name)
-    if len(files) != 1:
-        raise UserError(f"{name!r} is a set of {len(files)} levels; name one level")
-    return files[0]
 
 
 def _read(path: Path) -> tuple[Any, Any]:

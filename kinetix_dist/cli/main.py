@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
     "dashboard": ("kinetix_dist.cli.dashboard", "pages over runs: curves, curriculum, levels, rollouts, comparison"),
     "edit": ("kinetix_dist.cli.edit", "make, change, check and play levels in a browser"),
     "replay": ("kinetix_dist.cli.replay", "turn a recording into an .rrd that rerun opens, or view it"),
-    "levels": ("kinetix_dist.cli.levels", "list, show, validate, render, import, export, solve and count levels"),
+    "levels": ("kinetix_dist.cli.levels", "list, show, play, check, render, convert, generate, solve and count levels"),
     "bench": ("kinetix_dist.cli.bench", "measure the speed of engine, training, learner, scaling and curator"),
     "doctor": ("kinetix_dist.cli.doctor", "what this machine can run, and what is missing"),
 }

@@ -1,4 +1,4 @@
-"""A teacher: a policy that builds levels action by action and learns from what came of each.
+"""A teacher: a policy that builds levels action by action (`LevelBuilder`) and learns from what came of each.
 
 build   parameters, a key a level      -> levels, and the trajectory of their construction
 learn   that trajectory, a reward each -> the next state: PPO, the reward comes with the last action, undiscounted
@@ -38,21 +38,19 @@ from kinetix_dist.models.teacher import NUM_NOISE, TeacherObs, TeacherPolicy, co
 _PPO = {"minibatches": 1, "discount": 1.0, "trace": 0.95, "value_clip": False}
 
 
-class Teacher:
-    """Builds levels of one capacity. Raises ValueError where levels cannot be built."""
+class LevelBuilder:
+    """Builds levels of one capacity by given parameters. Raises ValueError where levels cannot be built."""
 
-    def __init__(self, capacity: Capacity, generator: GeneratorConfig, config: PairedConfig, agents: Agents) -> None:
+    def __init__(self, capacity: Capacity, generator: GeneratorConfig, config: PairedConfig) -> None:
         check_construction(capacity, generator)
         self._capacity = capacity
         self._generator = generator
-        self._distribution = MaskedCategorical(head_sizes=head_sizes(capacity))
-        self._policy = TeacherPolicy(config.hidden_size, config.hidden_layers, self._distribution.head_sizes)
-        obs = jax.eval_shape(lambda: self._observe(self._begin(1), jnp.int32(0), jnp.zeros((1, NUM_NOISE))))
-        ppo = {name: getattr(config, name) for name in ("learning_rate", "epochs", "clip", "entropy_coefficient")}
-        self._agent = agents.teacher(self._policy, self._distribution, obs, **_PPO, **ppo)
+        self.distribution = MaskedCategorical(head_sizes=head_sizes(capacity))
+        self.policy = TeacherPolicy(config.hidden_size, config.hidden_layers, self.distribution.head_sizes)
 
-    def init(self) -> Any:
-        return self._agent.init()
+    def first_obs(self) -> TeacherObs:
+        """Of one level, before anything is built; works in `jax.eval_shape`."""
+        return self._observe(self._begin(1), jnp.int32(0), jnp.zeros((1, NUM_NOISE)))
 
     def build(self, params: Any, keys: Array) -> tuple[Level, Trajectory]:
         """Levels [B, ...] and how they were built, [T, B, ...], rewards left at 0. Consumes the keys [B].
@@ -66,12 +64,12 @@ class Teacher:
 
         def step(building: Construction, number: Array) -> tuple[Construction, Trajectory]:
             obs = self._observe(building, number, noise)
-            outputs, value = self._policy.apply(params, obs)
+            outputs, value = self.policy.apply(params, obs)
             draws = _uniforms(step_key, number, len(HEADS) + NUM_DRAWS)
-            actions, log_prob = self._distribution.sample(outputs, draws[:, : len(HEADS)])
+            actions, log_prob = self.distribution.sample(outputs, draws[:, : len(HEADS)])
             taken = Trajectory(
                 dynamic_obs=obs,
-                actions=actions.astype(self._distribution.stored_dtype),
+                actions=actions.astype(self.distribution.stored_dtype),
                 log_probs=log_prob,
                 values=value,
                 rewards=jnp.zeros_like(value),
@@ -84,11 +82,6 @@ class Teacher:
         levels = jax.vmap(lambda one, draws: finish(one, draws, self._capacity))(building, order)
         return levels, trajectory
 
-    def learn(self, state: Any, trajectory: Trajectory, rewards: Array) -> tuple[Any, dict[str, Array]]:
-        """(next state, metrics) from levels that were built, [T, B, ...], and the reward of each [B]."""
-        trajectory = dataclasses.replace(trajectory, rewards=trajectory.rewards.at[-1].set(rewards))
-        return self._agent.learn(state, None, trajectory, jnp.zeros_like(rewards))
-
     def _begin(self, num_levels: int) -> Construction:
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (num_levels, *x.shape)), begin(self._capacity))
 
@@ -99,6 +92,23 @@ class Teacher:
             features=features(building, number, noise, self._capacity),
             allowed=masks(building, number, self._capacity, self._generator),
         )
+
+
+class Teacher(LevelBuilder):
+    """A builder that learns."""
+
+    def __init__(self, capacity: Capacity, generator: GeneratorConfig, config: PairedConfig, agents: Agents) -> None:
+        super().__init__(capacity, generator, config)
+        ppo = {name: getattr(config, name) for name in ("learning_rate", "epochs", "clip", "entropy_coefficient")}
+        self._agent = agents.teacher(self.policy, self.distribution, jax.eval_shape(self.first_obs), **_PPO, **ppo)
+
+    def init(self) -> Any:
+        return self._agent.init()
+
+    def learn(self, state: Any, trajectory: Trajectory, rewards: Array) -> tuple[Any, dict[str, Array]]:
+        """(next state, metrics) from levels that were built, [T, B, ...], and the reward of each [B]."""
+        trajectory = dataclasses.replace(trajectory, rewards=trajectory.rewards.at[-1].set(rewards))
+        return self._agent.learn(state, None, trajectory, jnp.zeros_like(rewards))
 
 
 def _uniforms(keys: Array, number: Array | int, count: int) -> Array:

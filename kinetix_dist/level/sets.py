@@ -107,6 +107,14 @@ def files_of_set(name: str) -> list[Path]:
     raise ValueError(f"unknown level set {name!r}; sets are {known}, or give a level file or a directory of them")
 
 
+def file_of_level(name: str) -> Path:
+    """The file of one level. Raises as `files_of_set`, and ValueError for several."""
+    files = files_of_set(name)
+    if len(files) != 1:
+        raise ValueError(f"{name!r} is a set of {len(files)} levels; name one level")
+    return files[0]
+
+
 def held_out_key(size: str) -> Array:
     """Key of the held-out random levels of one size."""
     return jax.random.fold_in(jax.random.key(HELD_OUT_STREAM), list(SIZES).index(size))

@@ -2,7 +2,7 @@
 engine worker go over the channel (play_channel.py).
 
     GET api/engine                sizes, walls, palette, mutators, generators, pretrained policies
-    GET api/levels                {sets: [{name, description, size, count}], files: {...} or null, opens}
+    GET api/levels                {sets: [{name, description, size, count}], files: {...} or null, opens, plays}
     GET api/levels/sets/NAME      {levels: [{name, text}]}
     GET api/files                 {files: [{name, text, hash} or {name, problem}]}
     GET, PUT api/files/NAME       {name, text, hash}; PUT has the text, and `If-Match: "HASH"` or `If-None-Match: *`
@@ -29,12 +29,13 @@ MAX_GALLERY = 500  # files whose texts are sent at once
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EditorConfig:
-    """What `kinetix-dist edit` was given."""
+    """What `kinetix-dist edit` or `levels play` was given."""
 
     files: LevelFiles | None = None  # None: nothing can be saved here, levels are downloaded
-    opens: str | None = (
-        None  # the level that is shown first: "designed/s/hop_home", "file/mine.json"; None: the gallery
-    )
+    # The level that is shown first: "designed/s/hop_home", "file/mine.json"; None: the gallery.
+    opens: str | None = None
+    # Who plays it at once: "keys", "random", "noop" or "checkpoint:sfl_s"; None: it is shown for editing.
+    plays: str | None = None
 
 
 class EditorPages:
@@ -65,7 +66,7 @@ class EditorPages:
         ]
         files = self._config.files
         about = None if files is None else {"directory": str(files.directory.resolve()), "only": files.only}
-        return json_response({"sets": sets, "files": about, "opens": self._config.opens})
+        return json_response({"sets": sets, "files": about, "opens": self._config.opens, "plays": self._config.plays})
 
     async def level_set(self, request: web.Request) -> web.Response:
         sets, name = designed_sets(), request.match_info["name"]

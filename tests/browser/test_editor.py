@@ -113,6 +113,18 @@ def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..
     assert document["shapes"][0]["width"] == 1.2 and document["joints"][0]["anchor"] == [0.6, 0.6]
 
 
+def test_levels_play_plays_at_once_and_stops_for_editing(open_page: OpenPage, serve: Callable[..., Server]) -> None:
+    page = open_page(serve("s/hop_home", "--policy", "random", name="levels play"), "#/edit")
+    page.wait_for_function(
+        "() => Number(/step (\\d+) of/.exec(document.querySelector('.play-state')?.textContent)?.[1]) > 10"
+    )
+    assert page.get_by_label("who plays").input_value() == "random"
+    page.get_by_role("button", name="stop").click()
+    page.wait_for_selector(".play-state", state="detached")
+    page.wait_for_timeout(500)
+    assert page.locator(".play-state").count() == 0 and "hop_home" in page.title()  # it does not start again
+
+
 def test_every_designed_level_is_opened_and_saved_unchanged(editing: Callable[..., Any], tmp_path: Path) -> None:
     for file in DESIGNED:
         (tmp_path / file.name).write_bytes(file.read_bytes())

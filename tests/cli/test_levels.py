@@ -123,7 +123,12 @@ def test_all_shipped_levels_are_valid(capsys: pytest.CaptureFixture[str]) -> Non
 def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "unknown level set 'nope'" in failure(capsys, "show", "nope")
     assert "is a set of 5 levels; name one level" in failure(capsys, "show", "designed_s")
+    assert "is a set of 5 levels; name one level" in failure(capsys, "play", "designed_s")
+    assert "none of keys, random, noop, sfl_m" in failure(capsys, "play", "s/hop_home", "--policy", "nobody")
+    assert "starts no engine, which playing needs" in failure(capsys, "play", "s/hop_home", "--no-play")
     assert "drawn when it is used" in failure(capsys, "list", "random_s")
+    (tmp_path / "cut.json").write_text(json.dumps(cart_document())[:99])
+    assert "cut.json" in failure(capsys, "play", str(tmp_path / "cut.json"))
     (tmp_path / "ours.json").write_text(json.dumps(cart_document()))
     assert "env_state: is missing" in failure(capsys, "import", str(tmp_path / "ours.json"), str(tmp_path / "x.json"))
     assert not (tmp_path / "x.json").exists()

@@ -1,4 +1,4 @@
-"""The commands `kinetix-dist dashboard` and `edit` as processes, and requests to them."""
+"""The commands `kinetix-dist dashboard`, `edit` and `levels play` as processes, and requests to them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Server:
 
 
 def command(*arguments: str, name: str = "dashboard") -> list[str]:
-    return [sys.executable, "-m", "kinetix_dist.cli.main", name, *arguments]
+    return [sys.executable, "-m", "kinetix_dist.cli.main", *name.split(), *arguments]
 
 
 def environment(**more: str) -> dict[str, str]:

@@ -86,6 +86,19 @@ def test_without_a_file_on_the_command_line_nothing_is_saved() -> None:
         assert "--no-play" in server.error("/api/engine")[1]
 
 
+@pytest.mark.parametrize("player", ["keys", "sfl_s", "a run"])
+def test_levels_play_names_the_level_and_who_plays_it(tmp_path: Path, levels: Path, player: str) -> None:
+    run = tmp_path / "mine"
+    run.mkdir()
+    (run / "config.json").write_text("{}")
+    policy = str(run) if player == "a run" else player
+    with serving(levels / "mine.json", "--policy", policy, name="levels play") as server:
+        about = server.json("/api/levels")
+        assert about["opens"] == "file/mine.json" and about["files"]["only"] == "mine.json"
+        assert about["plays"] == {"keys": "keys", "sfl_s": "checkpoint:sfl_s", "a run": "run:mine"}[player]
+        assert [found["id"] for found in server.json("/api/runs")["runs"]] == (["mine"] if player == "a run" else [])
+
+
 def test_what_is_no_level_is_one_line_and_status_2(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_text("")
     for given, text in (("nothing", "is no designed level, level file or directory"), ("picture.png", "end in .json")):

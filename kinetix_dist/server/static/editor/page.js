@@ -53,7 +53,7 @@ function Workplace({ engine, about }) {
     return { editor: made, play: new Play(changed), checks: new Checks(changed) };
   }, [engine]);
   const [panel, setPanel] = useState("level");
-  const [policy, setPolicy] = useState("keys");
+  const [policy, setPolicy] = useState(about.plays ?? "keys");
   const [conflict, setConflict] = useState(/** @type {import("./files.js").Conflict | null} */ (null));
   const [draft, setDraft] = useState(findDraft);
   const [isDropping, setDropping] = useState(false);
@@ -62,7 +62,13 @@ function Workplace({ engine, about }) {
   useListeners(editor.listeners);
   document.title = `${editor.document.name} · editor`;
 
-  useEffect(() => void begin(editor, about, () => setPanel("gallery")), [editor]);
+  const [isToPlay, setToPlay] = useState(false); // the level of `levels play`, once it is here
+  useEffect(() => void begin(editor, about, () => setPanel("gallery")).then((isNamed) => setToPlay(isNamed && Boolean(about.plays))), [editor]);
+  useEffect(() => {
+    if (!isToPlay || connection !== "connected") return;
+    setToPlay(false);
+    void start();
+  }, [isToPlay, connection]);
   useEffect(() => {
     if (connection === "connected") checks.ask(editor.history.present.document);
   }, [editor.history.present.document, connection]);
@@ -156,21 +162,25 @@ function Workplace({ engine, about }) {
   </main>`;
 }
 
-/** The level that the address or the command line names. @param {Editor} editor @param {any} about @param {() => void} showGallery */
+/** Opens the level that the address or the command line names; whether it was the one of the command line.
+ * @param {Editor} editor @param {any} about @param {() => void} showGallery */
 async function begin(editor, about, showGallery) {
   const { query } = readAddress();
   const [level, from] = [query.get("level"), query.get("from")];
+  let isNamed = false;
   try {
     if (level) editor.open(await readLevel(await unpacked(level)));
     else if (from?.startsWith("runs/")) editor.open(await get(from));
     else if (about.opens?.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
     else if (about.opens) await openDesigned(editor, about, about.opens.replace("designed/", ""));
     else showGallery();
+    isNamed = !level && !from && Boolean(about.opens);
   } catch (error) {
     editor.say(`the level cannot be opened: ${error instanceof Error ? error.message : error}`);
   }
   editor.history.past = []; // there is nothing before the first level
   editor.changed();
+  return isNamed;
 }
 
 /** @param {Editor} editor @param {string} name of the file of the command line, which may be new */

@@ -1,0 +1,159 @@
+"""`kinetix-dist levels generate DIR`: writes new levels, those that solve themselves left out.
+
+    kinetix-dist levels generate mine --size m --count 50            by a random generator
+    kinetix-dist levels generate mine --like my_levels               by a model that learns what those levels are like
+    kinetix-dist levels generate mine --teacher runs/paired_s        by the teacher of a PAIRED run
+
+What is written plays wherever levels are asked for: `kinetix-dist edit mine`, `eval --levels mine`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from kinetix_dist.cli.errors import UserError, user_errors
+
+if TYPE_CHECKING:
+    from kinetix_dist.level.level import Level
+    from kinetix_dist.level.level_generators import LevelGenerator
+
+MAX_ROUNDS = 8  # of drawing as many levels as are asked for, until enough do not solve themselves
+
+
+@dataclasses.dataclass(frozen=True)
+class Generate:
+    """Write new levels: random ones, ones like those of a set, or those of a teacher."""
+
+    out: tyro.conf.Positional[Path]
+    """The directory to write into, new or empty."""
+    count: int = 24
+    """How many levels."""
+    size: Literal["s", "m", "l"] | None = None
+    """Of random levels, "m" if left out; other levels have the size of the set or the run."""
+    generator: str | None = None
+    """Which random levels: "default", "kinetix" or "locomotion"; default if nothing else is asked for."""
+    like: str | None = None
+    """Levels between those of this set, directory or random set (random_s, ...): an autoencoder is trained on them."""
+    steps: int | None = None
+    """With --like: gradient steps of the autoencoder; left out: as many as it takes by default."""
+    teacher: Path | None = None
+    """Levels that the teacher of this run (curriculum paired) builds with its newest checkpoint."""
+    seed: int = 0
+    """Of the draw, and of the training of the autoencoder."""
+
+
+def run_generate(args: Generate) -> int:
+    """0 when all levels are written; nothing is written where they cannot be drawn."""
+    _check(args)
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+
+    enable_compile_cache("")
+    with user_errors(ValueError, OSError):
+        args.out.mkdir(parents=True, exist_ok=True)  # before the work, not after it
+        if any(args.out.iterdir()):
+            raise UserError(f"{args.out} is not empty; name a new directory")
+        source, size, prefix = _source(args)
+        levels, num_drawn, num_solved = _draw(args, source)
+        _write(args.out, levels, size, prefix)
+    print(
+        f"wrote {args.count} levels of size {size} to {args.out}; of {num_drawn} drawn {num_solved} solve themselves "
+        "and are left out"
+    )
+    return 0
+
+
+def _check(args: Generate) -> None:
+    """Complains before anything slow happens."""
+    given = [name for name in ("generator", "like", "teacher") if getattr(args, name) is not None]
+    if len(given) > 1:
+        raise UserError(f"--{given[0]} and --{given[1]} both say where levels come from; give one")
+    if args.count < 1:
+        raise UserError(f"--count is {args.count}; give 1 or more")
+    if args.size is not None and given and given[0] != "generator":
+        raise UserError(f"--size is for random levels; with --{given[0]} levels have the size of what they come from")
+    if args.steps is not None and args.like is None:
+        raise UserError("--steps is for the autoencoder of --like; give a set of levels or leave it out")
+    if args.out.exists() and not args.out.is_dir():
+        raise UserError(f"{args.out} is a file; give a directory")
+
+
+def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
+    """Where levels come from, their size, and how their files are named."""
+    from kinetix_dist.level.fit import capacity_of_size
+    from kinetix_dist.level.generator_config import generator
+    from kinetix_dist.level.level_generators import RandomLevels
+
+    if args.like is not None:
+        return *_model(args, args.like), "like"
+    if args.teacher is not None:
+        from kinetix_dist.curator.teacher_levels import teacher_levels
+        from kinetix_dist.play.players import newest_checkpoint_of
+
+        trained, _ = newest_checkpoint_of(args.teacher)
+        size = trained.config.env.size
+        return teacher_levels(trained.checkpoint, trained.config.curriculum, capacity_of_size(size)), size, "taught"
+    size = args.size or "m"
+    return RandomLevels(capacity_of_size(size), generator(args.generator or "default")), size, "random"
+
+
+def _model(args: Generate, like: str) -> tuple[LevelGenerator, str]:
+    """An autoencoder of the levels of a set, trained, and their size."""
+    import jax
+    import numpy as np
+
+    from kinetix_dist.level.fit import capacity_of, capacity_of_size
+    from kinetix_dist.level.generator_config import generator
+    from kinetix_dist.level.level import SIZES
+    from kinetix_dist.level.sets import load_level_set
+    from kinetix_dist.level.vectors import check_describable
+    from kinetix_dist.models.level_vae import VaeConfig, fit
+
+    config = VaeConfig() if args.steps is None else VaeConfig(num_steps=args.steps)
+    levels, names = load_level_set(like)
+    for number, name in enumerate(names):
+        with user_errors(ValueError, prefix=f"{like}: {name}: "):
+            check_describable(jax.tree.map(lambda x, i=number: x[i : i + 1], levels))
+    size = next(name for name in SIZES if capacity_of_size(name) == capacity_of(levels))
+    print(f"training on {len(names)} levels of size {size}: {config.num_steps} steps", flush=True)
+    model, losses = fit(levels, jax.random.key(args.seed), capacity_of_size(size), generator("default"), config)
+    tenth = max(1, config.num_steps // 10)
+    first, last = (float(np.asarray(part).mean()) for part in (losses[:tenth], losses[-tenth:]))
+    print(f"loss {first:.3g} in the first tenth, {last:.3g} in the last", flush=True)
+    return model, size
+
+
+def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int]:
+    """`count` levels that do not solve themselves, how many were drawn, and how many of those solve themselves."""
+    import jax
+    import numpy as np
+
+    from kinetix_dist.level.noop import NOOP_STEPS, noop_solved
+
+    kept: list[Level] = []
+    num_drawn = num_solved = 0
+    key = jax.random.fold_in(jax.random.key(args.seed), 1)
+    generate = jax.jit(source.generate, static_argnums=1)
+    for number in range(MAX_ROUNDS):
+        levels = jax.device_get(generate(jax.random.fold_in(key, number), args.count))
+        is_solved = np.asarray(noop_solved(levels))
+        num_drawn, num_solved = num_drawn + args.count, num_solved + int(is_solved.sum())
+        kept += [jax.tree.map(lambda x, i=i: x[i], levels) for i in np.flatnonzero(~is_solved)]
+        if len(kept) >= args.count:
+            return kept[: args.count], num_drawn, num_solved
+    raise UserError(
+        f"of {num_drawn} levels drawn only {len(kept)} do not solve themselves within {NOOP_STEPS} steps; ask for "
+        "fewer, or for others"
+    )
+
+
+def _write(out: Path, levels: list[Level], size: str, prefix: str) -> None:
+    from kinetix_dist.level.schema import LevelInfo, save_level
+
+    digits = len(str(len(levels) - 1))
+    for number, level in enumerate(levels):
+        name = f"{prefix}_{number:0{digits}}"
+        save_level(level, out / f"{name}.json", LevelInfo(name=name, size=size))

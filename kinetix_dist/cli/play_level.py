@@ -1,0 +1,66 @@
+"""`kinetix-dist levels play LEVEL`: the level in a browser, played at once by keys or by a policy.
+
+    kinetix-dist levels play s/hop_home --open                  by keys
+    kinetix-dist levels play mine.json --policy sfl_s           by a policy that comes along, `random` or `noop`
+    kinetix-dist levels play l/walker --policy runs/sfl_l       by that of a run
+
+The pages are those of `kinetix-dist edit`: stopped, the level can be changed, and a level file be saved.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import tyro
+
+from kinetix_dist.cli.edit import PAGE, editor_of
+from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+
+WITHOUT_A_NETWORK = ("keys", "random", "noop")
+
+
+@dataclasses.dataclass(kw_only=True)
+class Play(ServerArgs):
+    """Play one level in a browser, by keys or by a policy."""
+
+    level: tyro.conf.Positional[str]
+    """A level file, or a designed level such as s/hop_home."""
+    policy: str = "keys"
+    """Who plays: "keys", "random", "noop", a pretrained policy such as sfl_s, or a run directory."""
+
+
+def run_play(args: Play) -> int:
+    """Serves the pages until Ctrl-C."""
+    if args.no_play:
+        raise UserError("--no-play starts no engine, which playing needs; leave it out")
+    plays, runs = _player(args.policy)
+    editor = dataclasses.replace(editor_of(_level_to_open(args.level)), plays=plays)
+    return serve_pages("play", args, paths=runs, editor=editor, first_page=PAGE)
+
+
+def _level_to_open(given: str) -> str:
+    """What the editor opens: of a directory of one level its file. Raises UserError for what is not one level."""
+    from kinetix_dist.level.sets import file_of_level, read_level
+
+    with user_errors(ValueError, OSError):
+        file = file_of_level(given)
+        read_level(file)
+    return str(file) if Path(given).is_dir() else given
+
+
+def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
+    """What pages call a policy, and the runs that are served for it."""
+    from kinetix_dist.checkpoint.pretrained import pretrained_names
+    from kinetix_dist.dashboard.run_files import is_run
+
+    if policy in WITHOUT_A_NETWORK:
+        return policy, ()
+    if policy in pretrained_names():
+        return f"checkpoint:{policy}", ()
+    run = Path(policy)
+    if is_run(run):
+        return f"run:{run.resolve().name}", (run.resolve(),)
+    known = ", ".join([*WITHOUT_A_NETWORK, *pretrained_names()])
+    raise UserError(f"--policy {policy} is no run directory and none of {known}")
