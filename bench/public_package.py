@@ -10,6 +10,7 @@ in runs/public_package/; ours plays in several ways, which say what a difference
     standard, paper       the level as it is imported, presets of that name
     +masses               with masses, inertias and centres of mass of the file instead of those of its shapes
     paper,motor_decay=1   the same with other numbers in the settings
+    standard,dt=0.0041666667    finer steps; actions are held for as long as before
 
 A level differs where the exact paired test (McNemar) on the two outcomes of each policy gives p < 0.001.
 """
@@ -47,6 +48,7 @@ from kinetix_dist.level.kinetix_format import load_kinetix
 from kinetix_dist.level.level import SIZES, Level
 
 NUM_STEPS = 256  # of an episode
+ACTION_S = 2 / 60  # an action is held for, as in the package
 OUTCOMES = ("none", "solved", "red", "not finite")
 DIFFERS_BELOW = 1e-3  # p: of 74 levels that do not differ, fewer than one in thirteen such studies names one
 APART_M = 0.1  # what counts as another way of moving
@@ -59,6 +61,11 @@ class Way:
     name: str
     settings: Settings
     has_masses_of_file: bool = False
+
+    @property
+    def frame_skip(self) -> int:
+        """Physics steps that an action is held for."""
+        return round(ACTION_S / self.settings.dt)
 
 
 WAYS = ("standard", "standard+masses", "paper", "paper+masses")
@@ -75,7 +82,10 @@ def way_of(text: str) -> Way:
         settings = preset(name).replace(**numbers)
     except (ValueError, TypeError) as error:
         raise UserError(f"--ways has {text!r}: {error}") from None
-    return Way(name=text, settings=settings, has_masses_of_file=bool(plus))
+    way = Way(name=text, settings=settings, has_masses_of_file=bool(plus))
+    if abs(way.frame_skip * settings.dt - ACTION_S) > 1e-6:
+        raise UserError(f"--ways has {text!r}: an action is held for {ACTION_S:.6f} s, which is no multiple of that dt")
+    return way
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -175,7 +185,7 @@ def read_published(file: Path, levels: list[Path], num_policies: int) -> tuple[P
 
 
 def play_ours(files: list[Path], size: str, actions: np.ndarray, way: Way) -> Played:
-    config = EnvConfig(size=size, max_steps=NUM_STEPS)
+    config = EnvConfig(size=size, max_steps=NUM_STEPS, frame_skip=way.frame_skip)
     env = Environment(config, engine=Engine(config.capacity, settings=way.settings))
     levels = []
     for file in files:

@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist.checkpoint import Checkpoint, select_arrays, unflatten_arrays
@@ -36,4 +37,5 @@ def teacher_levels(checkpoint: Checkpoint, config: CurriculumConfig, capacity: C
         raise ValueError(f"{checkpoint.path} is of curriculum {config.name!r}; only 'paired' has a teacher")
     builder = LevelBuilder(capacity, config.generator, config.paired)
     template = jax.eval_shape(lambda key: builder.policy.init(key, builder.first_obs()), jax.random.key(0))
-    return TeacherLevels(builder, unflatten_arrays(template, select_arrays(checkpoint.arrays, PARAMS_PREFIX)))
+    params = unflatten_arrays(template, select_arrays(checkpoint.arrays, PARAMS_PREFIX))
+    return TeacherLevels(builder, jax.tree.map(jnp.asarray, params))

@@ -3,11 +3,14 @@
 import dataclasses
 import shutil
 
+import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.checkpoint import list_checkpoints
+from kinetix_dist.checkpoint import list_checkpoints, newest_good
 from kinetix_dist.curator.config import CurriculumConfig, PairedConfig, PlrConfig
+from kinetix_dist.curator.teacher_levels import teacher_levels
+from kinetix_dist.level.level import SIZES
 from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -71,6 +74,9 @@ def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_pat
         assert (after["curriculum/born"] > 0).any()  # of updates after the first
     if name == "paired":
         assert after["curriculum/teacher/num_updates"] == after["curriculum/antagonist/num_updates"] == NUM_UPDATES
+        checkpoint = newest_good(tmp_path / "cut" / "checkpoints")[0]
+        builds = teacher_levels(checkpoint, config.curriculum, SIZES[config.env.size]).generate(jax.random.key(0), 2)
+        assert np.isfinite(builds.position).all()
         ours, theirs = ({part: after[part] for part in after if part.startswith(whose)} for whose in STUDENTS)
         assert len(ours) == len(theirs) > 0
         assert not any(np.array_equal(a, b) for a, b in zip(ours.values(), theirs.values(), strict=True))
