@@ -177,8 +177,8 @@ def _at_random(drill: Drill, number: int) -> None:
 
 def _at_intervals(drill: Drill, options: argparse.Namespace) -> None:
     """Kinds take turns in a random order, so that each comes as often."""
-    end, kinds = time.monotonic() + options.seconds, []
     drill.run.wait_for_update()
+    end, kinds = time.monotonic() + options.seconds, []
     while time.monotonic() < end:
         began = time.monotonic()
         kinds = kinds or drill.choose.sample(options.kinds, k=len(options.kinds))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import itertools
 import logging
@@ -19,6 +18,7 @@ from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
 from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.fork_server import ForkServer
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
@@ -91,6 +91,7 @@ class RayBackend:
         self._heartbeat_seconds = heartbeat_seconds
         self._supervisor = Supervisor(heartbeat_seconds, self.sections)
         self._watchdog: Watchdog | None = None
+        self._fork_server: ForkServer | None = None
         self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
         self._needed = Room(0, 0)  # for all processes of the run
@@ -113,6 +114,7 @@ class RayBackend:
             if (path := secure_token()) is not None:
                 on_event("token_secured", path=str(path))
             self._watchdog = Watchdog(os.getpid())
+            self._fork_server = ForkServer() if ForkServer.can_run() else None
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
             options |= {
                 "address": "local",
@@ -120,8 +122,10 @@ class RayBackend:
                 "num_gpus": count_gpus(),
                 "include_dashboard": False,
                 "_node_ip_address": "127.0.0.1",
+                # Processes without the variables of ours, which nobody would use.
+                "_system_config": {"prestart_worker_first_driver": False},
             }
-        with warnings.catch_warnings(), joining(address) if address else contextlib.nullcontext():
+        with warnings.catch_warnings(), joining(address) if address else ForkServer.asked_by_ray():
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
             ray.init(**options)
@@ -278,6 +282,8 @@ class RayBackend:
             "KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", self._loopback),
             **plan.env_vars,
         }
+        if self._fork_server is not None and plan.gpu is None:
+            environment |= self._fork_server.environment
         options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
         if plan.gpu is not None:
             options["scheduling_strategy"] = PlacementGroupSchedulingStrategy(
@@ -313,6 +319,8 @@ class RayBackend:
             ray.shutdown()
         else:
             self.release()
+        if self._fork_server is not None:
+            self._fork_server.stop()
         if self._watchdog is not None:
             self._watchdog.stop()
 
