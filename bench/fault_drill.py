@@ -3,10 +3,10 @@
     python -m bench.fault_drill --kills 50                                # random times, two at once now and then
     python -m bench.fault_drill --every 30 --seconds 600 --placement split
 
-When the faults are over the run is stopped by SIGTERM after update N, and run again without a fault to the same N, told
-only from which updates on buffers were used (adoptions.json). Exit code 1, and the record's "wrong" says what, unless
-both have the same bits, every update has one row, no command wrote a traceback, and no process, shared memory or draft
-of a checkpoint is left.
+When the faults are over the run is stopped by SIGTERM and resumed for one more update, the last. The same is run
+without a fault, told only from which updates on buffers were used (adoptions.json). Exit code 1, and the record's
+"wrong" says what, unless both have the same bits, every update has one row, no command wrote a traceback, and no
+process, shared memory or draft of a checkpoint is left.
 """
 
 from __future__ import annotations
@@ -132,6 +132,10 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
             run.end(signal.SIGKILL)
     if status != EXIT_STOPPED:
         wrong.append(f"the run ended with {status} after SIGTERM: {run.said()[-300:]}")
+    to_last = ("--run.total_env_steps", str((run.updates()[-1] + 1) * STEPS_PER_UPDATE))
+    run.start(*to_last, resume=True)
+    if (status := run.finished()) != 0:
+        wrong.append(f"its last update ended with {status}: {run.said()[-300:]}")
     wrong += [f"a process is left: {left}" for left in run.left_processes()]
     wrong += [f"/dev/shm/{name} is left" for name in sorted(shared_memory() - shm_before)]
     wrong += [f"a draft is left: {name}" for name in run.drafts()]
@@ -139,7 +143,7 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     updates = run.updates()
     if updates != list(range(1, len(updates) + 1)):
         wrong.append(f"{len(updates)} rows of metrics are not updates 1 to {len(updates)}")
-    wrong += _compared(run, folder / "whole", len(updates), settings)
+    wrong += _compared(run, folder / "whole", len(updates), (*settings, *to_last))
     losses = run.events("process_lost")
     return {
         "benchmark": "fault_drill",
@@ -206,7 +210,7 @@ def _compared(run: DrillRun, path: Path, num_updates: int, settings: tuple[str, 
     path.mkdir()
     shutil.copy(run.path / "adoptions.json", path)
     whole = DrillRun(path, run.placement, settings)
-    whole.start("--run.total_env_steps", str(num_updates * STEPS_PER_UPDATE))
+    whole.start()
     if (status := whole.finished()) != 0:
         return [f"the run without faults ended with {status}: {whole.said()[-300:]}"]
     wrong = [f"the run without faults lost {row['process']}" for row in whole.events("process_lost")]

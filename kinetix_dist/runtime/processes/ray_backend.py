@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import logging
 import os
+import signal
+import threading
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 import ray
@@ -103,6 +106,8 @@ class RayBackend:
         self._owns_ray = True
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        # What nobody asks for any more may have failed: Ray would say so on the console.
+        os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")
         address = os.environ.get("RAY_ADDRESS")
         # log_to_driver: actors log to Ray's session directory; what fails is raised here.
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
@@ -128,7 +133,8 @@ class RayBackend:
         with warnings.catch_warnings(), joining(address) if address else ForkServer.asked_by_ray():
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
-            ray.init(**options)
+            with _own_signals():
+                ray.init(**options)
 
     @property
     def num_gpus(self) -> int:
@@ -242,6 +248,12 @@ class RayBackend:
         handle.starting = [handle.actor.prepare.remote(), handle.actor.build.remote()]
         return handle
 
+    def check(self, handles: Sequence[RayHandle]) -> None:
+        self._supervisor.check_alive([handle.actor for handle in handles])
+
+    def check_limit(self, handles: Sequence[RayHandle]) -> None:
+        self._supervisor.check_limit([handle.actor for handle in handles])
+
     def watch(self, handle: RayHandle, ticket: RayTicket) -> float:
         if not ticket.is_ready():
             self._note_start(handle)
@@ -297,8 +309,9 @@ class RayBackend:
     def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
         return self._supervisor.gather([(ticket.reference, ticket.actor) for ticket in tickets])
 
-    def first_of(self, tickets: Sequence[RayTicket]) -> list[RayTicket]:
-        ready = set(self._supervisor.first_of([(ticket.reference, ticket.actor) for ticket in tickets]))
+    def first_of(self, tickets: Sequence[RayTicket], *, beside: Sequence[RayHandle] = ()) -> list[RayTicket]:
+        calls = [(ticket.reference, ticket.actor) for ticket in tickets]
+        ready = set(self._supervisor.first_of(calls, beside=[handle.actor for handle in beside]))
         return [ticket for ticket in tickets if ticket.reference in ready]
 
     def kill(self, handles: Sequence[RayHandle]) -> None:
@@ -323,6 +336,19 @@ class RayBackend:
             self._fork_server.stop()
         if self._watchdog is not None:
             self._watchdog.stop()
+
+
+@contextlib.contextmanager
+def _own_signals() -> Generator[None]:
+    """Around `ray.init`, which takes SIGTERM for itself: whoever had it has it again."""
+    if threading.current_thread() is not threading.main_thread():  # Ray leaves it alone, too
+        yield
+        return
+    former = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, former)
 
 
 def _joins(group: Sequence[RayHandle]) -> bool:
