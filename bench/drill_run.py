@@ -48,8 +48,7 @@ class DrillRun:
     options: tuple[str, ...] = ()
     _driver: subprocess.Popen[bytes] | None = None
     _seen: dict[int, psutil.Process] = dataclasses.field(default_factory=dict)
-    _said: int = 0  # bytes of what was said by earlier commands
-    cpu_seconds: float = 0.0  # of all processes that ended or were looked at last
+    _cpu: dict[tuple[int, float], float] = dataclasses.field(default_factory=dict)  # (pid, began) -> CPU seconds
 
     def start(self, *options: str, resume: bool = False) -> None:
         """Begins the command; its words go to files beside the run directory."""
@@ -161,22 +160,33 @@ class DrillRun:
     def newest_checkpoint(self) -> Path | None:
         return next(reversed(list_checkpoints(self.path / "checkpoints")), None)
 
+    def cpu_now(self) -> float:
+        """CPU seconds of all its processes so far."""
+        if self.is_alive:
+            self._look(self.driver.pid)
+        return self.cpu_seconds
+
+    @property
+    def cpu_seconds(self) -> float:
+        """The same, as they were looked at last."""
+        return sum(list(self._cpu.values()))
+
     def _watch(self, pid: int, is_over: threading.Event) -> None:
         """Remembers all processes below the driver, and the CPU seconds that they took."""
-        seconds: dict[int, float] = {}
-        before = self.cpu_seconds
         while True:
-            try:
-                driver = psutil.Process(pid)
-                for process in [driver, *driver.children(recursive=True)]:
-                    self._seen[process.pid] = process
-                    times = process.cpu_times()
-                    seconds[process.pid] = times.user + times.system
-            except psutil.NoSuchProcess:
-                pass
-            self.cpu_seconds = before + sum(seconds.values())
+            self._look(pid)
             if is_over.wait(LOOK_EVERY_S):
                 return
+
+    def _look(self, pid: int) -> None:
+        try:
+            driver = psutil.Process(pid)
+            for process in [driver, *driver.children(recursive=True)]:
+                self._seen[process.pid] = process
+                times = process.cpu_times()
+                self._cpu[process.pid, process.create_time()] = times.user + times.system
+        except psutil.NoSuchProcess:
+            return  # the rest is looked at next time
 
 
 def is_alive(process: psutil.Process) -> bool:
