@@ -139,7 +139,8 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     wrong += [f"a process is left: {left}" for left in run.left_processes()]
     wrong += [f"/dev/shm/{name} is left" for name in sorted(shared_memory() - shm_before)]
     wrong += [f"a draft is left: {name}" for name in run.drafts()]
-    wrong += ["a traceback"] * run.said().count("Traceback")
+    for words in ("Traceback", "(raylet)", "Unhandled error"):
+        wrong += [f"the console has {words!r}"] * run.said().count(words)
     updates = run.updates()
     if updates != list(range(1, len(updates) + 1)):
         wrong.append(f"{len(updates)} rows of metrics are not updates 1 to {len(updates)}")

@@ -119,7 +119,10 @@ class _Calls:
 
     def write(self, update: int, call: Callable[[], None], /) -> None:
         del update
-        call()
+        try:
+            call()
+        except SystemExit as end:  # rich's, where nobody is at the other end of a pipe any more
+            raise BrokenPipeError("nobody reads the console any more") from end
 
     def close(self) -> None:
         """Nothing is open between two of them."""

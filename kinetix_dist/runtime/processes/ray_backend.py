@@ -7,8 +7,6 @@ import dataclasses
 import itertools
 import logging
 import os
-import signal
-import threading
 import time
 import warnings
 from collections.abc import Callable, Generator, Sequence
@@ -133,6 +131,7 @@ class RayBackend:
         with warnings.catch_warnings(), joining(address) if address else ForkServer.asked_by_ray():
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
+            _print_nothing()
             with _own_signals():
                 ray.init(**options)
 
@@ -338,17 +337,23 @@ class RayBackend:
             self._watchdog.stop()
 
 
+def _print_nothing() -> None:
+    """Ray prints on stdout, with pages of advice, what its nodes say of lost processes: `Losses` says it in a line."""
+    from ray._private import worker  # there is no public way (ray 2.60)
+
+    worker.print_to_stdstream = lambda data, ignore_prefix: None
+
+
 @contextlib.contextmanager
 def _own_signals() -> Generator[None]:
-    """Around `ray.init`, which takes SIGTERM for itself: whoever had it has it again."""
-    if threading.current_thread() is not threading.main_thread():  # Ray leaves it alone, too
-        yield
-        return
-    former = signal.getsignal(signal.SIGTERM)
+    """Around `ray.init`, which would take SIGTERM for itself and end with a status of its own."""
+    from ray._private import utils  # there is no public way (ray 2.60)
+
+    of_ray, utils.set_sigterm_handler = utils.set_sigterm_handler, lambda handler: None
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, former)
+        utils.set_sigterm_handler = of_ray
 
 
 def _joins(group: Sequence[RayHandle]) -> bool:
