@@ -105,7 +105,7 @@ class LimitsConfig:
 
     start: float = 600.0  # starting processes, loading levels and checkpoint
     recover: float = 600.0  # the same after a loss
-    compile: float = 1800.0  # added to the first pass of update, curate, evaluate and record after a start
+    compile: float = 1800.0  # more for those that compile, at the first update, curate, evaluate, record after a start
     update: float = 600.0  # one update, without evaluation and saving
     curate: float = 1800.0  # one refresh of the curriculum, where training waits for it
     evaluate: float = 1800.0  # one evaluation of all sets

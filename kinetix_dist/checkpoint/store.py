@@ -88,7 +88,7 @@ def save_checkpoint(
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
-    _prune(directory, keep)
+    _prune(directory, keep, verified=final)
     return final
 
 
@@ -167,13 +167,16 @@ def _is_alive_here(pid: int, host: str | None) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def _prune(directory: Path, keep: int) -> None:
-    """Removes what is older than the newest `keep` good checkpoints. A bad one is counted by nobody."""
+def _prune(directory: Path, keep: int, *, verified: Path) -> None:
+    """Removes what is older than the newest `keep` good checkpoints. A bad one is counted by nobody.
+
+    verified: was found good just now, and is not read again.
+    """
     num_good = 0
     for path in reversed(list_checkpoints(directory)):
         if num_good >= keep:
             shutil.rmtree(path, ignore_errors=True)
-        elif _fault(path) is None:
+        elif path == verified or _fault(path) is None:
             num_good += 1
 
 

@@ -11,7 +11,7 @@ EVENTS: dict[str, str] = {
     # Processes
     "process_started": "a process began: who, where, with how much memory",
     "process_lost": "a process died, fell silent or exceeded a time limit: which, and in which section of the run",
-    "recovered": "the first new result after a loss: from and to which update, seconds since the loss",
+    "recovered": "the first new result after a loss: from and to which update, seconds since that loss",
     "resized": "nodes were lost or came: from and to how many processes of a role, and at which update",
     "straggler": "a rollout actor took over twice the median of the others, five batches in a row: which, and seconds",
     "token_secured": "Ray's token file could be read by others, and cannot any more",

@@ -18,6 +18,7 @@ from kinetix_dist.checkpoint import (
     newest_good,
     remove_dead_drafts,
     save_checkpoint,
+    store,
     unflatten_arrays,
 )
 
@@ -129,6 +130,16 @@ def test_a_manifest_that_makes_no_sense_is_a_reason_not_a_traceback(tmp_path):
         (path / "manifest.json").write_text(content)
         with pytest.raises(CheckpointError, match=r"manifest\.json cannot be read"):
             load_checkpoint(path)
+
+
+def test_what_is_saved_is_read_and_verified_once(tmp_path, monkeypatch):
+    verified = []
+    fault = store.manifest_fault
+    monkeypatch.setattr(store, "manifest_fault", lambda path: verified.append(path.name) or fault(path))
+    _save(tmp_path, 2, keep=2)
+    _save(tmp_path, 4, keep=2)
+    drafts = [name for name in verified if name.startswith(".saving-")]
+    assert len(drafts) == 2 and verified == [drafts[0], drafts[1], "00000002"]
 
 
 # Drafts

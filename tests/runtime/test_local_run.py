@@ -171,6 +171,7 @@ def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_p
     )
     assert [row["runtime/policy_lag"] for row in reporter.rows] == [0, 1, 1, 1, 1, 1]
     assert reporter.rows[-1]["runtime/dropped_steps"] == 0
+    assert json.loads((tmp_path / "run" / "adoptions.json").read_text()) == {"0": 0, "3": 5}  # drawn one update ahead
     _run_local(tiny_config(num_updates=6), tmp_path / "lag0")
     lagged, direct = final_arrays(tmp_path / "run"), final_arrays(tmp_path / "lag0")
     assert any(not np.array_equal(lagged[name], direct[name]) for name in direct)

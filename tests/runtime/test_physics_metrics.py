@@ -84,7 +84,7 @@ def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted(wo
 class _PoisonedCurator(CuratorClient):
     """A curator whose levels are nowhere from the second refresh on."""
 
-    def take(self, *, patience_s):
+    def take(self, *, patience_s, meanwhile):
         refresh = super().take(patience_s=patience_s)
         assert refresh is not None
         if self.num_taken:

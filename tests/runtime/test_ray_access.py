@@ -1,15 +1,18 @@
 """Ray's token is for its user alone, and a cluster that is not there or refuses ours is said in one line."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
 
 import pytest
+from ray._private import utils
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.processes.placement import PlacementError
 from kinetix_dist.runtime.processes.ray_access import secure_token, use_token
+from kinetix_dist.runtime.processes.ray_backend import _own_signals
 from tests.helpers import REPOSITORY, python_path
 
 TINY_ON_RAY = ["train", "--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.placement", "colocated"]
@@ -39,6 +42,14 @@ def test_a_token_that_others_could_read_is_closed_and_kept(home, monkeypatch):
     assert secure_token() == path
     assert path.stat().st_mode & 0o777 == 0o600 and path.read_text() == "a" * 64
     assert not (home / ".ray").exists()
+
+
+def test_ray_leaves_signals_to_whoever_had_them():
+    """It would end a run that is told to stop while it starts with a status of Ray's own."""
+    before = signal.getsignal(signal.SIGTERM)
+    with _own_signals():
+        utils.set_sigterm_handler(lambda number, frame: None)
+        assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_token_of_the_environment_needs_no_file(home, monkeypatch):

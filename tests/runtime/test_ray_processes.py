@@ -5,14 +5,17 @@ import os
 import re
 import signal
 import socket
+import threading
 import time
 
+import jax
 import numpy as np
 import pytest
 import ray
 from ray._private.internal_api import memory_summary  # no public function says what the store holds
 
 from kinetix_dist.recipes import recipe
+from kinetix_dist.runtime.processes.actor import _doing
 from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
@@ -284,13 +287,55 @@ def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backen
     assert backend.gather([well.call("sleep", 0.0)]) == [None]
 
 
-def test_the_first_pass_of_a_section_may_take_the_time_to_compile():
-    sections, seen = Sections(), []
+def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch):
+    """As long as somebody compiles: what hangs is noticed after the limit of the section."""
+    sections, now = Sections(), [1000.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     sections.limits = {"update": 10.0, "save": 5.0, "compile": 100.0}
-    for name in ("update", "update", "save"):
-        with sections.section(name):
-            seen.append(sections.limit_s)
-    sections.forget()
-    with sections.section("update"):
-        seen.append(sections.limit_s)
-    assert seen == [110.0, 10.0, 5.0, 110.0]
+    for _ in range(2):
+        with sections.section("update"):  # the first pass
+            for _ in range(10):
+                now[0] += 10.5
+                assert sections.is_overdue and sections.extend() and not sections.is_overdue
+            now[0] += 10.5
+            assert sections.is_overdue and not sections.extend()  # 110 s in all
+        for name, limit in (("update", 10.0), ("save", 5.0)):
+            with sections.section(name):
+                now[0] += limit
+                assert not sections.is_overdue
+                now[0] += 0.5
+                assert sections.is_overdue and not sections.extend()
+        sections.forget()
+
+
+def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that():
+    def of_thread(work):
+        thread = threading.Thread(target=work)
+        thread.start()
+        said = []
+        while thread.is_alive():
+            said.append(_doing(thread.ident, "work", time.monotonic()).is_compiling)
+            time.sleep(0.01)
+        return sum(said) / len(said)
+
+    def traced(x):
+        time.sleep(0.5)
+        return x + 1
+
+    assert of_thread(lambda: jax.jit(traced).lower(1.0)) > 0.5
+    assert of_thread(lambda: traced(1.0)) == 0.0
+
+
+def test_a_process_that_dies_while_nothing_is_asked_of_it_is_noticed_where_others_are_waited_for(backend, tmp_path):
+    plans = [ProcessPlan(role="rollout", index=index, env_vars=ON_CPU) for index in range(2)]
+    idle, well = backend.spawn(plans, build_compiler, str(tmp_path))
+    backend.check([idle])
+    working = well.call("sleep", 1000.0)
+    os.kill(idle.pid, signal.SIGKILL)
+    began = time.monotonic()
+    with pytest.raises(WorkerLostError, match="rollout 0 died") as caught:
+        backend.first_of([working], beside=[idle])
+    assert caught.value.process == "rollout 0" and time.monotonic() - began < 15.0
+    with pytest.raises(WorkerLostError, match="rollout 0 died"):
+        backend.check([idle])
+    backend.kill([idle, well])

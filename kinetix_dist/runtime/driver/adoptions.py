@@ -29,7 +29,7 @@ class Adoptions:
 
     def in_use(self, update: int) -> int | None:
         """The newest version that was adopted by that update; None where none ever was. Nothing can be played before
-        the first one: it is in use from the beginning, whatever the policy lag made of its record."""
+        the first one: it is in use from the beginning, also where an earlier version recorded it from update 1 on."""
         return max((version for version, at in self._at.items() if at <= update), default=min(self._at, default=None))
 
     def record(self, policy_version: int, update: float) -> None:

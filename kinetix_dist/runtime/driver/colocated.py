@@ -61,6 +61,9 @@ class ColocatedTrainer:
         slowest = {role: max(seconds[role] for _, seconds, _ in answers) for role in answers[0][1]}
         return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest, episodes
 
+    def check(self) -> None:
+        self.backend.check(self._handles)
+
     def snapshot(self) -> dict[str, np.ndarray]:
         return self._first("snapshot")
 

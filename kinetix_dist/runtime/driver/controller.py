@@ -103,7 +103,7 @@ class Controller:
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)
         self._evaluations = evaluations or EvaluationsHere(config, self._evaluate, self._record)
         self._resizing = resizing
-        self._loss: Loss | None = None  # the first one since the last new result
+        self._lost: list[Loss] = []  # since the last new result
         self._update_seconds = 0.0  # of the last update
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
         self._topology: dict[str, Any] = {}
@@ -388,8 +388,7 @@ class Controller:
             if self.stop.requested is not None:  # a signal to all processes of a terminal or a job, say
                 self._stop_without_saving(error)
             self._losses.update = self.num_updates
-            loss = self._losses.lost(error)
-            self._loss = self._loss or loss
+            self._lost.append(self._losses.lost(error))
             try:
                 if self._resizing is not None:
                     self._resizing.fit(self.num_updates, self.stop)
@@ -415,9 +414,9 @@ class Controller:
             self._recover(error)
 
     def _note_recovery(self) -> None:
-        if self._loss is not None:
-            self._losses.recovered(self._loss, update=self.num_updates)
-            self._loss = None
+        for loss in self._lost:
+            self._losses.recovered(loss, update=self.num_updates)
+        self._lost = []
 
     def _restart(self) -> None:
         """Everything from the newest good checkpoint."""

@@ -11,7 +11,7 @@ bound         one refresh at a time; of one that is given up nothing is kept
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from kinetix_dist.config import TrainConfig
@@ -49,8 +49,9 @@ class CuratorClient:
         for process in self.processes:
             process.watch()
 
-    def take(self, *, patience_s: float | None) -> Refresh | None:
+    def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
         while self._missing:
+            meanwhile()
             for process in [*self._missing]:
                 if part := process.poll(patience_s):
                     self._parts[process] = part

@@ -77,7 +77,7 @@ class CuratorProcess(ProcessBeside):
         """For how long (s) the process has been silent; None where it is lost, and replaced by now."""
         assert self._call is not None
         try:
-            silence = self._silence("curate", is_waited_for=True)
+            silence = self._silence(is_waited_for=True)
             is_answered = self._call[0].is_ready()
         except InputLostError:
             if self._is_wanted:
@@ -113,8 +113,7 @@ class CuratorProcess(ProcessBeside):
         if self._backend.has_lost_room:  # it went with its node: the whole run is placed again
             self.stop()
             raise error
-        loss = self._backend.losses.lost(error)
-        self._loss = self._loss or loss
+        self._losses.append(self._backend.losses.lost(error))
         self.is_late = True
         self.stop()
         if self._asked is None:  # the next request starts it

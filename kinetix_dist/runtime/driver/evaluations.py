@@ -121,7 +121,7 @@ class Evaluations(ProcessBeside):
     def _is_answered(self, *, must_wait: bool) -> bool:
         assert self._call is not None
         try:
-            self._silence("evaluate", is_waited_for=must_wait)
+            self._silence(is_waited_for=must_wait)
             return self._call[0].is_ready()
         except WorkerLostError as error:
             self._replace(error)
@@ -145,8 +145,7 @@ class Evaluations(ProcessBeside):
         self.stop()
         if self._backend.has_lost_room:  # it went with its node: the whole run is placed again
             raise error
-        loss = self._backend.losses.lost(error)
-        self._loss = self._loss or loss
+        self._losses.append(self._backend.losses.lost(error))
         self._backend.sections.begin_again()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.processes.failures import WorkerLostError, silent
+from kinetix_dist.runtime.processes.failures import silent
 from kinetix_dist.runtime.processes.losses import Loss
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
@@ -21,7 +21,7 @@ class ProcessBeside:
         self._plan = plan
         self._handle: Handle | None = None
         self._call: tuple[Ticket, Ticket] | None = None  # what the process is at: its seconds, what it gives
-        self._loss: Loss | None = None  # the first one since something was taken
+        self._losses: list[Loss] = []  # since something was taken
 
     def place(self, plans: Sequence[ProcessPlan]) -> None:
         """Another process from the next request on; the one there is has been stopped."""
@@ -37,19 +37,18 @@ class ProcessBeside:
             self._handle = self._backend.spawn_beside(self._plan, build, self._config)
         return self._handle
 
-    def _silence(self, section: str, *, is_waited_for: bool) -> float:
+    def _silence(self, *, is_waited_for: bool) -> float:
         """s for which it has not answered. Raises WorkerLostError where that, or what it is at, takes too long."""
         assert self._handle is not None and self._call is not None
         seconds = self._backend.watch(self._handle, self._call[0])
         if seconds > self._config.run.heartbeat_seconds:
             raise silent(self._plan.name, seconds)
-        if is_waited_for and self._backend.sections.is_overdue:
-            limit_s = self._backend.sections.limit_s
-            raise WorkerLostError(f"{self._plan.name} is not done within the {limit_s:g} s of run.limits.{section}")
+        if is_waited_for:
+            self._backend.check_limit([self._handle])
         return seconds
 
     def _note_recovery(self) -> None:
         """Something was taken from it."""
-        if self._loss is not None:
-            self._backend.losses.recovered(self._loss, update=self._backend.losses.update)
-            self._loss = None
+        for loss in self._losses:
+            self._backend.losses.recovered(loss, update=self._backend.losses.update)
+        self._losses = []

@@ -139,7 +139,7 @@ class Refreshes:
         must_wait = version == 0 or recorded is not None
         patience_s = None if must_wait else max(MIN_PATIENCE_S, update_seconds)
         with self._section("curate"), self._clock.role("curate"), self._stop.interruptible():
-            refresh = self._curator.take(patience_s=patience_s)
+            refresh = self._curator.take(patience_s=patience_s, meanwhile=self._trainer.check)
         if refresh is None:
             self._note_late(version, num_updates)
             return
@@ -147,9 +147,10 @@ class Refreshes:
             self._trainer.adopt(refresh.parts)
         self._is_stale, self._pending = False, None
         self._scoring_seconds = refresh.seconds
-        self._adoptions.record(version, drawn_next)
-        self._run.event("buffer_adopted", policy_version=version, update=drawn_next)
-        self._data.adopted(refresh, num_updates=num_updates, first_batch=drawn_next if version else 0)
+        first = drawn_next if version else 0  # nothing was drawn before the first one, whatever the policy lag
+        self._adoptions.record(version, first)
+        self._run.event("buffer_adopted", policy_version=version, update=first)
+        self._data.adopted(refresh, num_updates=num_updates, first_batch=first)
 
     def _note_late(self, version: int, num_updates: int) -> None:
         if not self._is_stale:

@@ -1,16 +1,16 @@
 """Where the progress of a run goes: the console, metrics.jsonl, TensorBoard events, Prometheus where a port is given.
 
-Files are written by threads of their own (`telemetry/sinks/background.py`): a full disk costs rows, which are counted
-in `telemetry/dropped_rows`, and never time or the run.
+Files and console are written by threads of their own (`telemetry/sinks/background.py`): a full disk costs rows, which
+are counted in `telemetry/dropped_rows`, and a console that nobody reads lines, and never time or the run.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.line_file import LineFile
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.run_status import RunStatus
@@ -36,11 +36,12 @@ class RunReporter:
         self._served = PrometheusSink(metrics_port, run=run.path.name) if metrics_port else None
         self._run = run
         self._console = console
-        self._is_console_failing = False
         self._files: list[BackgroundSink] = []
         self._dropped_before = 0  # by files that are closed
         self._last_update = 0
         self._news = SinkNews(run, self.note)
+        # A file on a full disk, or a pipe that nobody reads any more.
+        self._shown: BackgroundSink[Callable[[], None]] = BackgroundSink("console", _Calls, self._news.put)
         self._status = RunStatus(run, total_env_steps=total_env_steps, tell=self._news.put)
 
     @property
@@ -84,6 +85,8 @@ class RunReporter:
         if self._served is not None:
             self._served.close()
         self._show(self._console.close)
+        self._shown.close()
+        self._news.tell(self._last_update)
 
     def _open_files(self, num_updates: int, *, env_steps: int) -> list[BackgroundSink]:
         """Nothing is touched before the first row, and then by the threads: whatever goes wrong there stays there."""
@@ -108,17 +111,21 @@ class RunReporter:
         self._dropped_before, self._files = self._num_dropped(), []
 
     def _show(self, method: Callable[..., None], *arguments: Any) -> None:
-        """The console may be a file on a full disk, or a pipe that nobody reads any more."""
+        self._shown.write(self._last_update, functools.partial(method, *arguments))
+
+
+class _Calls:
+    """A sink whose rows are calls that write."""
+
+    def write(self, update: int, call: Callable[[], None], /) -> None:
+        del update
         try:
-            method(*arguments)
-        except OSError as error:
-            if not self._is_console_failing:
-                self._is_console_failing = True
-                self._run.event("sink_failing", sink="console", error=one_line(error), update=self._last_update)
-        else:
-            if self._is_console_failing:
-                self._is_console_failing = False
-                self._run.event("sink_recovered", sink="console", update=self._last_update)
+            call()
+        except SystemExit as end:  # rich's, where nobody is at the other end of a pipe any more
+            raise BrokenPipeError("nobody reads the console any more") from end
+
+    def close(self) -> None:
+        """Nothing is open between two of them."""
 
 
 class _Points:

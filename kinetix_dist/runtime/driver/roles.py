@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,6 +37,9 @@ class Trainer(Protocol):
 
     def probe(self, num_levels: int) -> Any:
         """Levels of the buffer in use, or a reference to them, for `Curator.request`."""
+
+    def check(self) -> None:
+        """Raises WorkerLostError where one of its processes is lost while nothing is asked of it. Does not wait."""
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """All arrays that `start` needs to go on from here bit for bit."""
@@ -74,9 +77,10 @@ class Curator(Protocol):
     def watch(self) -> None:
         """Replaces processes that died, without waiting; their parts are asked for again."""
 
-    def take(self, *, patience_s: float | None) -> Refresh | None:
+    def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
         """What was asked for last; waits for it. None where a process was lost, or is silent for `patience_s`:
-        whoever asks again later does not wait. patience_s None: waits as long as it takes, over losses too."""
+        whoever asks again later does not wait. patience_s None: waits as long as it takes, over losses too.
+        meanwhile: called again and again; what it raises ends the wait."""
 
     def cancel(self) -> None: ...
 

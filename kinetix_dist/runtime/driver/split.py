@@ -116,7 +116,9 @@ class SplitTrainer:
         waited, queue_length = time.monotonic() - began, len(self._work)
         works = self._work.take(num_updates)
         played = [work.stamp for work in works]
-        self._stragglers.add(num_updates + 1, played)
+        # From the order to the answer: waiting for weights and storing the batch too.
+        answered = [{**stamp, "seconds": stamp["answered"]} for stamp in played]
+        self._stragglers.add(num_updates + 1, answered)
         sums = [stamp["sums"] for stamp in played]
         learning = [learner.call_stamped("learn", num_updates, *sums) for learner in self._learners]
         self._receive(num_updates + 1, until=[stamp for stamp, _ in learning])
@@ -132,7 +134,7 @@ class SplitTrainer:
             "runtime/policy_lag_max": float(max(lags)),
             "runtime/queue_length": float(queue_length),
             "runtime/batch_wait_seconds": waited,
-            **straggler_metrics(played),
+            **straggler_metrics(answered),
             **copy_metrics([*staged, *(_copied(stamp, "store_put") for stamp in played)]),
             **copy_metrics([_copied(learned[0], "weights_put")]),
         }
@@ -141,6 +143,10 @@ class SplitTrainer:
         by_part = [part[EPISODES] for part in sums if EPISODES in part]
         episodes = {name: sum(part[name] for part in by_part) for name in by_part[0]} if by_part else {}
         return metrics, slowest, episodes
+
+    def check(self) -> None:
+        """Of learners alone: a rollout actor that is lost is replaced where its part of a batch is waited for."""
+        self.backend.check(self._learners)
 
     def snapshot(self) -> dict[str, np.ndarray]:
         arrays = self._ask_first("snapshot")
@@ -188,8 +194,9 @@ class SplitTrainer:
         # By update: the policy version and the state of the curriculum that its batch is played with.
         self._orders: dict[int, tuple[int, Any]] = {}
         self._in_flight: dict[tuple[int, int], tuple[Ticket, Ticket]] = {}  # (update, part) -> stamp, batch
+        self._ordered_at: dict[tuple[int, int], float] = {}  # (update, part) -> time.monotonic()
         self._staging: dict[int, list[list[Ticket]]] = {}  # by update: for each part that came, answers of learners
-        self._losses: dict[int, Loss] = {}  # by part: the first one since its actor gave something
+        self._losses: dict[int, list[Loss]] = {}  # by part: since its actor gave something
         self._num_replaced: Counter[int] = Counter()  # by part, since then
         self._state: Any = None  # of the curriculum
         self._stragglers = Stragglers(self._on_event)
@@ -214,6 +221,7 @@ class SplitTrainer:
     def _issue_part(self, update: int, part: int) -> None:
         policy_version, state = self._orders[update]
         weights = self._weights.get(policy_version)
+        self._ordered_at[update, part] = time.monotonic()
         self._in_flight[update, part] = self._actors[part].call_stamped("play", update, policy_version, weights, state)
 
     def _receive(self, update: int, *, until: Sequence[Ticket] = ()) -> None:
@@ -224,7 +232,8 @@ class SplitTrainer:
         while missing := self._work.missing(update):
             stamps = {part: self._in_flight[update, part][0] for part in missing}
             try:
-                ready = {id(ticket) for ticket in self.backend.first_of([*until, *stamps.values()])}
+                asked = [*until, *stamps.values()]
+                ready = {id(ticket) for ticket in self.backend.first_of(asked, beside=self._learners)}
             except WorkerLostError as error:  # it is silent, or the section takes too long
                 part = next((plan.index for plan in self._rollout_plans if plan.name == error.process), None)
                 if part is None:
@@ -250,11 +259,12 @@ class SplitTrainer:
         except WorkerLostError as error:
             return error
         del self._in_flight[update, part]
+        stamped |= {"answered": time.monotonic() - self._ordered_at.pop((update, part))}
         self._work.put(Work(update=update, part=part, stamp=stamped))
         asked = ("stage", update, part, len(self._actors), content)
         self._staging.setdefault(update, []).append([learner.call_beside(*asked) for learner in self._learners])
         self._num_replaced.pop(part, None)
-        if (loss := self._losses.pop(part, None)) is not None:
+        for loss in self._losses.pop(part, []):
             self.backend.losses.recovered(loss, update=self.backend.losses.update)
         return None
 
@@ -273,7 +283,7 @@ class SplitTrainer:
             if self._num_replaced[part] > _MAX_REPLACEMENTS:
                 raise WorkerLostError(f"rollout actor {part} was lost {_MAX_REPLACEMENTS} times over one batch")
             error.section = self.backend.sections.name
-            self._losses.setdefault(part, self.backend.losses.lost(error))
+            self._losses.setdefault(part, []).append(self.backend.losses.lost(error))
         again = sorted((update, part) for update, part in self._in_flight if part in lost)
         num_parts = len(self._rollout_plans)
         for _, part in again:

@@ -12,6 +12,7 @@ import socket
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,8 @@ from kinetix_dist.runtime.processes.measures import Meter, Reading
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.sizes import bytes_of
 
+# Package and file of Python frames in which a program is traced, lowered or compiled.
+COMPILING = (("jax", "partial_eval.py"), ("jax", "mlir.py"), ("jax", "compiler.py"), ("warp", "build.py"))
 HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
 
 
@@ -35,6 +38,7 @@ class Doing:
 
     what: str
     is_waiting: bool  # for work, a device or its group: another process may be the cause
+    is_compiling: bool = False
 
 
 class InStore:
@@ -171,10 +175,13 @@ def _doing(thread: int, method: str, since: float) -> Doing:
     frame = sys._current_frames().get(thread)
     if frame is None:
         return Doing(what=f"in {method}", is_waiting=False)
+    files = [Path(called.f_code.co_filename).parts for called, _ in traceback.walk_stack(frame)]
+    is_compiling = any(package in file and file[-1] == name for file in files for package, name in COMPILING)
     place = f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"
     # Python's innermost frame is JAX's where a device, or a collective with the other processes, is waited for.
     is_waiting = "jax" in Path(frame.f_code.co_filename).parts
-    return Doing(what=f"in {method} for {time.monotonic() - since:.0f} s, at {place}", is_waiting=is_waiting)
+    what = f"in {method} for {time.monotonic() - since:.0f} s, at {place}"
+    return Doing(what=what, is_waiting=is_waiting, is_compiling=is_compiling)
 
 
 def _own_address() -> str:

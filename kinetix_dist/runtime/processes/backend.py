@@ -90,9 +90,15 @@ class Backend(Protocol):
     def gather(self, tickets: Sequence[Ticket]) -> list[Any]:
         """All answers. Raises WorkerLostError as soon as a process is lost, ProcessFailedError as soon as one fails."""
 
-    def first_of(self, tickets: Sequence[Ticket]) -> list[Ticket]:
+    def first_of(self, tickets: Sequence[Ticket], *, beside: Sequence[Handle] = ()) -> list[Ticket]:
         """Those that are answered or lost: waits until it is one at least. Raises WorkerLostError where a process is
-        silent for too long or the limit of the section is exceeded."""
+        silent for too long or the limit of the section is exceeded, and where one of `beside` is lost."""
+
+    def check(self, handles: Sequence[Handle]) -> None:
+        """Raises WorkerLostError where one of them is lost. Does not wait; a death is noticed within five seconds."""
+
+    def check_limit(self, handles: Sequence[Handle]) -> None:
+        """Raises WorkerLostError where these, who are waited for, exceed the limit of the section."""
 
     def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
         """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""

@@ -70,6 +70,12 @@ class LocalBackend:
     def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> LocalHandle:
         return self.spawn([plan], build, *arguments)[0]
 
+    def check(self, handles: Sequence[LocalHandle]) -> None:
+        del handles
+
+    def check_limit(self, handles: Sequence[LocalHandle]) -> None:
+        del handles
+
     def watch(self, handle: LocalHandle, ticket: LocalTicket) -> float:
         del handle, ticket
         return 0.0
@@ -80,7 +86,8 @@ class LocalBackend:
     def gather(self, tickets: Sequence[LocalTicket]) -> list[Any]:
         return [ticket.value for ticket in tickets]
 
-    def first_of(self, tickets: Sequence[LocalTicket]) -> list[LocalTicket]:
+    def first_of(self, tickets: Sequence[LocalTicket], *, beside: Sequence[LocalHandle] = ()) -> list[LocalTicket]:
+        del beside
         return list(tickets)
 
     def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:

@@ -101,7 +101,7 @@ class Losses:
         return found
 
     def recovered(self, loss: Loss, *, update: int) -> None:
-        """The first new result after a loss is there. update: at which that is."""
+        """The first new result after a loss is there: after each loss, where there were several. update: at which."""
         seconds = time.monotonic() - loss.since
         self.recovery_seconds[loss.role] = seconds
         details = {"process": loss.process, "role": loss.role, "section": loss.section}

@@ -9,7 +9,7 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
 import ray
@@ -19,6 +19,7 @@ from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
 from kinetix_dist.runtime.processes.backend import Group
 from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.fork_server import ForkServer
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
@@ -91,6 +92,7 @@ class RayBackend:
         self._heartbeat_seconds = heartbeat_seconds
         self._supervisor = Supervisor(heartbeat_seconds, self.sections)
         self._watchdog: Watchdog | None = None
+        self._fork_server: ForkServer | None = None
         self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
         self._needed = Room(0, 0)  # for all processes of the run
@@ -102,6 +104,8 @@ class RayBackend:
         self._owns_ray = True
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        # What nobody asks for any more may have failed: Ray would say so on the console.
+        os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")
         address = os.environ.get("RAY_ADDRESS")
         # log_to_driver: actors log to Ray's session directory; what fails is raised here.
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
@@ -113,6 +117,7 @@ class RayBackend:
             if (path := secure_token()) is not None:
                 on_event("token_secured", path=str(path))
             self._watchdog = Watchdog(os.getpid())
+            self._fork_server = ForkServer() if ForkServer.can_run() else None
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
             options |= {
                 "address": "local",
@@ -120,11 +125,15 @@ class RayBackend:
                 "num_gpus": count_gpus(),
                 "include_dashboard": False,
                 "_node_ip_address": "127.0.0.1",
+                # Processes without the variables of ours, which nobody would use.
+                "_system_config": {"prestart_worker_first_driver": False},
             }
-        with warnings.catch_warnings(), joining(address) if address else contextlib.nullcontext():
+        with warnings.catch_warnings(), joining(address) if address else ForkServer.asked_by_ray():
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
-            ray.init(**options)
+            _print_nothing()
+            with _own_signals():
+                ray.init(**options)
 
     @property
     def num_gpus(self) -> int:
@@ -238,6 +247,12 @@ class RayBackend:
         handle.starting = [handle.actor.prepare.remote(), handle.actor.build.remote()]
         return handle
 
+    def check(self, handles: Sequence[RayHandle]) -> None:
+        self._supervisor.check_alive([handle.actor for handle in handles])
+
+    def check_limit(self, handles: Sequence[RayHandle]) -> None:
+        self._supervisor.check_limit([handle.actor for handle in handles])
+
     def watch(self, handle: RayHandle, ticket: RayTicket) -> float:
         if not ticket.is_ready():
             self._note_start(handle)
@@ -278,6 +293,8 @@ class RayBackend:
             "KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", self._loopback),
             **plan.env_vars,
         }
+        if self._fork_server is not None and plan.gpu is None:
+            environment |= self._fork_server.environment
         options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
         if plan.gpu is not None:
             options["scheduling_strategy"] = PlacementGroupSchedulingStrategy(
@@ -291,8 +308,9 @@ class RayBackend:
     def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
         return self._supervisor.gather([(ticket.reference, ticket.actor) for ticket in tickets])
 
-    def first_of(self, tickets: Sequence[RayTicket]) -> list[RayTicket]:
-        ready = set(self._supervisor.first_of([(ticket.reference, ticket.actor) for ticket in tickets]))
+    def first_of(self, tickets: Sequence[RayTicket], *, beside: Sequence[RayHandle] = ()) -> list[RayTicket]:
+        calls = [(ticket.reference, ticket.actor) for ticket in tickets]
+        ready = set(self._supervisor.first_of(calls, beside=[handle.actor for handle in beside]))
         return [ticket for ticket in tickets if ticket.reference in ready]
 
     def kill(self, handles: Sequence[RayHandle]) -> None:
@@ -313,8 +331,29 @@ class RayBackend:
             ray.shutdown()
         else:
             self.release()
+        if self._fork_server is not None:
+            self._fork_server.stop()
         if self._watchdog is not None:
             self._watchdog.stop()
+
+
+def _print_nothing() -> None:
+    """Ray prints on stdout, with pages of advice, what its nodes say of lost processes: `Losses` says it in a line."""
+    from ray._private import worker  # there is no public way (ray 2.60)
+
+    worker.print_to_stdstream = lambda data, ignore_prefix: None
+
+
+@contextlib.contextmanager
+def _own_signals() -> Generator[None]:
+    """Around `ray.init`, which would take SIGTERM for itself and end with a status of its own."""
+    from ray._private import utils  # there is no public way (ray 2.60)
+
+    of_ray, utils.set_sigterm_handler = utils.set_sigterm_handler, lambda handler: None
+    try:
+        yield
+    finally:
+        utils.set_sigterm_handler = of_ray
 
 
 def _joins(group: Sequence[RayHandle]) -> bool:

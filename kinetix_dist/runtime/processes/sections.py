@@ -21,16 +21,19 @@ class Sections:
     """The section that runs now. Without limits (local mode) nothing is ever overdue."""
 
     def __init__(self) -> None:
-        self.limits: Mapping[str, float] = {}  # s, by section; "compile" is added to the first pass after a start
+        # s, by section; in the first pass after a start those who compile have "compile" more
+        self.limits: Mapping[str, float] = {}
         self.name = ""
         self.limit_s = _FOREVER
+        self.since = 0.0  # time.monotonic() of its beginning
         self._deadline = _FOREVER
+        self._last_deadline = _FOREVER  # however long somebody compiles
         self._compiled: set[str] = set()
 
     @contextmanager
     def section(self, name: str) -> Generator[None]:
         """Everything inside has the limit of this section; a loss inside carries its name."""
-        before = self.name, self.limit_s, self._deadline
+        before = self.name, self.limit_s, self.since, self._deadline, self._last_deadline
         self.name = name
         self._begin(is_compiled=name in self._compiled)
         try:
@@ -40,11 +43,16 @@ class Sections:
             error.section = error.section or name
             raise
         finally:
-            self.name, self.limit_s, self._deadline = before
+            self.name, self.limit_s, self.since, self._deadline, self._last_deadline = before
 
     @property
     def is_overdue(self) -> bool:
         return time.monotonic() > self._deadline
+
+    def extend(self) -> bool:
+        """Somebody compiles, at a first pass: the limit counts from now. False where that took too long already."""
+        self._deadline = min(time.monotonic() + self.limits.get(self.name, _FOREVER), self._last_deadline)
+        return not self.is_overdue
 
     def begin_again(self) -> None:
         """A process was replaced in the middle of a section: the new one has all of the time, and compiles."""
@@ -55,7 +63,7 @@ class Sections:
         self._compiled.clear()
 
     def _begin(self, *, is_compiled: bool) -> None:
-        self.limit_s = self.limits.get(self.name, _FOREVER)
+        self.since, self.limit_s = time.monotonic(), self.limits.get(self.name, _FOREVER)
+        self._deadline = self._last_deadline = self.since + self.limit_s
         if self.name in _COMPILING and not is_compiled:
-            self.limit_s += self.limits.get("compile", 0.0)
-        self._deadline = time.monotonic() + self.limit_s
+            self._last_deadline += self.limits.get("compile", 0.0)

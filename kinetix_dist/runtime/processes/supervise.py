@@ -70,18 +70,23 @@ class Supervisor:
                 self._check([actor_of[reference] for reference in waiting])
         return [results[reference] for reference, _ in calls]
 
-    def first_of(self, calls: Sequence[tuple[Any, Any]]) -> list[Any]:
+    def first_of(self, calls: Sequence[tuple[Any, Any]], *, beside: Sequence[Any] = ()) -> list[Any]:
         """References of those (reference, actor) whose result or loss is there: waits until it is one at least.
 
-        Raises WorkerLostError where an actor has been silent for too long or the limit of the section is exceeded.
+        Raises WorkerLostError where an actor has been silent for too long or the limit of the section is exceeded,
+        and where one of `beside`, of whom nothing is waited for, is lost.
         """
         references = [reference for reference, _ in calls]
         while not ray.wait(references, num_returns=1, timeout=POLL_S)[0]:
+            self.check_alive(beside)
             self._check([actor for _, actor in calls])
         return ray.wait(references, num_returns=len(references), timeout=0)[0]
 
     def silence(self, actor: Any, *, ping_every_s: float = PING_EVERY_S) -> float:
-        """s for which a ping has not been answered; 0 where all are. Asks again when that is due."""
+        """s for which a ping has not been answered; 0 where all are. Asks again when that is due.
+
+        Raises WorkerLostError where the answer is that the actor died.
+        """
         now = time.monotonic()
         if actor not in self._pings:
             self._pings[actor] = (actor.ping.remote(), now)
@@ -89,24 +94,35 @@ class Supervisor:
         answer, asked = self._pings[actor]
         if not ray.wait([answer], timeout=0)[0]:
             return now - asked
+        self._result(answer, actor)
         if now - asked >= ping_every_s:
             self._pings[actor] = (actor.ping.remote(), now)
         return 0.0
 
-    def _check(self, actors: Sequence[Any]) -> None:
-        actors = [actor for actor in dict.fromkeys(actors) if actor is not None]
+    def check_alive(self, actors: Sequence[Any]) -> None:
+        """Raises WorkerLostError where one of them died, or has been silent for too long. Does not wait."""
         for actor in actors:
             if (silence := self.silence(actor)) > self._limit_s:
                 raise silent(self._name(actor), silence)
-        if self._sections.is_overdue:
-            self._raise_overdue(actors)
 
-    def _raise_overdue(self, actors: Sequence[Any]) -> None:
-        """Names who is to blame: who does not say what it is at, else who is at something other than waiting."""
+    def _check(self, actors: Sequence[Any]) -> None:
+        actors = [actor for actor in dict.fromkeys(actors) if actor is not None]
+        self.check_alive(actors)
+        self.check_limit(actors)
+
+    def check_limit(self, actors: Sequence[Any]) -> None:
+        """Raises WorkerLostError where these, who are waited for, exceed the limit of the section and do not compile.
+
+        Names who is to blame: who does not say what it is at, else who is at something other than waiting.
+        """
+        if not self._sections.is_overdue:
+            return
         asked = {actor.doing.remote(): actor for actor in actors}
         ready, silent = ray.wait(list(asked), num_returns=len(asked), timeout=DOING_TIMEOUT_S) if asked else ([], [])
         to_blame = {asked[reference]: "does not answer" for reference in silent}
         said = {asked[reference]: self._result(reference, asked[reference]) for reference in ready}
+        if any(doing.is_compiling for doing in said.values()) and self._sections.extend():
+            return
         if not to_blame:
             to_blame = {actor: doing.what for actor, doing in said.items() if not doing.is_waiting}
         to_blame = to_blame or {actor: doing.what for actor, doing in said.items()}
@@ -115,7 +131,7 @@ class Supervisor:
         raise WorkerLostError(
             f"not done within the {section.limit_s:g} s of run.limits.{section.name}: {culprits or 'no process waits'}",
             process=self._name(next(iter(to_blame), None)),
-            since=time.monotonic() - section.limit_s,
+            since=section.since,
         )
 
     def _result(self, reference: Any, actor: Any) -> Any:

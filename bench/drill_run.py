@@ -1,0 +1,219 @@
+"""A real `kinetix-dist train` that drills end parts of: its command, its processes, and what it leaves behind.
+
+Used by `bench.fault_drill` and `bench.recovery`. The recipe is `tiny`, on the CPU, with real Ray processes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from kinetix_dist.checkpoint import list_checkpoints
+from kinetix_dist.recipes import recipe
+from kinetix_dist.telemetry.json_lines import read_lines
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+SHARED_MEMORY = Path("/dev/shm")
+LOOK_EVERY_S = 1.0  # at the processes below a driver
+GONE_S = 30.0  # for what a driver left behind to be ended by the watchdog
+LIMIT_S = 900.0  # for anything that is waited for
+STEPS_PER_UPDATE = recipe("tiny").rollout.steps_per_update
+
+OPTIONS = {
+    "colocated": ("--run.num_workers", "2"),
+    "split": ("--run.num_learners", "2", "--run.num_rollout_actors", "2"),
+}
+
+
+class DrillError(Exception):
+    """The run did not do what is waited for."""
+
+
+@dataclasses.dataclass
+class DrillRun:
+    """One run directory and the command that works in it, if any. Used by one thread."""
+
+    path: Path
+    placement: str
+    options: tuple[str, ...] = ()
+    _driver: subprocess.Popen[bytes] | None = None
+    _seen: dict[int, psutil.Process] = dataclasses.field(default_factory=dict)
+    _cpu: dict[tuple[int, float], float] = dataclasses.field(default_factory=dict)  # (pid, began) -> CPU seconds
+
+    def start(self, *options: str, resume: bool = False) -> None:
+        """Begins the command; its words go to files beside the run directory."""
+        command = [sys.executable, "-m", "kinetix_dist.cli.main", "train", "--run", str(self.path)]
+        if resume:
+            command += ["--resume"]
+        else:
+            command += ["--recipe", "tiny", "--run.device", "cpu", "--run.placement", self.placement]
+            command += ["--evaluation.sets", "s/kick", "--evaluation.min_attempts", "4"]
+            command += [*OPTIONS[self.placement], *self.options]
+        left_out = ("JAX_PLATFORMS", "XLA_PYTHON", "RAY_ADDRESS")
+        environment = {name: value for name, value in os.environ.items() if not name.startswith(left_out)}
+        python_path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
+        environment |= {"JAX_PLATFORMS": "cpu", "PYTHONPATH": python_path}
+        with self.said_path.open("ab") as said:
+            self._driver = subprocess.Popen(
+                [*command, *options],
+                env=environment,
+                cwd=REPOSITORY,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+                start_new_session=True,
+            )
+        self._watching = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, args=(self._driver.pid, self._watching), daemon=True)
+        self._watcher.start()
+
+    @property
+    def said_path(self) -> Path:
+        """All that the commands said."""
+        return self.path.with_suffix(".said")
+
+    @property
+    def driver(self) -> subprocess.Popen[bytes]:
+        assert self._driver is not None, "nothing was started"
+        return self._driver
+
+    @property
+    def is_alive(self) -> bool:
+        return self._driver is not None and self._driver.poll() is None
+
+    def said(self) -> str:
+        return self.said_path.read_text(errors="replace")
+
+    def events(self, kind: str, **details: Any) -> list[dict[str, Any]]:
+        """Of a kind so far, with these details."""
+        found = (row for row in read_lines(self.path / "events.jsonl").rows if row["event"] == kind)
+        return [row for row in found if all(row.get(name) == value for name, value in details.items())]
+
+    def updates(self) -> list[int]:
+        return [row["update"] for row in read_lines(self.path / "metrics" / "metrics.jsonl").rows]
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Raises DrillError where the command ends before, or where that takes too long."""
+        deadline = time.monotonic() + LIMIT_S
+        while not condition():
+            if not self.is_alive:
+                raise DrillError(f"the command ended ({self.driver.returncode}) before {what}: {self.said()[-500:]}")
+            if time.monotonic() > deadline:
+                raise DrillError(f"{what} did not come in {LIMIT_S:g} s")
+            time.sleep(0.02)
+
+    def wait_for_update(self) -> float:
+        """Until metrics of an update are written that begin to be from now on. Returns when: time.monotonic()."""
+        file, now = self.path / "metrics" / "metrics.jsonl", time.time()
+        self.wait(lambda: file.exists() and file.stat().st_mtime > now, "an update")
+        return time.monotonic()
+
+    def living(self) -> dict[int, str]:
+        """Names of its processes by process id. Descendants of the driver alone: a number may be another's by now."""
+        names = {row["pid"]: row["process"] for row in self.events("process_started")}
+        try:
+            below = psutil.Process(self.driver.pid).children(recursive=True)
+        except psutil.NoSuchProcess:
+            return {}
+        return {child.pid: names[child.pid] for child in below if child.pid in names and is_alive(child)}
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """Ends the command by a signal; its exit status."""
+        if self.is_alive:
+            self.driver.send_signal(number)
+        return self.finished()
+
+    def finished(self) -> int:
+        """Waits for the command's end; its exit status."""
+        try:
+            return self.driver.wait(LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self.driver.kill()
+            raise DrillError(f"the command did not end in {LIMIT_S:g} s: {self.said()[-500:]}") from None
+        finally:
+            self._watching.set()
+            self._watcher.join()
+
+    def left_processes(self) -> list[str]:
+        """Processes of earlier commands that are there GONE_S later, and what they are."""
+        deadline = time.monotonic() + GONE_S
+        while left := [process for process in self._seen.values() if is_alive(process)]:
+            if time.monotonic() > deadline:
+                return [f"{process.pid} {' '.join(process.cmdline())[:80]}" for process in left]
+            time.sleep(0.2)
+        return []
+
+    def drafts(self) -> list[str]:
+        """Unfinished checkpoints."""
+        return sorted(path.name for path in (self.path / "checkpoints").glob(".saving-*"))
+
+    def newest_checkpoint(self) -> Path | None:
+        return next(reversed(list_checkpoints(self.path / "checkpoints")), None)
+
+    def cpu_now(self) -> float:
+        """CPU seconds of all its processes so far."""
+        if self.is_alive:
+            self._look(self.driver.pid)
+        return self.cpu_seconds
+
+    @property
+    def cpu_seconds(self) -> float:
+        """The same, as they were looked at last."""
+        return sum(list(self._cpu.values()))
+
+    def _watch(self, pid: int, is_over: threading.Event) -> None:
+        """Remembers all processes below the driver, and the CPU seconds that they took."""
+        while True:
+            self._look(pid)
+            if is_over.wait(LOOK_EVERY_S):
+                return
+
+    def _look(self, pid: int) -> None:
+        try:
+            driver = psutil.Process(pid)
+            for process in [driver, *driver.children(recursive=True)]:
+                self._seen[process.pid] = process
+                times = process.cpu_times()
+                self._cpu[process.pid, process.create_time()] = times.user + times.system
+        except psutil.NoSuchProcess:
+            return  # the rest is looked at next time
+
+
+def is_alive(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def shared_memory() -> set[str]:
+    """Names of files in /dev/shm that no process has open or mapped: nobody will remove them."""
+    names = {path.name for path in SHARED_MEMORY.iterdir()}
+    return {name for name in names if not _is_held(SHARED_MEMORY / name)} if names else set()
+
+
+def _is_held(path: Path) -> bool:
+    for process in psutil.process_iter():
+        try:
+            if str(path) in Path(f"/proc/{process.pid}/maps").read_text():
+                return True
+            if any(os.readlink(link) == str(path) for link in Path(f"/proc/{process.pid}/fd").iterdir()):
+                return True
+        except OSError:
+            continue
+    return False
+
+
+def machine() -> dict[str, Any]:
+    """What figures of this moment stand beside."""
+    return {"cores": psutil.cpu_count(), "load": [round(value, 1) for value in os.getloadavg()]}

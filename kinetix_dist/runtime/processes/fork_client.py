@@ -1,0 +1,50 @@
+"""What Ray runs to set up a process of a run: it asks the fork server for one (`fork_server.py`).
+
+    python fork_client.py /.../default_worker.py ARGUMENTS...        stdin, stdout and stderr are handed over
+
+It stands in for Ray's own setup_worker.py, and runs that where the server is not to be asked, or cannot give a process.
+It imports nothing of the project, nor Ray: it has to be short.
+"""
+
+from __future__ import annotations
+
+import array
+import json
+import os
+import socket
+import sys
+from pathlib import Path
+
+SERVER = "KINETIX_DIST_FORK_SERVER"  # environment variable: the server to ask
+ANSWER_LIMIT_S = 60.0  # it may still be importing
+_CONTEXT, _LANGUAGE = "--serialized-runtime-env-context=", "--language="
+
+
+def main(arguments: list[str]) -> None:
+    """Ends with exit status 0 where the server has forked a process."""
+    context = next((one.removeprefix(_CONTEXT) for one in arguments if one.startswith(_CONTEXT)), "{}")
+    environment = {**os.environ, **json.loads(context).get("env_vars", {})}
+    command = [one for one in arguments if not one.startswith((_CONTEXT, _LANGUAGE))]
+    if SERVER not in environment or not _is_forked(environment, command):
+        of_ray = str(Path(command[0]).with_name("setup_worker.py"))
+        os.execv(sys.executable, [sys.executable, of_ray, *arguments])
+
+
+def _is_forked(environment: dict[str, str], command: list[str]) -> bool:
+    request = {"command": command, "environment": environment, "directory": str(Path.cwd())}
+    content = json.dumps(request).encode()
+    streams = array.array("i", [0, 1, 2])
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
+            server.settimeout(ANSWER_LIMIT_S)
+            server.connect("\0" + environment[SERVER])
+            server.sendmsg([len(content).to_bytes(8, "big")], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, streams)])
+            server.sendall(content)
+            return server.recv(1) == b"1"
+    except OSError as error:
+        sys.stderr.write(f"no fork server ({error}): starts Python\n")  # into the log of Ray's node
+        return False
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,206 @@
+"""Processes of a run that start with nearly everything imported: forks of one process that has done so.
+
+    driver --starts--> fork server (imports JAX, Warp, this project and what Ray needs)
+    raylet --starts--> fork_client.py --command, environment, streams--> fork server --fork--> the process
+
+Otherwise every process imports for 5 s of a core, at the start and in every recovery. Memory of what is imported is
+shared until it is written to.
+
+    python -m kinetix_dist.runtime.processes.fork_server DESCRIPTOR        stdin is a pipe from the driver
+
+consumes      requests, at a socket of the abstract namespace: of this user alone, and without a file to leave behind
+produces      processes, its own children, so that whoever looks for what a driver started finds them
+waits for     requests; the end of the pipe
+unblocked by  the end of the driver, or `ForkServer.stop`
+
+JAX must not have computed anything in a process that forks: its threads are not there in the copy. Processes on GPUs
+are not forked (that was never tried), nor those on machines of a cluster that others started.
+"""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import dataclasses
+import gc
+import json
+import os
+import runpy
+import secrets
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Generator, Mapping
+from pathlib import Path
+
+from kinetix_dist.runtime.processes.fork_client import SERVER
+
+CLIENT = Path(__file__).with_name("fork_client.py")
+BACKLOG = 256  # requests that wait while it imports
+# Read when JAX is imported: a process has to have those of the server. JAX_PLATFORMS is set again in the process.
+READ_AT_IMPORT = ("JAX_", "PYTHON")
+PLATFORMS = "JAX_PLATFORMS"
+NUM_STREAMS = 3
+
+
+class ForkServer:
+    """The driver's side: starts the server and keeps the pipe open."""
+
+    def __init__(self) -> None:
+        self._name = f"kinetix-fork-{secrets.token_hex(16)}"
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
+            listener.bind("\0" + self._name)
+            listener.listen(BACKLOG)
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "kinetix_dist.runtime.processes.fork_server", str(listener.fileno())],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=[listener.fileno()],
+                start_new_session=True,  # a Ctrl-C at the terminal is for the driver
+            )
+
+    @staticmethod
+    def can_run() -> bool:
+        """Whether this system has abstract sockets."""
+        return sys.platform == "linux"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Variables of a process that is to be forked."""
+        return {SERVER: self._name}
+
+    @staticmethod
+    @contextlib.contextmanager
+    def asked_by_ray() -> Generator[None]:
+        """A Ray that is started inside asks for its processes by `fork_client.py`."""
+        from ray._private import ray_constants  # there is no public way (ray 2.60)
+
+        of_ray = ray_constants.SETUP_WORKER_FILENAME  # joined to a directory: an absolute path stays what it is
+        ray_constants.SETUP_WORKER_FILENAME = str(CLIENT)
+        try:
+            yield
+        finally:
+            ray_constants.SETUP_WORKER_FILENAME = of_ray
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def stop(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+@dataclasses.dataclass(frozen=True)
+class Request:
+    """A process that is asked for."""
+
+    command: list[str]  # a script and its arguments
+    environment: dict[str, str]
+    directory: str
+    streams: tuple[int, ...]  # descriptors of stdin, stdout and stderr
+
+
+def serve(listener_number: int) -> Request | None:
+    """Returns None when stdin has ended; and in each process that was forked, what that was asked for.
+
+    listener_number: descriptor of a socket that listens.
+    """
+    with socket.socket(fileno=listener_number) as listener:
+        _import_all()
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel collects children
+        while True:
+            ready, _, _ = select.select([sys.stdin, listener], [], [])
+            if sys.stdin in ready:
+                return None
+            with listener.accept()[0] as client, contextlib.suppress(OSError, ValueError):
+                if (request := _forked(client)) is not None:
+                    return request
+
+
+def _import_all() -> None:
+    """What every process of a run imports: not Ray itself, whose numbers at random would be the same in all forks."""
+    import google.protobuf.json_format  # noqa: F401
+    import jsonschema  # noqa: F401
+    import requests  # noqa: F401
+    import warp  # noqa: F401
+
+    import kinetix_dist.runtime.cores.build  # noqa: F401
+
+    gc.collect()
+    gc.freeze()  # else a first collection in each process would write to all that is shared
+
+
+def _forked(client: socket.socket) -> Request | None:
+    """Forks where the request can be granted; the request in the new process, None in this one."""
+    _, uid, _ = struct.unpack("3i", client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
+    if uid != os.getuid():
+        return None
+    request = _received(client)
+    try:
+        if not _is_like_here(request.environment):
+            client.sendall(b"0")
+            return None
+        if os.fork() == 0:
+            return dataclasses.replace(request, streams=tuple(map(os.dup, request.streams)))
+        client.sendall(b"1")
+        return None
+    finally:
+        for stream in request.streams:
+            os.close(stream)
+
+
+def _received(client: socket.socket) -> Request:
+    """Raises ValueError where that is none."""
+    size = array.array("i").itemsize * NUM_STREAMS
+    head, rights, _, _ = client.recvmsg(8, socket.CMSG_SPACE(size))
+    streams = array.array("i")
+    for level, kind, content in rights:
+        if (level, kind) == (socket.SOL_SOCKET, socket.SCM_RIGHTS):
+            streams.frombytes(content[:size])
+    if len(head) < 8 or len(streams) < NUM_STREAMS:
+        raise ValueError("not a request")
+    content, length = b"", int.from_bytes(head, "big")
+    while len(content) < length:
+        if not (more := client.recv(length - len(content))):
+            raise ValueError("an unfinished request")
+        content += more
+    return Request(**json.loads(content), streams=tuple(streams))
+
+
+def _is_like_here(environment: Mapping[str, str]) -> bool:
+    def read_at_import(variables: Mapping[str, str]) -> dict[str, str]:
+        return {
+            name: value
+            for name, value in variables.items()
+            if name.startswith(READ_AT_IMPORT) and name != PLATFORMS and value
+        }
+
+    return read_at_import(environment) == read_at_import(os.environ)
+
+
+def become(request: Request) -> None:
+    """Runs the script of a request as Python would."""
+    os.setpgid(0, 0)  # Ray ends processes by their group
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    for number, stream in enumerate(request.streams):
+        os.dup2(stream, number)
+        os.close(stream)
+    os.chdir(request.directory)
+    os.environ.clear()
+    os.environ.update(request.environment)
+    import jax
+
+    jax.config.update("jax_platforms", os.environ.get(PLATFORMS) or None)
+    sys.argv = request.command
+    sys.path[0] = str(Path(sys.argv[0]).parent)
+    runpy.run_path(sys.argv[0], run_name="__main__")
+
+
+if __name__ == "__main__":
+    if (asked := serve(int(sys.argv[1]))) is not None:
+        become(asked)

@@ -1,0 +1,100 @@
+"""Processes that are forked with everything imported: like any other, and only where that cannot be told apart."""
+
+import os
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from kinetix_dist.runtime.processes.fork_client import SERVER
+from kinetix_dist.runtime.processes.fork_server import CLIENT, ForkServer
+
+LIMIT_S = 120.0  # importing, on a machine that is busy with other tests
+SCRIPT = """
+import os, random, sys
+print(os.getppid(), os.getcwd(), sys.argv[1:], os.environ["GIVEN"], "jax" in sys.modules, "ray" in sys.modules,
+      random.random(), sep="|", flush=True)
+import jax
+print(jax.devices()[0].platform, file=sys.stderr, flush=True)
+"""
+# Of Ray, in whose place the client runs: it says that it was asked.
+OF_RAY = 'import sys; print("set up by Ray", sys.argv[1:])'
+
+pytestmark = pytest.mark.skipif(not ForkServer.can_run(), reason="no abstract sockets here")
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = ForkServer()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def ask(tmp_path):
+    """The file with what a process wrote, whose client asks for tmp_path/default_worker.py."""
+    (tmp_path / "default_worker.py").write_text(SCRIPT)
+    (tmp_path / "setup_worker.py").write_text(OF_RAY)
+
+    def asked(variables):
+        out = tmp_path / "out"
+        with out.open("wb") as file:
+            subprocess.run(
+                [sys.executable, CLIENT, tmp_path / "default_worker.py", "--one=a b", "--language=PYTHON"],
+                env={**os.environ, "JAX_PLATFORMS": "cpu", "GIVEN": "7", **variables},
+                cwd=tmp_path,
+                stdout=file,
+                stderr=file,
+                timeout=LIMIT_S,
+                check=True,
+            )
+        return out
+
+    asked.script = tmp_path / "default_worker.py"
+    return asked
+
+
+def _lines(path, number):
+    deadline = time.monotonic() + LIMIT_S
+    while len(lines := path.read_text().splitlines()) < number:
+        assert time.monotonic() < deadline, lines
+        time.sleep(0.05)
+    return lines
+
+
+def test_a_forked_process_has_what_it_was_given_and_everything_imported(server, ask, tmp_path):
+    found = set()
+    for _ in range(2):
+        said, platform = _lines(ask(server.environment), 2)
+        parent, directory, arguments, given, has_jax, has_ray, at_random = said.split("|")
+        assert (int(parent), directory, given) == (server.pid, str(tmp_path), "7")
+        assert (arguments, has_jax, has_ray, platform) == ("['--one=a b']", "True", "False", "cpu")
+        found.add(at_random)
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize("case", ["none is named", "it is gone", "it has other settings of JAX"])
+def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, ask, case):
+    variables = {
+        "none is named": {},
+        "it is gone": {SERVER: "nobody"},
+        "it has other settings of JAX": {**server.environment, "JAX_ENABLE_X64": "1"},
+    }
+    *rest, last = _lines(ask(variables[case]), 2 if case == "it is gone" else 1)
+    assert last == "set up by Ray ['" + str(ask.script) + "', '--one=a b', '--language=PYTHON']"
+    assert not rest or "no fork server" in rest[0]
+
+
+def test_it_ends_with_its_driver():
+    """However that ends: the pipe closes."""
+    script = (
+        "import os, signal; from kinetix_dist.runtime.processes.fork_server import ForkServer\n"
+        "print(ForkServer().pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, check=False)
+    pid, deadline = int(done.stdout), time.monotonic() + LIMIT_S
+    while psutil.pid_exists(pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
