@@ -89,6 +89,8 @@ def test_wrong_paths_are_refused_in_one_line(tmp_path: Path) -> None:
         RunIndex([tmp_path / "file"])
     with pytest.raises(UserError, match="is no run"):
         RunIndex([tmp_path / "other"])
+    with pytest.raises(UserError, match="other is no run"):
+        RunIndex([write_run(tmp_path / "good"), tmp_path / "other"])
     assert RunIndex([tmp_path / "empty"]).runs == {}, "its first run may come"
 
 
