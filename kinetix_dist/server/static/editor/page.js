@@ -12,7 +12,7 @@ import { Checks } from "./checks.js";
 import { COMMANDS, commandOf, keyOf } from "./commands.js";
 import { newLevel } from "./document.js";
 import { copied } from "./edits.js";
-import { downloadLevel, downloadPicture, dropDraft, findDraft, keepDraft, MAX_TEXT, openFile, openText, packed, readLevel, saveFile, unpacked } from "./files.js";
+import { downloadLevel, downloadPicture, dropDraft, findDraft, keepDraft, MAX_TEXT, openFile, openStored, openText, packed, readLevel, saveFile, unpacked } from "./files.js";
 import { Gallery, levelOf } from "./gallery.js";
 import { MakePanel } from "./make_panel.js";
 import { LevelPanel, ProblemsPanel, SelectionPanel, ThingsPanel } from "./panels.js";
@@ -63,7 +63,8 @@ function Workplace({ engine, about }) {
   const start = async () => {
     if (play.isOpen) return play.close();
     editor.cancel();
-    await play.open({ document: editor.document }, policyOf(policy));
+    const { given } = editor;
+    await play.open(given, policyOf(policy), { env: "run" in given ? { run: given.run } : undefined });
   };
   useKeys(editor, play, start);
 
@@ -133,7 +134,7 @@ function Workplace({ engine, about }) {
         <div class="row small" role="tablist">${["level", "gallery", "help"].map((name) => html`<button key=${name} role="tab" aria-pressed=${panel === name} onClick=${() => setPanel(name)}>${name}</button>`)}</div>
         ${panel === "gallery" ? html`<${Gallery} about=${about} engine=${engine} openDesigned=${(/** @type {any} */ entry) => open(async () => editor.open(await levelOf(entry)))} openFile=${(/** @type {string} */ name) => open(() => openFile(editor, name))} />` : null}
         ${panel === "help" ? html`<${Help} />` : null}
-        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${AttemptsPanel} given=${{ document: editor.document }} subject=${editor.document} size=${editor.document.size} engine=${engine} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} facts=${facts} /><${MakePanel} editor=${editor} />` : null}
+        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${AttemptsPanel} given=${editor.given} subject=${editor.document} size=${editor.document.size} engine=${engine} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} facts=${facts} /><${MakePanel} editor=${editor} />` : null}
       </aside>
     </div>
   </main>`;
@@ -145,7 +146,7 @@ async function begin(editor, about, showGallery) {
   const [level, from] = [query.get("level"), query.get("from")];
   try {
     if (level) editor.open(await readLevel(await unpacked(level)));
-    else if (from?.startsWith("runs/")) editor.open(await get(from));
+    else if (from?.startsWith("runs/")) await openStored(editor, from);
     else if (about.opens?.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
     else if (about.opens) await openDesigned(editor, about, about.opens.replace("designed/", ""));
     else showGallery();

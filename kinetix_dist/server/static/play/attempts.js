@@ -7,8 +7,8 @@ import { PolicyChoice, policyOf } from "./play_bar.js";
 const ATTEMPTS = 64;
 
 /**
- * `given`: the level as the engine worker calls it; `subject`: what changes when it becomes another level; `run`: whose
- * newest checkpoint is proposed, and whose environment is played.
+ * `given`: the level as the engine worker calls it; one of a run is played in the environment of that run. `subject`: what
+ * changes when it becomes another level; `run`: whose newest checkpoint is proposed.
  * @param {{ given: any, subject: any, size: string, engine: any, run?: string }} props
  */
 export function AttemptsPanel({ given, subject, size, engine, run }) {
@@ -18,7 +18,7 @@ export function AttemptsPanel({ given, subject, size, engine, run }) {
   const [state, setState] = useState(/** @type {any} */ (null));
   const request = useRef("");
   const start = async () => {
-    const env = run ? { run } : undefined;
+    const env = "run" in given ? { run: given.run } : undefined;
     setState({ progress: "starting ..." });
     const progress = (/** @type {any} */ message) => setState({ progress: message.stage === "playing" ? `${message.done ?? 0} of ${message.total ?? ATTEMPTS} ended` : `${message.stage} ...` });
     try {

@@ -51,6 +51,7 @@ export class Play {
     this.outcome = "";
     this.problem = "";
     this.isOpening = false;
+    this.isStored = false; // played from the arrays of a run's buffer
     /** @type {Set<string>} */
     this.pressed = new Set();
     this.sequence = 0;
@@ -64,6 +65,7 @@ export class Play {
   async open(level, policy, { seed = 0, running = true, env } = {}) {
     await this.close();
     this.isOpening = true;
+    this.isStored = "run" in level;
     this.problem = this.outcome = "";
     this.last = 0;
     this.changed();

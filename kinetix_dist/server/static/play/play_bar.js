@@ -43,7 +43,7 @@ export function PlayBar({ play, children }) {
       <button onClick=${() => play.control("take_over", { policy: "keys" })} title="play on from this step by keys">take over</button>
       ${children}
     </div>
-    <p class="play-state" role="status" data-outcome=${play.outcome}>step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · green to blue ${frame.distance.toFixed(2)} m${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}</p>
+    <p class="play-state" role="status" data-outcome=${play.outcome}>step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · green to blue ${frame.distance.toFixed(2)} m${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}${play.isStored ? " · from the stored arrays" : ""}</p>
     ${play.problem ? html`<p class="bad" role="alert">${play.problem}</p>` : null}
     ${isPerson ? html`<${Pads} play=${play} />` : html`<${Mind} play=${play} />`}
   </div>`;
