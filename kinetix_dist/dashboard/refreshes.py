@@ -208,13 +208,16 @@ class Refreshes:
         self._lock = threading.Lock()
         self._read: dict[Path, tuple[tuple[int, int], Snapshot]] = {}
 
+    def read(self) -> tuple[list[Snapshot], list[dict[str, Any]], list[str]]:
+        """All snapshots without levels, oldest first, the windows of outcomes, and a line for each damaged file."""
+        with self._lock:
+            problems: list[str] = []
+            return self._snapshots(problems), self._windows(problems), problems
+
     def summaries(self) -> dict[str, Any]:
         """{snapshots, windows, problems}; snapshots oldest first, each as `describe_snapshot`, with `training`, `probe`
         and `kept` (levels that the snapshot before it had too) where there is such a thing. windows: of outcomes."""
-        with self._lock:
-            problems: list[str] = []
-            snapshots = self._snapshots(problems)
-            windows = self._windows(problems)
+        snapshots, windows, problems = self.read()
         plays = training_plays(windows)
         described = []
         for place, snapshot in enumerate(snapshots):

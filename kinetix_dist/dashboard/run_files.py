@@ -62,3 +62,11 @@ def modified_at(path: Path) -> float | None:
         return os.stat(path).st_mtime
     except OSError:
         return None
+
+
+def size_of(path: Path) -> int | None:
+    """Bytes of a file; None where there is none."""
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return None

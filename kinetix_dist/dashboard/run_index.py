@@ -60,10 +60,9 @@ class RunIndex:
         self.runs: dict[str, Path] = {}
         self.problems: list[str] = []
         self.scan()
-        if not self.runs:
-            for root in self._roots:
-                if not _may_come(root):
-                    raise UserError(f"{root} {NO_RUN}")
+        for root in self._roots:
+            if not any(run.is_relative_to(root) for run in self.runs.values()) and not _may_come(root):
+                raise UserError(f"{root} {NO_RUN}")
 
     def scan(self) -> dict[str, Path]:
         """Ids and directories of the runs that are there now."""

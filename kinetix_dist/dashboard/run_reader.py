@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kinetix_dist.dashboard import run_files
+from kinetix_dist.dashboard.long_metrics import LONG_BYTES, is_metrics_row, read_long
 from kinetix_dist.dashboard.series import SeriesTable
 from kinetix_dist.telemetry.tail import Tail
 from kinetix_dist.telemetry.utc import utc_seconds
@@ -44,19 +46,28 @@ class RunReader:
         self.events: list[dict[str, Any]] = []
         self.problems: dict[str, str] = {}  # by file
         self.lock = threading.Lock()  # held while polling and while reading what a poll changes
-        self._metrics = Tail(path / run_files.METRICS, is_row=lambda row: isinstance(row.get("update"), int))
+        self._metrics = Tail(path / run_files.METRICS, is_row=is_metrics_row)
         self._events = Tail(path / run_files.EVENTS, is_row=lambda row: isinstance(row.get("event"), str))
+
+    def read_first(self, report: Callable[[int], None]) -> None:
+        """Reads everything that is there now; report(bytes) says how many are left. Nobody else may use it meanwhile.
+
+        A long file is read by a process of its own; where that cannot be, here, which takes three times as long.
+        """
+        file = self.path / run_files.METRICS
+        if (run_files.size_of(file) or 0) >= LONG_BYTES:
+            found = read_long(file, report)
+            if found is not None:
+                found.hand_over(self._metrics)
+                self.table = found.table
+        while left := self.poll().bytes_left:
+            report(left)
 
     def poll(self) -> Changes:
         """Reads what is new, a few MB of each file at most."""
         first_row, rewound_to, left = self._poll_metrics()
         new_events, restarted, events_left = self._poll_events()
         return Changes(first_row, rewound_to, new_events, restarted, left + events_left)
-
-    def poll_all(self) -> None:
-        """Reads everything that is there now."""
-        while self.poll().bytes_left:
-            pass
 
     def anchors(self) -> list[tuple[int, float]]:
         """(update, unix time) of the events that have both."""

@@ -63,11 +63,35 @@ class SeriesTable:
             self._add(row)
         return first_new
 
+    def can_extend(self, columns: Mapping[str, np.ndarray]) -> bool:
+        """Whether updates of the columns rise, from the last one of the table on."""
+        updates = columns["update"]
+        last = self._columns["update"][self.num_rows - 1] if self.num_rows else -np.inf
+        return bool((np.diff(updates, prepend=last) > 0).all())
+
+    def extend(self, columns: Mapping[str, np.ndarray]) -> None:
+        """Adds rows as columns, [n] float64 each, nan where a row lacks a metric. Raises ValueError for updates that do
+        not rise: `append` takes those."""
+        if not self.can_extend(columns):
+            raise ValueError("updates of these columns do not rise")
+        end = self.num_rows + len(columns["update"])
+        self._make_room(end)
+        for name, values in columns.items():
+            if name not in self._columns:
+                self._columns[name] = np.full(self._capacity, np.nan)
+            self._columns[name][self.num_rows : end] = values
+        self.num_rows = end
+
+    def _make_room(self, num_rows: int) -> None:
+        while self._capacity < num_rows:
+            self._capacity *= 2
+        for name, column in self._columns.items():
+            if len(column) < self._capacity:
+                self._columns[name] = np.concatenate([column, np.full(self._capacity - len(column), np.nan)])
+
     def _add(self, row: Mapping[str, Any]) -> None:
         if self.num_rows == self._capacity:
-            self._capacity *= 2
-            for name, column in self._columns.items():
-                self._columns[name] = np.concatenate([column, np.full(self._capacity - len(column), np.nan)])
+            self._make_room(self.num_rows + 1)
         for name, value in row.items():
             if isinstance(value, int | float):
                 if name not in self._columns:

@@ -107,5 +107,7 @@ def _env_of_run(given: Any, size: str) -> EnvConfig:
         raise RequestError(NOT_FOUND, f"{path} cannot be read ({error.strerror})") from error
     except ValueError as error:
         raise RequestError(BAD_REQUEST, f"{path} is not JSON ({one_line(error)})") from error
+    if not isinstance(data, dict) or not isinstance(data.get("config"), dict):
+        raise RequestError(BAD_REQUEST, f"{path} is of no run: it has no object `config`")
     with user_errors(ValueError, AttributeError, prefix=f"{path}: "):
-        return env_config_of(from_dict_for_playing(data), size)
+        return env_config_of(from_dict_for_playing(data["config"]), size)

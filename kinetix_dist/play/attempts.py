@@ -20,6 +20,7 @@ from kinetix_dist.env.records import PreparedLevels
 from kinetix_dist.evaluation.evaluate import Playing, SolveRate, attempt_keys, begin_play, play_on, solve_rate
 from kinetix_dist.evaluation.policies import NoopPolicy, Player, Policy
 from kinetix_dist.level.level import Level
+from kinetix_dist.play.programs import check_effects
 
 MAX_ATTEMPTS = 1024
 STEPS_AT_ONCE = 8  # between looks at what was asked meanwhile: 0.04 s of 64 worlds of size S, 0.25 s of L
@@ -45,6 +46,7 @@ def play_attempts(
 ) -> SolveRate:
     """First episodes of `attempts` copies of a level (no leading axis). `report` may raise, which ends it."""
     prepared, keys = _prepare(env, level, jax.random.key(seed), attempts)
+    check_effects(prepared)
     playing = _begin(env, player.policy, prepared)
     while True:
         playing = _play_on(env, *player, prepared, keys, playing)

@@ -37,7 +37,7 @@ from kinetix_dist.play.levels import (
     snapshot_path,
 )
 from kinetix_dist.play.request import Request
-from kinetix_dist.play.wire import BAD_REQUEST, RequestError
+from kinetix_dist.play.wire import BAD_REQUEST, FAILED, RequestError
 from kinetix_dist.telemetry.curriculum_log import KINDS
 from kinetix_dist.telemetry.recording import Rollout
 
@@ -124,6 +124,19 @@ def recording(request: Request) -> Answer:
     listed = [[name, list(array.shape)] for name, array in arrays.items()]
     body = b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays.values())
     return {**_about(index, rollout), "arrays": listed, "display": _display(level).to_json()}, body
+
+
+def rrd(request: Request) -> Answer:
+    """Writes a rollout to a file that rerun opens."""
+    from kinetix_dist.telemetry.sinks.rerun import rollout_to_rrd
+
+    rollout = rollout_of(request.path("file"), request.number("index", low=0, high=MAX_SEED))
+    target = request.path("to")
+    try:
+        rollout_to_rrd(rollout, target)
+    except (OSError, ImportError) as error:
+        raise RequestError(FAILED, f"the rollout cannot be made into an .rrd: {error}") from error
+    return {"bytes": target.stat().st_size}, b""
 
 
 def convert(request: Request) -> Answer:

@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from jax2d.effects import names_of_bits
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
 from kinetix_dist.env.actions import controls_of
@@ -19,18 +21,25 @@ from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.evaluation.policies import NetworkPolicy, Policy, act
+from kinetix_dist.level.level import Level
+from kinetix_dist.play.wire import BAD_REQUEST, RequestError
 
 MAX_ENVIRONMENTS = 16
 
 
 def forget_programs() -> None:
-    """Gives compiled programs back to the machine, 230 MB a size and network; they are read from the compile cache when
-    they are needed again."""
+    """Gives compiled programs back to the machine, 20 to 100 MB a size and network; they are read from the compile
+    cache when they are needed again."""
     environment.cache_clear()
     jax.clear_caches()
     gc.collect()
+    give_back_free_memory()
+
+
+def give_back_free_memory() -> None:
+    """What was freed after compiling, 30 to 100 MB: glibc keeps it otherwise."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).malloc_trim(0)  # glibc keeps what is freed otherwise
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 class Stepped(NamedTuple):
@@ -60,6 +69,26 @@ class Choice(NamedTuple):
 def environment(config: EnvConfig) -> Environment:
     """One for each configuration: programs are compiled for it."""
     return Environment(config)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def prepare(env: Environment, levels: Level) -> PreparedLevels:
+    """`Environment.prepare` of levels [W, ...] as one program: outside of one, each of the 200 operations that look for
+    effects is compiled on its own, 4 s and 220 MB. `check_effects` looks for them afterwards."""
+    return env.prepare(levels)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def reset(env: Environment, prepared: PreparedLevels) -> tuple[EnvState, Any]:
+    """`Environment.reset`."""
+    return env.reset(prepared)
+
+
+def check_effects(prepared: PreparedLevels) -> None:
+    """Raises RequestError for a level that calls for what environments are made without."""
+    bits = int(np.bitwise_or.reduce(np.asarray(prepared.packed_scene.missing)))
+    if bits:
+        raise RequestError(BAD_REQUEST, f"the level calls for {', '.join(names_of_bits(bits))}, which no size has")
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -5,7 +5,7 @@
 | reader (the caller of `handle`) | inputs, controls, cancelling | never waits |
 | sessions | steps worlds in real time | session_loop.py |
 | look | checks, pictures, recordings | milliseconds, must not wait for the others |
-| make | mutates, generates | compiles for seconds |
+| make | mutates, generates, writes .rrd files | compiles, or imports rerun, for seconds |
 | open | opens sessions, loads policies | compiles for seconds |
 | attempts | one evaluation at a time | seconds |
 """
@@ -22,6 +22,7 @@ from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.play import level_requests, play_requests
 from kinetix_dist.play.level_requests import Answer
 from kinetix_dist.play.outbox import Outbox
+from kinetix_dist.play.programs import give_back_free_memory
 from kinetix_dist.play.request import Request
 from kinetix_dist.play.session_loop import Running, SessionLoop
 from kinetix_dist.play.wire import BAD_REQUEST, BUSY, FAILED, NOT_FOUND, Message, RequestError
@@ -46,6 +47,7 @@ class Service:
             "thumbnails": (LOOK, level_requests.thumbnails),
             "recordings": (LOOK, level_requests.recordings),
             "recording": (LOOK, level_requests.recording),
+            "rrd": (MAKE, level_requests.rrd),
             "convert": (LOOK, level_requests.convert),
             "mutate": (MAKE, level_requests.mutate_level),
             "generate": (MAKE, level_requests.generate),
@@ -111,15 +113,22 @@ class Service:
     def _dispatch(self, request: Request) -> None:
         kind = request.fields["type"]
         if kind in self._handlers:
-            thread, handler = self._handlers[kind]
-            self._threads[thread].submit(self._answer, request, lambda: handler(request))
+            self._submit(*self._handlers[kind], request)
         elif kind == "play.open":
-            self._threads[OPEN].submit(self._answer, request, lambda: self._open(request))
+            self._submit(OPEN, self._open, request)
         elif kind in ("play.control", "play.close"):
             self._control(request)
         else:
             known = ", ".join([*self._handlers, "play.open", "play.input", "play.control", "play.close", "cancel"])
             raise RequestError(BAD_REQUEST, f"there is no request {kind[:40]!r}; there are {known}")
+
+    def _submit(self, thread: str, handler: Callable[[Request], Answer | None], request: Request) -> None:
+        def work() -> None:
+            self._answer(request, lambda: handler(request))
+            if thread != LOOK:
+                give_back_free_memory()
+
+        self._threads[thread].submit(work)
 
     def _open(self, request: Request) -> None:
         is_running = request.flag("running", default=False)

@@ -67,8 +67,9 @@ class Session:
         self.number, self.seed = number, seed
         self.level = level
         self.person_env = programs.environment(dataclasses.replace(env_config, action_space=PERSON_SPACE.name))
-        self.prepared = self.person_env.prepare(stack_worlds([level]))
-        env_state, obs = self.person_env.reset(self.prepared)
+        self.prepared = programs.prepare(self.person_env, stack_worlds([level]))
+        programs.check_effects(self.prepared)
+        env_state, obs = programs.reset(self.person_env, self.prepared)
         zeros = np.zeros(frames.NUM_COLOURS, np.float32)
         num_joints, num_thrusters = len(level.motor_colour), len(level.thruster_colour)
         self._start = Moment(

@@ -22,7 +22,7 @@ IDLE_VARIABLE = "KINETIX_DIST_WORKER_IDLE_SECONDS"  # another number of seconds,
 NICE = 10
 NUM_THREADS = 2
 WATCH_SECONDS = 0.5
-MAX_RESIDENT_BYTES = 1_200_000_000  # above it an unused worker gives its programs back,
+MAX_RESIDENT_BYTES = 800_000_000  # above it an unused worker gives its programs back,
 FORGET_SECONDS = 30.0  # after so long without a message
 CLOSE_SECONDS = 2.0  # for the last messages
 

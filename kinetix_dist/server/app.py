@@ -74,7 +74,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 
     app = web.Application(middlewares=[access.middleware, _errors_are_lines], client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
-    rerun = RerunViewer(service)
+    rerun = RerunViewer(service, worker)
     for pages in (
         RunPages(service),
         ComparePages(service),

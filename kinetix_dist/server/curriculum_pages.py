@@ -7,6 +7,7 @@ from pathlib import Path
 
 from aiohttp import web
 
+from kinetix_dist.dashboard.level_history import level_history
 from kinetix_dist.dashboard.levels import level_page
 from kinetix_dist.dashboard.refreshes import Refreshes
 from kinetix_dist.server.answers import json_response, number
@@ -15,6 +16,7 @@ from kinetix_dist.telemetry.curriculum_log import REFRESH
 
 LEVELS_A_PAGE = 96
 MAX_LEVELS_A_PAGE = 4096
+SNAPSHOT = "{kind:refresh|buffer}/{number:[0-9]+}"
 
 
 class CurriculumPages:
@@ -28,7 +30,8 @@ class CurriculumPages:
         base = "/api/runs/{run}/curriculum"
         return [
             web.get(base, self.curriculum),
-            web.get(f"{base}/{{kind:refresh|buffer}}/{{number:[0-9]+}}/levels", self.levels),
+            web.get(f"{base}/{SNAPSHOT}/levels", self.levels),
+            web.get(f"{base}/{SNAPSHOT}/levels/{{index:[0-9]{{1,8}}}}/history", self.history),
         ]
 
     async def curriculum(self, request: web.Request) -> web.Response:
@@ -57,6 +60,22 @@ class CurriculumPages:
                 offset=offset,
                 limit=limit,
             )
+
+        return json_response(await asyncio.to_thread(answer))
+
+    async def history(self, request: web.Request) -> web.Response:
+        """See `dashboard.level_history.level_history`; with `problems`."""
+        info, refreshes = request.match_info, self._of(request)
+        kind, snapshot_number, index = info["kind"], int(info["number"]), int(info["index"])
+
+        def answer() -> dict:
+            snapshots, windows, problems = refreshes.read()
+            try:
+                found = level_history(snapshots, windows, kind, snapshot_number, index)
+            except (KeyError, IndexError):
+                text = f"there is no level {index} of {kind} {snapshot_number} in this run (any more)"
+                raise UnknownRunError(text) from None
+            return found | {"problems": problems}
 
         return json_response(await asyncio.to_thread(answer))
 

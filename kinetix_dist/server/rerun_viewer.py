@@ -1,7 +1,7 @@
 """rerun in the page: its own web files, of the installed version, and rollouts as .rrd.
 
 rerun hands out its files only while it serves them: it is started once on loopback, asked for three files, and ended.
-They are kept in the user's cache by version. An .rrd is made by `kinetix-dist replay` when it is asked for, into a
+They are kept in the user's cache by version. An .rrd is made by the engine worker when it is asked for, into a
 directory that goes with the server.
 """
 
@@ -27,11 +27,11 @@ from kinetix_dist.server.answers import error_response, json_response
 from kinetix_dist.server.level_pages import recording_path
 from kinetix_dist.server.run_service import RunService
 from kinetix_dist.server.tickets import Tickets
+from kinetix_dist.server.worker_client import WorkerClient
 from kinetix_dist.telemetry.compile_cache import default_directory
 
 FILES = {"index.html": "text/html", "re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 START_SECONDS = 30.0
-RRD_SECONDS = 120.0  # importing jax on a busy machine, and writing
 OPEN_PATH = "/rrd/"  # its requests carry a ticket instead of the cookie
 # Its page has scripts and styles inline, and runs WebAssembly; it may ask nobody but this server.
 POLICY = (
@@ -42,19 +42,20 @@ POLICY = (
 
 
 class RerunError(Exception):
-    """rerun is not there, or a rollout cannot be made into an .rrd: one line."""
+    """rerun is not there, or does not hand out its files: one line."""
 
 
 class RerunViewer:
     """Handlers of `rerun/...` and `rrd/...`."""
 
-    def __init__(self, service: RunService, *, cache: Path | None = None) -> None:
+    def __init__(self, service: RunService, worker: WorkerClient, *, cache: Path | None = None) -> None:
         """cache: where rerun's files are kept; None: in the user's cache directory."""
         self._service = service
+        self._worker = worker
         self._cache = cache
         self._tickets = Tickets()
         self._fetching = asyncio.Lock()
-        self._making = asyncio.Lock()  # one .rrd at a time: each imports jax
+        self._making = asyncio.Lock()  # so that none is made twice
         self._rrds: dict[str, Path] = {}
         self._directory = Path()  # of .rrd files, once the server runs
 
@@ -77,8 +78,6 @@ class RerunViewer:
         path = recording_path(self._service.path_of(info["run"]), info["file"])
         try:
             name, _ = await asyncio.gather(self._rrd_of(path, int(info["index"])), self._files())
-        except TimeoutError:
-            return error_response(502, f"the .rrd was not made within {RRD_SECONDS:g} s")
         except RerunError as error:
             return error_response(502, str(error))
         rrd = f"rrd/{self._tickets.ticket(name)}/{name}"
@@ -112,8 +111,7 @@ class RerunViewer:
         async with self._making:
             if name not in self._rrds:
                 target = self._directory / name
-                command = [sys.executable, "-m", "kinetix_dist.cli.main", "replay", str(recording)]
-                await _run([*command, "--index", str(index), "--to", str(target)], RRD_SECONDS)
+                await self._worker.request("rrd", {"file": str(recording), "index": index, "to": str(target)})
                 self._rrds[name] = target
         return name
 
@@ -173,24 +171,6 @@ def _keep(folder: Path, name: str, content: bytes) -> None:
         draft = folder / f".{name}{suffix}.{os.getpid()}"
         draft.write_bytes(data)
         draft.replace(folder / f"{name}{suffix}")
-
-
-async def _run(command: list[str], seconds: float) -> None:
-    """A command to its end. Raises RerunError with its last line."""
-    environment = os.environ | {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
-    process = await asyncio.create_subprocess_exec(
-        *command, env=environment, stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
-    )  # fmt: skip
-    try:
-        output, _ = await asyncio.wait_for(process.communicate(), seconds)
-    except (TimeoutError, asyncio.CancelledError):
-        process.kill()
-        await process.wait()
-        raise
-    if process.returncode:
-        last = output.decode(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
-        raise RerunError(f"the rollout cannot be made into an .rrd: {last[0].removeprefix('kinetix-dist: ')}")
 
 
 def _free_port() -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from aiohttp import web
 
 from kinetix_dist.dashboard import run_files
 from kinetix_dist.dashboard.evaluations import evaluations
+from kinetix_dist.dashboard.processes import Processes
 from kinetix_dist.dashboard.run_files import RunFileError, read_object
 from kinetix_dist.dashboard.run_index import status_of
 from kinetix_dist.dashboard.run_reader import RunReader
@@ -29,6 +31,7 @@ class RunPages:
 
     def __init__(self, service: RunService) -> None:
         self._service = service
+        self._processes: dict[Path, Processes] = {}
 
     def routes(self) -> list[web.RouteDef]:
         return [
@@ -37,6 +40,7 @@ class RunPages:
             web.get("/api/runs/{run}/series", self.series),
             web.get("/api/runs/{run}/events", self.events),
             web.get("/api/runs/{run}/evaluations", self.evaluations),
+            web.get("/api/runs/{run}/processes", self.processes),
         ]
 
     async def runs(self, request: web.Request) -> web.Response:
@@ -73,6 +77,12 @@ class RunPages:
     async def evaluations(self, request: web.Request) -> web.Response:
         path = self._service.path_of(request.match_info["run"])
         return json_response(await asyncio.to_thread(evaluations, path))
+
+    async def processes(self, request: web.Request) -> web.Response:
+        """See `dashboard.processes.Processes.describe`."""
+        reader = await self._service.reader(request.match_info["run"])
+        processes = self._processes.setdefault(reader.path, Processes(reader.path))
+        return json_response(await asyncio.to_thread(processes.describe, reader.events))
 
 
 def _describe_run(reader: RunReader) -> dict[str, Any]:

@@ -89,9 +89,13 @@ class RunService:
             await asyncio.to_thread(self.index.scan)
 
     async def _read_first(self, run_id: str) -> None:
-        while (changes := await asyncio.to_thread(_poll, self._readers[run_id])).bytes_left:
+        loop = asyncio.get_running_loop()
+
+        def tell(bytes_left: int) -> None:
             for watcher in set(self._watchers.get(run_id, ())):
-                watcher.read(run_id, changes.bytes_left)
+                watcher.read(run_id, bytes_left)
+
+        await asyncio.to_thread(self._readers[run_id].read_first, lambda left: loop.call_soon_threadsafe(tell, left))
 
     async def _poll(self, run_id: str) -> None:
         reader = self._readers[run_id]

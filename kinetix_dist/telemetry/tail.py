@@ -58,6 +58,11 @@ class Tail:
         """Lines of the file, as far as it was read, that are no rows."""
         return self._damaged
 
+    def go_on(self, *, inode: int, offset: int, kept: bytes, num_damaged: int) -> None:
+        """Goes on behind whole lines that somebody else has read: up to `offset`; `kept` are the last bytes before."""
+        self._start_again()
+        self._inode, self._offset, self._kept, self._damaged = inode, offset, kept[-KEPT_BYTES:], num_damaged
+
     def poll(self, max_bytes: int = MAX_BYTES) -> Tailed:
         """New rows. An absent file has none. Raises OSError where it cannot be read; the next poll tries again."""
         try:

@@ -25,6 +25,7 @@ REQUIRED = os.environ.get("KINETIX_BROWSER_TESTS") == "required"
 # One process, no sandbox (containers have no user namespaces), WebGL in software.
 OPTIONS = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 TIMEOUT_MS = 60_000
+TRAINED_VARIABLE = "KINETIX_TRAINED_RUNS"
 
 
 def _missing(reason: str) -> None:
@@ -72,7 +73,7 @@ def open_page(browser: Any, serve: Any) -> Iterator[Callable[..., Any]]:
         context = browser.new_context(locale="en-US", accept_downloads=True, **options)
         context.set_default_timeout(TIMEOUT_MS)
         page = context.new_page()
-        origin = f"http://127.0.0.1:{server.port}/"
+        origin = server.address.split("?")[0]
         allowed = (origin, origin.replace("http", "ws"), "blob:", "data:")
         page.on("console", lambda message: message.type in ("error", "warning") and complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -92,7 +93,12 @@ def open_page(browser: Any, serve: Any) -> Iterator[Callable[..., Any]]:
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with a real run of seconds: recipe tiny, with evaluations and recordings while it trains."""
+    """A directory with a real run of seconds: recipe tiny, with evaluations and recordings while it trains.
+
+    KINETIX_TRAINED_RUNS names one that is there already (test_offline.py, which comes back here without a network).
+    """
+    if TRAINED_VARIABLE in os.environ:
+        return Path(os.environ[TRAINED_VARIABLE])
     runs = tmp_path_factory.mktemp("trained")
     command = [
         sys.executable, "-m", "kinetix_dist.cli.main", "train", "--recipe", "tiny", "--run", str(runs / "tiny"),

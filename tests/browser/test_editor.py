@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,7 @@ from kinetix_dist.level.document import level_to_json
 from kinetix_dist.level.fit import capacity_of_size, fit_level
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import files_of_set, read_public_level
-from tests.helpers import REPOSITORY
+from tests.helpers import REPOSITORY, python_path
 from tests.server.serving import Server
 
 OpenPage = Callable[..., Any]
@@ -76,11 +79,9 @@ def editing(open_page: OpenPage, serve: Callable[..., Server]) -> Callable[..., 
     return edit
 
 
-def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..., Any], tmp_path: Path) -> None:
+def build_car(bench: Bench) -> None:
     """A car on two wheels, and a goal to drive to."""
-    bench, _ = editing(tmp_path / "mine.json")
     page = bench.page
-    assert "green" in bench.checked()  # a level needs one green and one blue shape
     bench.use("Box")
     bench.drag((0.4, 0.6), (1.6, 0.8))  # chassis
     bench.field("role", "green")
@@ -98,6 +99,12 @@ def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..
     assert "Valid" in bench.checked()
     page.get_by_label("the level").press("Escape")
 
+
+def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..., Any], tmp_path: Path) -> None:
+    bench, _ = editing(tmp_path / "mine.json")
+    page = bench.page
+    assert "green" in bench.checked()  # a level needs one green and one blue shape
+    build_car(bench)
     page.keyboard.press("Space")
     page.wait_for_selector(".play-state")
     page.keyboard.down("ArrowRight")
@@ -123,6 +130,29 @@ def test_levels_play_plays_at_once_and_stops_for_editing(open_page: OpenPage, se
     page.wait_for_selector(".play-state", state="detached")
     page.wait_for_timeout(500)
     assert page.locator(".play-state").count() == 0 and "hop_home" in page.title()  # it does not start again
+
+
+@pytest.mark.slow  # a minute of training
+def test_a_level_that_was_built_is_validated_and_trained_on(editing: Callable[..., Any], tmp_path: Path) -> None:
+    """Random actions solve it about two times in three, the policy always."""
+    file, run = tmp_path / "mine.json", tmp_path / "run"
+    bench, _ = editing(file)
+    build_car(bench)
+    bench.save("mine.json")
+
+    def command(*arguments: str) -> None:
+        program = [sys.executable, "-m", "kinetix_dist.cli.main", *arguments]
+        environment = os.environ | {"PYTHONPATH": python_path()}
+        done = subprocess.run(program, capture_output=True, text=True, timeout=600, check=False, env=environment)
+        assert done.returncode == 0, done.stderr
+
+    command("levels", "validate", str(file))
+    command(
+        "train", "--recipe", "single_level", "--env.size", "m", "--curriculum.levels", str(file), "--run", str(run),
+        "--evaluation.sets", str(file), "--run.total_env_steps", "40000", "--recording.make_pictures", "False",
+    )  # fmt: skip
+    rates = json.loads((run / "report.json").read_text())["solve_rate"]
+    assert rates["after"][str(file)]["low"] > rates["random_policy"][str(file)]["high"], rates
 
 
 def test_every_designed_level_is_opened_and_saved_unchanged(editing: Callable[..., Any], tmp_path: Path) -> None:

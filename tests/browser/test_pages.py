@@ -91,6 +91,36 @@ def test_levels_are_pictures_and_one_of_them_opens(trained_server: Server, open_
     assert document["shapes"], "a level file of our format"
 
 
+def test_a_level_of_the_buffer_is_played_in_place(trained_server: Server, open_page: OpenPage) -> None:
+    """By the checkpoint of its run, by keys, 64 times; and what became of it."""
+    page = open_page(trained_server, "#/run/tiny/levels")
+    page.locator(".thumbnail").nth(2).click()
+    drawer = panel(page, "level")
+    drawer.get_by_text("▶ play").click()
+    mind = drawer.locator(".mind")
+    mind.wait_for()
+    assert "value" in mind.inner_text()
+    drawer.get_by_role("button", name="stop").click()
+    picture = drawer.locator("canvas.world")
+    drawer.get_by_label("who plays").select_option("keys")
+    picture.press(" ")
+    drawer.locator(".pads").wait_for()
+    page.wait_for_function("() => Number(document.querySelector('.stage canvas').dataset.step) > 2")
+    picture.press("Escape")
+    page.wait_for_function("() => document.querySelector('.stage canvas').dataset.step === undefined")
+    drawer.get_by_role("button", name="play 64 times").click()
+    drawer.locator("[data-panel=attempts]", has_text="of 64), 95 %").wait_for()
+    history = panel(page, "history").locator(".tight").inner_text()
+    assert history.startswith("scored, refresh") and " of " in history
+
+
+def test_who_runs_where(trained_server: Server, open_page: OpenPage) -> None:
+    page = open_page(trained_server, "#/run/tiny/overview")
+    row = panel(page, "Processes").locator("tbody tr").first
+    row.wait_for()
+    assert row.inner_text().split()[0] == "driver"
+
+
 def test_a_p_is_never_shown_without_its_count(trained_server: Server, open_page: OpenPage) -> None:
     page = open_page(trained_server, "#/run/tiny/levels")
     page.locator(".thumbnail").first.wait_for()
@@ -152,6 +182,7 @@ def test_an_older_run_says_what_it_lacks(tmp_path: Path, open_page: OpenPage, se
         ("levels", "This run has no snapshots of its curriculum"),
         ("evaluation", "No evaluation so far"),
         ("replays", "No rollouts so far"),
+        ("overview", "This run has no processes.jsonl"),
     ):
         page.goto(f"http://127.0.0.1:{server.port}/#/run/a/{name}")
         page.get_by_text(text).wait_for()
@@ -194,9 +225,11 @@ def test_the_view_is_in_the_address_and_its_numbers_come_out(tmp_path: Path, ope
     assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("view", ["#/runs", "#/run/tiny/overview", "#/run/tiny/curriculum", "#/run/tiny/replays"])
+@pytest.mark.parametrize(
+    "view", ["runs", *(f"run/tiny/{p}" for p in ("overview", "curriculum", "levels?level=2", "replays"))]
+)
 def test_nothing_is_cut_off_on_a_phone(trained_server: Server, open_page: OpenPage, view: str) -> None:
-    page = open_page(trained_server, view, viewport={"width": 390, "height": 844})
+    page = open_page(trained_server, f"#/{view}", viewport={"width": 390, "height": 844})
     page.locator("main").wait_for()
     page.wait_for_timeout(1000)
     assert page.evaluate("() => document.documentElement.scrollWidth") <= 390

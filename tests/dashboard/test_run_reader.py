@@ -33,7 +33,7 @@ def test_rows_and_events_are_read_once(run: Path) -> None:
 
 def test_a_run_that_is_resumed_goes_back_to_its_checkpoint(run: Path) -> None:
     reader = RunReader(run)
-    reader.poll_all()
+    reader.read_first(lambda left: None)
     write_rows(run, 13, 15, resume_at=12, **{"runtime/restarts": 1.0})
     changes = reader.poll()
     assert changes.rewound_to == 12 and changes.first_row == 12 and reader.revision == 1
@@ -43,7 +43,7 @@ def test_a_run_that_is_resumed_goes_back_to_its_checkpoint(run: Path) -> None:
 
 def test_the_same_rows_in_another_file_are_no_news(run: Path) -> None:
     reader = RunReader(run)
-    reader.poll_all()
+    reader.read_first(lambda left: None)
     content = (run / run_files.METRICS).read_bytes()
     (run / "copy").write_bytes(content)
     (run / "copy").replace(run / run_files.METRICS)
@@ -54,7 +54,7 @@ def test_damage_is_counted_and_said(run: Path) -> None:
     with (run / run_files.METRICS).open("ab") as file:
         file.write(b'\0\0\0\n{"no": "update"}\n')
     reader = RunReader(run)
-    reader.poll_all()
+    reader.read_first(lambda left: None)
     assert list(reader.problems.values()) == ["2 lines are damaged in metrics/metrics.jsonl and left out"]
     assert reader.table.num_rows == 20
 
@@ -89,6 +89,8 @@ def test_wrong_paths_are_refused_in_one_line(tmp_path: Path) -> None:
         RunIndex([tmp_path / "file"])
     with pytest.raises(UserError, match="is no run"):
         RunIndex([tmp_path / "other"])
+    with pytest.raises(UserError, match="other is no run"):
+        RunIndex([write_run(tmp_path / "good"), tmp_path / "other"])
     assert RunIndex([tmp_path / "empty"]).runs == {}, "its first run may come"
 
 

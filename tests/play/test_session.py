@@ -250,3 +250,19 @@ def test_a_level_that_solves_itself_says_when() -> None:
     position[green] = position[blue] + np.float32([0.0, 1.2])
     solved_at = steps_until_noop_solves(env, dataclasses.replace(level(), position=position))
     assert solved_at is not None and 5 < solved_at < 60
+
+
+def test_a_level_that_calls_for_what_no_size_has_is_refused() -> None:
+    """Environments are made without bodies on rails; nothing of such a level may be left out without a word."""
+    scene = level().scene
+    kinematic = np.ones_like(scene.shapes.kinematic)
+    given = dataclasses.replace(
+        level(), scene=dataclasses.replace(scene, shapes=dataclasses.replace(scene.shapes, kinematic=kinematic))
+    )
+    with pytest.raises(RequestError, match="kinematic"):
+        Session(1, CONFIG, given, seed=0)
+    env = programs.environment(CONFIG)
+    with pytest.raises(RequestError, match="kinematic"):
+        play_attempts(
+            env, Player(RandomPolicy(env.action_space)), given, attempts=2, seed=0, report=lambda progress: None
+        )

@@ -97,10 +97,9 @@ def test_keys_of_a_stored_proof_solve_its_level_bit_for_bit(worker: Client) -> N
 
 
 def test_a_session_says_what_drives_what_and_how_it_is_stepped(worker: Client, tmp_path: Path) -> None:
-    (tmp_path / "config.json").write_text((data_directory("pretrained") / "sfl_s" / "checkpoint.json").read_text())
-    config = json.loads((tmp_path / "config.json").read_text())["config"]
+    config = json.loads((data_directory("pretrained") / "sfl_s" / "checkpoint.json").read_text())["config"]
     config["env"] |= {"frame_skip": 4, "max_steps": 99}
-    (tmp_path / "config.json").write_text(json.dumps(config))
+    (tmp_path / "config.json").write_text(json.dumps({"hash": "0", "config": config}))  # as RunDirectory writes it
     session = opened(worker, level={"document": document("m/rocket_car")}, env={"run": str(tmp_path)})
     source = document("m/rocket_car")
     assert [motor["colour"] for motor in session["motors"]] == [

@@ -1,9 +1,10 @@
-// Levels of a buffer as thumbnails: sorted, filtered, and one of them in a drawer with its counts and its file.
-import { addressOf, setQuery, useAddress } from "../base/address.js";
+// Levels of a buffer as thumbnails: sorted, filtered, and one of them in a drawer.
+import { setQuery, useAddress } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
-import { percent, rateWithCount, short } from "../base/format.js";
+import { short } from "../base/format.js";
 import { html, useState } from "../base/html.js";
 import { getPalette, Picture } from "../world/picture.js";
+import { LevelDrawer } from "./level_drawer.js";
 import { Notes } from "./parts.js";
 import { useRunChanges } from "./run_changes.js";
 
@@ -68,7 +69,7 @@ export function LevelsPage({ run }) {
           ${picture && palette.data ? html`<${Picture} display=${picture.display} poses=${picture.poses} palette=${palette.data} size=${THUMBNAIL} label=${`level ${entry.index}`} />` : html`<span class="blank"></span>`}
           <span>${caption(entry)}</span></button>`;
       })}</div>
-      ${level ? html`<${Drawer} run=${run} snapshot=${chosen} level=${level} picture=${drawn.get(level.index)} palette=${palette.data} />` : null}
+      ${level ? html`<${LevelDrawer} run=${run} snapshot=${chosen} level=${level} picture=${drawn.get(level.index)} changes=${changes} />` : null}
     </div>
   </main>`;
 }
@@ -86,26 +87,4 @@ function Filter({ value, columns }) {
   const apply = () => setQuery({ filter: text, offset: null });
   return html`<label>filter <input value=${text} placeholder="joints>=1 p<0.5" title=${`conditions on ${columns.join(", ")}`} onInput=${(/** @type {any} */ e) => setText(e.target.value)}
     onChange=${apply} onKeyDown=${(/** @type {any} */ e) => e.key === "Enter" && apply()} /></label>`;
-}
-
-/** @param {{ run: string, snapshot: any, level: any, picture: any, palette: any }} props */
-function Drawer({ run, snapshot, level, picture, palette }) {
-  const address = `api/runs/${encodeURIComponent(run)}/curriculum/${snapshot.kind}/${snapshot.number}/levels/${level.index}/document`;
-  /** @type {[string, any][]} */
-  const facts = [["id", level.id], ["place", level.index], ["score", short(level.score)]];
-  if (level.scored) facts.push(["when it was scored", counted(level.scored)]);
-  if (level.training) facts.push(["in training", level.training.finished ? counted(level.training) : "not played to an end"]);
-  if (level.born !== undefined) facts.push(["came in batch", level.born], ["last played in batch", level.last_played]);
-  return html`<aside class="panel drawer" data-panel="level"><header><h3>Level ${level.index} of ${snapshot.kind} ${snapshot.number}</h3>
-      <span class="buttons"><button onClick=${() => setQuery({ level: null })} aria-label="close">✕</button></span></header>
-    ${picture && palette ? html`<${Picture} display=${picture.display} poses=${picture.poses} palette=${palette} size=${340} letters=${true} label=${`level ${level.index}`} />` : html`<p class="missing">no picture</p>`}
-    <dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>
-    <p class="soft">${Object.entries(level.features).map(([name, count]) => `${count} ${name.replace("_", " ")}`).join(", ")}</p>
-    ${picture ? html`<a class="button" href=${addressOf(["edit"], new URLSearchParams({ from: address.slice("api/".length) }))}>edit and play</a> <a class="button" href=${address} download>download as a level file</a>` : null}
-  </aside>`;
-}
-
-/** @param {any} counts */
-function counted(counts) {
-  return `${rateWithCount(counts.solved, counts.finished)}, 95 % ${percent(counts.low)} to ${percent(counts.high)}`;
 }

@@ -7,6 +7,7 @@ import { LineChart } from "../charts/line_chart.js";
 import { Panel } from "../charts/panel.js";
 import { label, panelsOf } from "./metric_panels.js";
 import { Notes, State } from "./parts.js";
+import { Processes } from "./processes.js";
 import { useSeries } from "./run_series.js";
 import { LogButton, useView, ViewBar, zoom } from "./view.js";
 
@@ -52,6 +53,7 @@ export function OverviewPage({ run }) {
       <summary>${others.length} more metrics</summary>
       <div class="grid">${hasOthers ? others.map((name) => chart({ title: name, names: [name], help: data.metrics[name].meaning })) : null}</div>
     </details>` : null}
+    <${Processes} run=${run} changes=${described} />
     <${Events} run=${run} changes=${described} />
     <${Config} config=${data.config} report=${data.report} />
   </main>`;

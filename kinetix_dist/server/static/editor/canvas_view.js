@@ -1,9 +1,9 @@
 // The picture of the editor: draws the level or what is played, and turns pointers into gestures.
 import { html, useEffect, useRef } from "../base/html.js";
-import { drawWorld } from "../world/canvas.js";
+import { drawPlay } from "../play/picture.js";
+import { drawWorld, paperOf } from "../world/canvas.js";
 import { levelPicture } from "../world/display_list.js";
-import { drawOverlay, plate } from "./overlay.js";
-import { keyMark, MOTOR_KEYS, THRUSTER_KEYS } from "./play.js";
+import { drawOverlay } from "./overlay.js";
 import { TOOLS } from "./tools.js";
 
 const FINGER = 1.8; // how much farther a finger reaches than a mouse
@@ -22,7 +22,7 @@ function seen(canvas, view) {
   return [x - halfX, y - halfY, x + halfX, y + halfY];
 }
 
-/** @param {{ editor: Editor, play: import("./play.js").Play }} props */
+/** @param {{ editor: Editor, play: import("../play/play.js").Play }} props */
 export function CanvasView({ editor, play }) {
   const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
 
@@ -55,58 +55,19 @@ export function CanvasView({ editor, play }) {
   return html`<canvas class="world editor-canvas" ref=${canvas} tabindex="0" aria-label="the level; keys: see Help"></canvas>`;
 }
 
-/** @param {HTMLCanvasElement} canvas @param {Editor} editor @param {import("./play.js").Play} play */
+/** @param {HTMLCanvasElement} canvas @param {Editor} editor @param {import("../play/play.js").Play} play */
 function draw(canvas, editor, play) {
   const { palette } = editor.engine;
   const view = seen(canvas, editor.view);
-  const dot = devicePixelRatio || 1;
-  const scale = canvas.width / (view[2] - view[0]);
-  const paper = {
-    context: /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d")),
-    x: (/** @type {number} */ value) => (value - view[0]) * scale,
-    y: (/** @type {number} */ value) => (view[3] - value) * scale,
-    scale,
-    dot,
-  };
-  if (play.session && play.frame) {
-    const { display } = play.session;
-    drawWorld(canvas, display, play.frame.poses, palette, { thrust: play.frame.thruster, letters: true, view });
-    drawKeys(paper, play);
-    canvas.dataset.step = String(play.frame.step);
-    return;
-  }
+  if (drawPlay(canvas, play, palette, view)) return;
   delete canvas.dataset.step;
   const { display, poses } = levelPicture(editor.document, editor.engine);
   drawWorld(canvas, display, poses, palette, { letters: true, view });
-  drawOverlay(paper, editor);
-}
-
-/** On each motor and thruster the key that drives it; it is filled while it does. @param {import("./overlay.js").Paper} paper @param {import("./play.js").Play} play */
-function drawKeys(paper, play) {
-  const { session, frame } = play;
-  if (!session || !frame) return;
-  const told = frame.colours;
-  /** @type {Set<string>} */
-  const done = new Set();
-  for (const { part, body, points } of session.display.primitives) {
-    const name = part.join(" ");
-    if (done.has(name) || (part[0] !== "joint" && part[0] !== "thruster")) continue;
-    const motor = part[0] === "joint" ? session.motors.find((/** @type {any} */ entry) => entry.joint === part[1]) : null;
-    const thruster = part[0] === "thruster" ? session.thrusters.find((/** @type {any} */ entry) => entry.thruster === part[1]) : null;
-    if (!motor && !thruster) continue;
-    done.add(name);
-    const [x, y, angle] = frame.poses.subarray(3 * body, 3 * body + 3);
-    const [px, py] = points[0];
-    /** @type {Point} */
-    const at = [x + Math.cos(angle) * px - Math.sin(angle) * py, y + Math.sin(angle) * px + Math.cos(angle) * py];
-    if (motor?.auto) plate(paper, at, "auto", true);
-    else if (motor) plate(paper, at, MOTOR_KEYS[motor.colour].map(keyMark).join(" "), told[motor.colour] !== 0);
-    else plate(paper, at, keyMark(THRUSTER_KEYS[thruster.colour]), told[4 + thruster.colour] !== 0);
-  }
+  drawOverlay(paperOf(canvas, view), editor);
 }
 
 /** Pointers of mouse, pen and fingers. One draws, two pinch and pan. @param {HTMLCanvasElement} canvas @param {Editor} editor
- * @param {import("./play.js").Play} play @returns {() => void} */
+ * @param {import("../play/play.js").Play} play @returns {() => void} */
 function followPointers(canvas, editor, play) {
   /** @type {Map<number, { x: number, y: number }>} */
   const down = new Map();

@@ -1,4 +1,5 @@
 // Levels in and out: files of the command line, dropped and pasted files, downloads, links, drafts, pictures.
+import { get } from "../base/api.js";
 import { channel } from "../base/channel.js";
 import { download } from "../base/format.js";
 import { drawWorld } from "../world/canvas.js";
@@ -12,6 +13,7 @@ import { COPIED_FORMAT } from "./edits.js";
 export const MAX_TEXT = 3_000_000; // characters; a message to the server has at most 4 MiB
 const PICTURE_PIXELS = 1048;
 const DRAFT = "kinetix-dist draft";
+const STORED = /^runs\/([^/]+)\/curriculum\/(refresh|buffer)\/(\d+)\/levels\/(\d+)\/document$/;
 
 /** A level of the text of a file in either format. Throws an Error with one line.
  * @param {string} text @returns {Promise<import("./document.js").Level>} */
@@ -47,6 +49,14 @@ export async function openText(editor, text) {
   } catch (error) {
     editor.say(error instanceof Error ? error.message : String(error));
   }
+}
+
+/** A level of a run's buffer. @param {Editor} editor @param {string} address below api/, of its document */
+export async function openStored(editor, address) {
+  const document = await get(address);
+  const [, run, kind, number, index] = STORED.exec(address) ?? [];
+  editor.open(document);
+  if (run) editor.stored = { text: documentText(document), level: { run: decodeURIComponent(run), [kind]: Number(number), index: Number(index) } };
 }
 
 /** @param {string} name @returns {Promise<{ name: string, text: string, hash: string }>} */

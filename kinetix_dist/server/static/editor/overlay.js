@@ -1,4 +1,4 @@
-// What the editor draws over the world: selection, handles, limits, guides, sketches, keys. Told by shape, not by colour alone.
+// What the editor draws over the world: selection, handles, limits, guides, sketches. Told by shape, not by colour alone.
 import { LETTER_FROM_M } from "../world/canvas.js";
 import { boundsOf, jointEnds, jointsOf, parsePath, shapesOf, thrusterPlace, thrustersOf, worldCorners } from "./document.js";
 import { distance } from "./geometry.js";
@@ -6,8 +6,7 @@ import { ARC_M, handlesOf, hingeFacts } from "./handles.js";
 
 /**
  * @typedef {import("./geometry.js").Point} Point
- * @typedef {{ context: CanvasRenderingContext2D, x: (value: number) => number, y: (value: number) => number, scale: number, dot: number }} Paper
- *   x, y: pixels of m; scale: pixels of a metre; dot: pixels of the canvas for one of the page
+ * @typedef {import("../world/canvas.js").Paper} Paper
  */
 
 const HANDLE_PX = 6;
@@ -147,22 +146,4 @@ function cross(paper, [x, y]) {
   for (const end of /** @type {Point[]} */ ([[reach, 0], [0, reach]])) {
     line(paper, [[x - end[0], y - end[1]], [x + end[0], y + end[1]]], "#d55e00", []);
   }
-}
-
-/** A word on a plate, at a point of the world. @param {Paper} paper @param {Point} at @param {string} text @param {boolean} isPressed */
-export function plate({ context, x, y, dot }, at, text, isPressed) {
-  context.font = `600 ${12 * dot}px sans-serif`;
-  const width = context.measureText(text).width + 8 * dot;
-  const [left, top] = [x(at[0]) + 8 * dot, y(at[1]) - 22 * dot];
-  context.fillStyle = isPressed ? "#0b62b8" : "rgba(255, 255, 255, 0.92)";
-  context.strokeStyle = "#343640";
-  context.lineWidth = dot;
-  context.beginPath();
-  context.roundRect(left, top, width, 18 * dot, 4 * dot);
-  context.fill();
-  context.stroke();
-  context.fillStyle = isPressed ? "#ffffff" : "#343640";
-  context.textAlign = "left";
-  context.textBaseline = "middle";
-  context.fillText(text, left + 4 * dot, top + 9 * dot);
 }

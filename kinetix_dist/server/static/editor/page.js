@@ -3,17 +3,19 @@ import { readAddress, setQuery } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { useConnection } from "../base/channel.js";
 import { html, useEffect, useMemo, useRef, useState } from "../base/html.js";
+import { useListeners } from "../base/listeners.js";
+import { AttemptsPanel } from "../play/attempts.js";
+import { PLAY_KEYS, Play, playKey } from "../play/play.js";
+import { PlayBar, PolicyChoice, policyOf } from "../play/play_bar.js";
 import { CanvasView } from "./canvas_view.js";
 import { Checks } from "./checks.js";
 import { COMMANDS, commandOf, keyOf } from "./commands.js";
 import { newLevel } from "./document.js";
 import { copied } from "./edits.js";
-import { downloadLevel, downloadPicture, dropDraft, findDraft, keepDraft, MAX_TEXT, openFile, openText, packed, readLevel, saveFile, unpacked } from "./files.js";
+import { downloadLevel, downloadPicture, dropDraft, findDraft, keepDraft, MAX_TEXT, openFile, openStored, openText, packed, readLevel, saveFile, unpacked } from "./files.js";
 import { Gallery, levelOf } from "./gallery.js";
 import { MakePanel } from "./make_panel.js";
 import { LevelPanel, ProblemsPanel, SelectionPanel, ThingsPanel } from "./panels.js";
-import { Play } from "./play.js";
-import { AttemptsPanel, PlayBar, PolicyChoice, policyOf } from "./play_bar.js";
 import { Editor } from "./state.js";
 import { TOOLS } from "./tools.js";
 
@@ -24,25 +26,6 @@ export function EditorPage() {
   if (problem) return html`<main><p class="missing" role="alert">The editor needs the engine: ${problem}</p></main>`;
   if (!engine.data || !about.data) return html`<main><p class="soft" role="status">the engine starts, some seconds ...</p></main>`;
   return html`<${Workplace} engine=${engine.data} about=${about.data} />`;
-}
-
-/** Draws the component again, once a picture, when one of these calls. @param {Set<() => void>} listeners */
-function useListeners(listeners) {
-  const [, set] = useState(0);
-  useEffect(() => {
-    let wanted = 0;
-    const update = () => {
-      wanted ||= requestAnimationFrame(() => {
-        wanted = 0;
-        set((count) => count + 1);
-      });
-    };
-    listeners.add(update);
-    return () => {
-      listeners.delete(update);
-      cancelAnimationFrame(wanted);
-    };
-  }, [listeners]);
 }
 
 /** @param {{ engine: import("../world/display_list.js").Engine, about: any }} props */
@@ -86,7 +69,8 @@ function Workplace({ engine, about }) {
   const start = async () => {
     if (play.isOpen) return play.close();
     editor.cancel();
-    await play.open({ document: editor.document }, policyOf(policy));
+    const { given } = editor;
+    await play.open(given, policyOf(policy), { env: "run" in given ? { run: given.run } : undefined });
   };
   useKeys(editor, play, start);
 
@@ -149,14 +133,14 @@ function Workplace({ engine, about }) {
     <div class="workplace">
       <div class="picture">
         <${CanvasView} editor=${editor} play=${play} />
-        ${play.isOpen || play.problem ? html`<${PlayBar} play=${play} again=${() => play.close()} />` : html`<p class="note" role="status">${editor.note || TOOLS[editor.tool].help}</p>`}
+        ${play.isOpen || play.problem ? html`<${PlayBar} play=${play}><button onClick=${() => play.close()} title="Space or Escape">✎ edit</button></${PlayBar}>` : html`<p class="note" role="status">${editor.note || TOOLS[editor.tool].help}</p>`}
       </div>
       <aside class="side">
         <${ProblemsPanel} editor=${editor} checked=${checks.checked} />
         <div class="row small" role="tablist">${["level", "gallery", "help"].map((name) => html`<button key=${name} role="tab" aria-pressed=${panel === name} onClick=${() => setPanel(name)}>${name}</button>`)}</div>
         ${panel === "gallery" ? html`<${Gallery} about=${about} engine=${engine} openDesigned=${(/** @type {any} */ entry) => open(async () => editor.open(await levelOf(entry)))} openFile=${(/** @type {string} */ name) => open(() => openFile(editor, name))} />` : null}
         ${panel === "help" ? html`<${Help} />` : null}
-        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${AttemptsPanel} editor=${editor} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} facts=${facts} /><${MakePanel} editor=${editor} />` : null}
+        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${AttemptsPanel} given=${editor.given} subject=${editor.document} size=${editor.document.size} engine=${engine} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} facts=${facts} /><${MakePanel} editor=${editor} />` : null}
       </aside>
     </div>
   </main>`;
@@ -170,7 +154,7 @@ async function begin(editor, about, showGallery) {
   let isNamed = false;
   try {
     if (level) editor.open(await readLevel(await unpacked(level)));
-    else if (from?.startsWith("runs/")) editor.open(await get(from));
+    else if (from?.startsWith("runs/")) await openStored(editor, from);
     else if (about.opens?.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
     else if (about.opens) await openDesigned(editor, about, about.opens.replace("designed/", ""));
     else showGallery();
@@ -264,21 +248,6 @@ function useKeys(editor, play, start) {
       removeEventListener("cut", copy);
     };
   }, [editor, play]);
-}
-
-/** @type {Record<string, [string, (play: Play) => void]>} */
-const PLAY_KEYS = {
-  p: ["pause, or go on", (play) => void play.control(play.isRunning ? "pause" : "run")],
-  ".": ["one step on", (play) => void play.control("step", { steps: 1 })],
-  ",": ["one step back", (play) => void play.control("seek", { step: Math.max(0, (play.frame?.step ?? 0) - 1) })],
-  backspace: ["from the start", (play) => void play.control("reset").then(() => play.control("run"))],
-  escape: ["edit", (play) => void play.close()],
-};
-
-/** @param {Play} play @param {string} key */
-function playKey(play, key) {
-  PLAY_KEYS[key]?.[1](play);
-  return key in PLAY_KEYS;
 }
 
 function Help() {

@@ -37,8 +37,17 @@ export class Editor {
     this.cursor = null;
     /** What each file had when it was read or saved. @type {Map<string, { hash: string | null, text: string }>} */
     this.files = new Map();
+    /** The level that came from a run's buffer: while it is as it came, its stored arrays are played, which a document
+     * gives to an ulp. @type {{ text: string, level: { run: string, index: number, [kind: string]: any } } | null} */
+    this.stored = null;
     /** @type {Set<() => void>} */
     this.listeners = new Set();
+  }
+
+  /** The level as the engine worker calls it. */
+  get given() {
+    const isStored = this.stored !== null && this.stored.text === documentText(this.settled);
+    return isStored && this.stored ? this.stored.level : { document: this.settled };
   }
 
   get document() {

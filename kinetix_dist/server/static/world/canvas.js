@@ -22,6 +22,8 @@
  * @property {number} [coils]
  * @typedef {{ num_shapes: number, primitives: Primitive[] }} Display
  * @typedef {{ role_palette: number[][], background: number[], ink: number[], line_width: number }} Palette
+ * @typedef {{ context: CanvasRenderingContext2D, x: (value: number) => number, y: (value: number) => number, scale: number, dot: number }} Paper
+ *   x, y: pixels of m; scale: pixels of a metre; dot: pixels of the canvas for one of the page
  */
 
 export const VIEW = [-0.12, -0.12, 5.12, 5.12]; // lowest x, lowest y, highest x, highest y, m: the box and a rim of its walls
@@ -94,6 +96,18 @@ function coils(p, poses, start) {
   return [...line, b];
 }
 
+/** Where things of the world are on a canvas. @param {HTMLCanvasElement} canvas @param {number[]} view what is seen, m @returns {Paper} */
+export function paperOf(canvas, view) {
+  const scale = Math.min(canvas.width / (view[2] - view[0]), canvas.height / (view[3] - view[1]));
+  return {
+    context: /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d")),
+    x: (value) => (value - view[0]) * scale,
+    y: (value) => (view[3] - value) * scale,
+    scale,
+    dot: devicePixelRatio || 1,
+  };
+}
+
 /**
  * Fills the canvas with one picture.
  * @param {HTMLCanvasElement} canvas its size in pixels is kept
@@ -103,10 +117,7 @@ function coils(p, poses, start) {
  * @param {{ start?: number, thrust?: ArrayLike<number> | null, letters?: boolean, view?: number[] }} [options]
  */
 export function drawWorld(canvas, display, poses, palette, { start = 0, thrust = null, letters = false, view = VIEW } = {}) {
-  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-  const scale = Math.min(canvas.width / (view[2] - view[0]), canvas.height / (view[3] - view[1]));
-  const x = (/** @type {number} */ value) => (value - view[0]) * scale;
-  const y = (/** @type {number} */ value) => (view[3] - value) * scale;
+  const { context, x, y, scale } = paperOf(canvas, view);
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.fillStyle = rgb(palette.background);
   context.fillRect(0, 0, canvas.width, canvas.height);

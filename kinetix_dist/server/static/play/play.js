@@ -51,6 +51,7 @@ export class Play {
     this.outcome = "";
     this.problem = "";
     this.isOpening = false;
+    this.isStored = false; // played from the arrays of a run's buffer
     /** @type {Set<string>} */
     this.pressed = new Set();
     this.sequence = 0;
@@ -60,15 +61,16 @@ export class Play {
     return this.session !== null || this.isOpening;
   }
 
-  /** @param {any} level @param {any} policy @param {{ seed?: number, running?: boolean }} [options] */
-  async open(level, policy, { seed = 0, running = true } = {}) {
+  /** @param {any} level @param {any} policy @param {{ seed?: number, running?: boolean, env?: any }} [options] */
+  async open(level, policy, { seed = 0, running = true, env } = {}) {
     await this.close();
     this.isOpening = true;
+    this.isStored = "run" in level;
     this.problem = this.outcome = "";
     this.last = 0;
     this.changed();
     try {
-      const session = await channel.request("play.open", { level, policy, seed, running: false });
+      const session = await channel.request("play.open", { level, policy, env, seed, running: false });
       if (!this.isOpening) {
         await channel.request("play.close", { session: session.session }); // closed before it was open
         return;
@@ -165,4 +167,19 @@ export class Play {
   get isSolved() {
     return ((this.frame?.flags ?? 0) & FLAGS.solved) !== 0;
   }
+}
+
+/** Keys besides those of motors and thrusters. @type {Record<string, [string, (play: Play) => void]>} */
+export const PLAY_KEYS = {
+  p: ["pause, or go on", (play) => void play.control(play.isRunning ? "pause" : "run")],
+  ".": ["one step on", (play) => void play.control("step", { steps: 1 })],
+  ",": ["one step back", (play) => void play.control("seek", { step: Math.max(0, (play.frame?.step ?? 0) - 1) })],
+  backspace: ["from the start", (play) => void play.control("reset").then(() => play.control("run"))],
+  escape: ["end", (play) => void play.close()],
+};
+
+/** @param {Play} play @param {string} key in lower case @returns {boolean} whether it is one of these */
+export function playKey(play, key) {
+  PLAY_KEYS[key]?.[1](play);
+  return key in PLAY_KEYS;
 }

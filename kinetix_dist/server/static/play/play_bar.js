@@ -1,11 +1,8 @@
 // Below the picture while a level is played: run, step, seek, speed, take over; buttons for fingers; what a policy thinks.
 import { get, useRequest } from "../base/api.js";
-import { channel } from "../base/channel.js";
 import { percent, short } from "../base/format.js";
-import { html, useRef, useState } from "../base/html.js";
+import { html } from "../base/html.js";
 import { keyMark, MOTOR_KEYS, SPEEDS, THRUSTER_KEYS } from "./play.js";
-
-const ATTEMPTS = 64;
 
 /** Who can play: a key of a select, and what the engine worker calls it. @param {string} name @returns {any} */
 export function policyOf(name) {
@@ -28,8 +25,8 @@ export function PolicyChoice({ value, choose, engine, people = true, label }) {
     ${options.map(([name, text]) => html`<option key=${name} value=${name} selected=${name === value}>${text}</option>`)}</select>`;
 }
 
-/** @param {{ play: import("./play.js").Play, again: () => void }} props */
-export function PlayBar({ play, again }) {
+/** @param {{ play: import("./play.js").Play, children?: any }} props */
+export function PlayBar({ play, children }) {
   const { session, frame } = play;
   const isPerson = session?.policy.kind === "keys";
   if (play.problem && !session) return html`<div class="play-bar"><p class="bad" role="alert">${play.problem}</p></div>`;
@@ -44,9 +41,9 @@ export function PlayBar({ play, again }) {
         ${SPEEDS.map((value) => html`<option key=${value} value=${value} selected=${value === play.speed}>${value} x</option>`)}</select>
       <button onClick=${() => play.control("reset").then(() => play.control("run"))} title="Backspace">↺ from the start</button>
       <button onClick=${() => play.control("take_over", { policy: "keys" })} title="play on from this step by keys">take over</button>
-      <button onClick=${again} title="Space or Escape">✎ edit</button>
+      ${children}
     </div>
-    <p class="play-state" role="status" data-outcome=${play.outcome}>step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · green to blue ${frame.distance.toFixed(2)} m${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}</p>
+    <p class="play-state" role="status" data-outcome=${play.outcome}>step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · green to blue ${frame.distance.toFixed(2)} m${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}${play.isStored ? " · from the stored arrays" : ""}</p>
     ${play.problem ? html`<p class="bad" role="alert">${play.problem}</p>` : null}
     ${isPerson ? html`<${Pads} play=${play} />` : html`<${Mind} play=${play} />`}
   </div>`;
@@ -82,33 +79,4 @@ function Mind({ play }) {
   return html`<div class="mind" data-value=${frame.value}><p>value <b>${frame.value.toFixed(3)}</b> <span class="soft">of ${session.policy.path?.split("/").pop() ?? "the policy"}, probability of each choice:</span></p>
     <div class="heads">${parts.map((/** @type {number[]} */ chances, /** @type {number} */ k) => html`<div key=${k}><span class="soft">${k < 4 ? `motor ${k}` : `thruster ${k - 4}`}</span>
       ${chances.map((chance, choice) => html`<span key=${choice} class="chance"><meter min="0" max="1" value=${chance}></meter>${["off", k < 4 ? "+" : "on", "-"][choice]} ${percent(chance)}</span>`)}</div>`)}</div></div>`;
-}
-
-/** 64 attempts: p with its interval, and learnability. @param {{ editor: import("./state.js").Editor }} props */
-export function AttemptsPanel({ editor }) {
-  const [chosen, setPolicy] = useState("");
-  const own = `sfl_${editor.document.size}`; // made for levels of this size
-  const policy = chosen || (editor.engine.pretrained.includes(own) ? `checkpoint:${own}` : "random");
-  const [state, setState] = useState(/** @type {any} */ (null));
-  const request = useRef("");
-  const start = async () => {
-    const { document } = editor;
-    setState({ progress: "starting ..." });
-    const progress = (/** @type {any} */ message) => setState({ progress: message.stage === "playing" ? `${message.done ?? 0} of ${message.total ?? ATTEMPTS} ended` : `${message.stage} ...` });
-    try {
-      const result = await channel.request("attempts", { level: { document }, policy: policyOf(policy), attempts: ATTEMPTS, seed: 0 }, progress, (id) => { request.current = id; });
-      setState({ result, document });
-    } catch (error) {
-      setState({ error: error instanceof Error ? error.message : String(error) });
-    }
-  };
-  const { result } = state ?? {};
-  return html`<section class="panel" data-panel="attempts"><header><h3>Learnability</h3><span class="help">${ATTEMPTS} attempts</span></header>
-    <div class="row small"><${PolicyChoice} value=${policy} choose=${setPolicy} engine=${editor.engine} people=${false} label="policy of the attempts" />
-      ${state?.progress ? html`<button onClick=${() => channel.say({ type: "cancel", id: request.current })}>cancel</button>` : html`<button onClick=${start}>play ${ATTEMPTS} times</button>`}</div>
-    ${state?.progress ? html`<p class="soft" role="status">${state.progress}</p>` : null}
-    ${state?.error ? html`<p class="bad">${state.error}</p>` : null}
-    ${result ? html`<p role="status">p ${percent(result.p)} (${result.solved} of ${result.attempts}), 95 % ${percent(result.low)} to ${percent(result.high)} · learnability <b>${result.learnability.toFixed(3)}</b>
-      <span class="soft"> · ${result.failed} failed, ${result.timed_out} ran out of time · mean length ${result.mean_length.toFixed(0)} steps · ${result.seconds.toFixed(1)} s${state.document === editor.document ? "" : " · the level was changed since"}</span></p>` : null}
-  </section>`;
 }

@@ -1,0 +1,21 @@
+// Draws a component again when something that it shows has changed, once a picture at most.
+import { useEffect, useState } from "./html.js";
+
+/** @param {Set<() => void>} listeners are called by what changes */
+export function useListeners(listeners) {
+  const [, set] = useState(0);
+  useEffect(() => {
+    let wanted = 0;
+    const update = () => {
+      wanted ||= requestAnimationFrame(() => {
+        wanted = 0;
+        set((count) => count + 1);
+      });
+    };
+    listeners.add(update);
+    return () => {
+      listeners.delete(update);
+      cancelAnimationFrame(wanted);
+    };
+  }, [listeners]);
+}

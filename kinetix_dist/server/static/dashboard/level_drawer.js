@@ -1,0 +1,57 @@
+// One level of a buffer beside the thumbnails: played in place, 64 attempts, its history, its file.
+import { addressOf, setQuery } from "../base/address.js";
+import { get, useRequest } from "../base/api.js";
+import { percent, rateWithCount, short } from "../base/format.js";
+import { html } from "../base/html.js";
+import { LineChart } from "../charts/line_chart.js";
+import { AttemptsPanel } from "../play/attempts.js";
+import { PlayStage } from "../play/stage.js";
+import { Notes } from "./parts.js";
+
+const PICTURE = 340; // pixels
+
+/** @param {{ run: string, snapshot: any, level: any, picture: any, changes: number }} props */
+export function LevelDrawer({ run, snapshot, level, picture, changes }) {
+  const engine = useRequest(() => (picture ? get("engine") : Promise.resolve(null)), [Boolean(picture)]);
+  const own = `runs/${encodeURIComponent(run)}/curriculum/${snapshot.kind}/${snapshot.number}/levels/${level.index}`;
+  const name = `${run} ${snapshot.kind} ${snapshot.number} ${level.index}`;
+  const given = { run, [snapshot.kind]: snapshot.number, index: level.index };
+  /** @type {[string, any][]} */
+  const facts = [["id", level.id], ["place", level.index], ["score", short(level.score)]];
+  if (level.scored) facts.push(["when it was scored", counted(level.scored)]);
+  if (level.training) facts.push(["in training", level.training.finished ? counted(level.training) : "not played to an end"]);
+  if (level.born !== undefined) facts.push(["came in batch", level.born], ["last played in batch", level.last_played]);
+  return html`<aside class="panel drawer" data-panel="level"><header><h3>Level ${level.index} of ${snapshot.kind} ${snapshot.number}</h3>
+      <span class="buttons"><button onClick=${() => setQuery({ level: null })} aria-label="close">✕</button></span></header>
+    <${Notes} notes=${engine.error ? [engine.error] : []} />
+    ${picture && engine.data ? html`<${PlayStage} key=${name} given=${given} run=${run} engine=${engine.data} still=${picture} size=${PICTURE} label=${`level ${level.index}; keys play it`} />` : html`<p class="missing">${picture ? "the engine starts ..." : "no picture"}</p>`}
+    <dl class="facts">${facts.map(([fact, value]) => html`<div key=${fact}><dt>${fact}</dt><dd>${value}</dd></div>`)}</dl>
+    <p class="soft">${Object.entries(level.features).map(([feature, count]) => `${count} ${feature.replace("_", " ")}`).join(", ")}</p>
+    ${picture ? html`<a class="button" href=${addressOf(["edit"], new URLSearchParams({ from: `${own}/document` }))}>edit</a> <a class="button" href=${`api/${own}/document`} download>download as a level file</a>` : null}
+    ${picture && engine.data ? html`<${AttemptsPanel} key=${`attempts ${name}`} given=${given} subject=${name} size=${snapshot.size} engine=${engine.data} run=${run} />` : null}
+    <${History} key=${`history ${name}`} own=${own} changes=${changes} />
+  </aside>`;
+}
+
+/** When the level was scored, kept, played in training and played again. @param {{ own: string, changes: number }} props */
+function History({ own, changes }) {
+  const { data, error } = useRequest(() => get(`${own}/history`), [own, changes]);
+  if (!data) return html`<${Notes} notes=${error ? [error] : []} />`;
+  /** @type {{ update: number, what: string, counts: any }[]} */
+  const rows = [
+    ...data.snapshots.map((/** @type {any} */ one) => ({ update: one.update, what: one.scored ? `scored, refresh ${one.number}` : `in ${one.kind} ${one.number}, score ${short(one.score)}`, counts: one.scored })),
+    ...data.windows.map((/** @type {any} */ one) => ({ update: one.update, what: `trained on, updates ${one.from_update} to ${one.update}`, counts: one })),
+    ...data.played_again.map((/** @type {any} */ one) => ({ update: one.policy_version, what: `played again by version ${one.policy_version}`, counts: one })),
+  ].sort((a, b) => a.update - b.update);
+  const of = (/** @type {string} */ field) => data.windows.map((/** @type {any} */ one) => one[field]);
+  return html`<section data-panel="history"><h3>History</h3>
+    ${data.windows.length ? html`<${LineChart} x=${of("update")} lines=${[{ label: "solved in training", values: of("rate"), low: of("low"), high: of("high"), points: data.windows.length < 2 }]} axis="updates" height=${130} />` : null}
+    <table class="tight"><tbody>${rows.map(({ update, what, counts }) => html`<tr key=${`${update} ${what}`}><td>${what}</td><td class="number">${counts ? rateWithCount(counts.solved, counts.finished) : ""}</td></tr>`)}</tbody></table>
+    ${data.windows.length ? null : html`<p class="missing">No episode of it finished in training so far, or its curriculum does not say of which level episodes are.</p>`}
+  </section>`;
+}
+
+/** @param {any} counts */
+function counted(counts) {
+  return `${rateWithCount(counts.solved, counts.finished)}, 95 % ${percent(counts.low)} to ${percent(counts.high)}`;
+}
