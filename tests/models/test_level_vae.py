@@ -17,6 +17,8 @@ from kinetix_dist.level.vectors import overlaps_at_start
 from kinetix_dist.models.level_vae import VaeConfig, fit
 from tests.level.valid import assert_valid
 
+OPTIMISED = True  # trains for thousands of steps: see tests/conftest.py
+
 CAPACITY, CONFIG = SIZES["s"], GeneratorConfig()
 NUM_SAMPLES = 256
 
