@@ -64,14 +64,17 @@ LONGEST_FILES = (
     "test_gpu_run.py",
     "test_ray_run.py",
     "test_ray_processes.py",
+    "test_run_data.py",
     "test_reference.py",
     "test_local_run.py",
+    "test_follows_float64.py",
     "test_failures.py",
     "test_reference_alone.py",
-    "test_follows_float64.py",
-    "test_effects.py",
+    "test_split.py",
+    "test_level_vae.py",
     "test_hard_scenes.py",
-    "test_paired.py",
+    "test_locomotion.py",
+    "test_joined_trees.py",
 )
 
 

@@ -14,8 +14,6 @@ import pytest
 from jax2d import Capacity, Controls, Engine, SceneBuilder, State, preset
 from kinetix_dist.level.level import SIZES
 
-OPTIMISED = False  # programs of the reference that take few steps: see tests/conftest.py
-
 ARM = Capacity(polygons=3, circles=1, joints=1, thrusters=1)
 
 
