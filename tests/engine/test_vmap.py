@@ -65,8 +65,9 @@ def test_nested_vmap_of_single_worlds_is_the_batch(backend: str, name: str):
     nested, batch = fold(jax.jit(jax.vmap(jax.vmap(step)))(*worlds)), jax.jit(step)(*fold(worlds))
     if backend == "warp":
         assert_same(nested, batch)
-    else:  # XLA orders the sums of a program as it likes
-        jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-7), nested, batch)
+    else:
+        # XLA orders the sums of a program as it likes: float32 rounds speeds of 3 m/s at 2e-7, in 30 passes.
+        jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=5e-6), nested, batch)
 
 
 @pytest.mark.also_gpu
