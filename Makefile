@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-slow test-gpu drills drills-long check check-web browser vendor format lock bench-engine bench-engine-peers bundle clean
+.PHONY: help install train test test-slow test-gpu test-newer-jax drills drills-long check check-web browser vendor format lock bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.11, 3.12, 3.13, python3 found.
@@ -21,6 +21,7 @@ STAMP := $(VENV)/.installed
 help:
 	@echo "make train         install, then the main job: a small pretraining run on CPU, minutes"
 	@echo "make test          install, then lint, types and tests        (test-slow, test-gpu: the rest)"
+	@echo "make test-newer-jax  tests that lean on JAX most, under Python 3.12 and its newer JAX, on two virtual devices"
 	@echo "make drills        install, then the slow tests of runs: losses at random times, stops, kills; all on the CPU"
 	@echo "make drills-long   install, then 50 kills, and a fault every 30 s for ten minutes; an hour, runs/drills/*.json"
 	@echo "make check-web     the pages' scripts through the type checker of TypeScript  (from the npm registry)"
@@ -88,6 +89,22 @@ drills-long: $(STAMP)
 
 test-gpu: $(STAMP)
 	$(BIN)/python -m pytest -m gpu -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
+
+# The lock has a newer JAX for Python 3.12 than for 3.11: what leans on JAX most, with two devices that are both this CPU.
+# An environment of its own is made for it in .cache.
+NEWER_PYTHON ?= python3.12
+NEWER := .cache/newer
+NEWER_STAMP := $(NEWER)/.installed
+NEWER_TESTS := tests/runtime/test_programs.py tests/runtime/test_recurrent.py tests/learner/test_update.py \
+	tests/actors/test_unroll.py tests/engine/test_vmap.py tests/engine/test_packed_states.py tests/env/test_stepper.py
+
+$(NEWER_STAMP): requirements.lock pyproject.toml .ci/install
+	@mkdir -p .cache
+	@PYTHON="$(NEWER_PYTHON)" bash .ci/install "$(NEWER)"
+	@touch "$(NEWER_STAMP)"
+
+test-newer-jax: $(NEWER_STAMP)
+	JAX_NUM_CPU_DEVICES=2 JAX_COMPILATION_CACHE_DIR=.cache/newer-jax $(NEWER)/bin/python -m pytest $(NEWER_TESTS) $(PYTEST_ARGS)
 
 bench-engine: $(STAMP)
 	$(BIN)/kinetix-dist bench engine speed --json runs/bench_engine.json

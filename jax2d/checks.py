@@ -107,6 +107,7 @@ def like(kind: type, capacity: Capacity, dtype: np.dtype, num_worlds: int) -> An
     return tree_like(kind, capacity.sizes, dtype, (num_worlds,))
 
 
+@jax.jit  # one program, not one for each operation, outside of jit too
 def clamped_controls(controls: Controls) -> tuple[Controls, jax.Array]:
     """Controls within their ranges, NaN as 0, and how many were not, [W] int32."""
     invalid = []

@@ -151,6 +151,7 @@ def effects_of(scenes: Scene) -> Effects:
     return called_for(scenes).union()
 
 
+@jax.jit  # one program, not one for each operation, outside of jit too
 def called_for(scenes: Scene) -> EffectTable:
     """What each scene calls for; batched as the scenes are. May say too much (friction of a shape that is never
     touched), never too little."""

@@ -170,13 +170,13 @@ class Engine:
         check_controls(controls, self.capacity, self.dtype, batch=batch)
         single = not batch
         if single:
-            scene, state, controls = jax.tree.map(lambda x: x[None], (scene, state, controls))
+            scene, state, controls = _batch_of_one((scene, state, controls))
         packed, touching = self._step_packed(
             self._pack_scene(scene), self.backend.pack_state(state), controls, num_steps
         )
         state = self.unpack_state(packed)
         if single:
-            state, touching = jax.tree.map(lambda x: x[0], (state, touching))
+            state, touching = _first_of_batch((state, touching))
         return state, touching
 
     # Hot loops
@@ -248,6 +248,16 @@ class Engine:
         return state, Touching(
             **report._asdict(), invalid_controls=invalid, invalid_scene=scene.invalid, missing=scene.missing
         )
+
+
+@jax.jit
+def _batch_of_one(tree: Any) -> Any:
+    return jax.tree.map(lambda x: x[None], tree)
+
+
+@jax.jit
+def _first_of_batch(tree: Any) -> Any:
+    return jax.tree.map(lambda x: x[0], tree)
 
 
 def _refuse(missing: np.ndarray) -> None:

@@ -369,6 +369,7 @@ def only_what_acts(scene: Scene) -> Scene:
     )
 
 
+@jax.jit  # one program, not one for each operation, outside of jit too
 def num_invalid(scene: Scene) -> jax.Array:
     """[...] int32, what `only_what_acts` must mend: active joints, springs and thrusters whose indices name no (two)
     shapes, joints of no JointKind, and active polygons whose number of vertices is none."""

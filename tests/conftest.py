@@ -6,20 +6,26 @@ the GPU: the body is the same, JAX's default device is another. `-m gpu --gpu-te
 
 from __future__ import annotations
 
+import gc
 import os
 import secrets
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from tests.helpers import REPOSITORY, public_levels_directory
 
+TESTS = Path(__file__).resolve().parent
+ON_CPU = pytest.StashKey[bool]()  # whether these are tests for a CPU
+
 # Before jax or warp is imported: compiled programs are kept in the checkout and shared by the test processes.
 _CACHE = REPOSITORY / ".cache"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE / "jax"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+# Small ones too: each file of tests needs hundreds of them again, and reading one takes half as long as compiling it.
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("WARP_CACHE_PATH", str(_CACHE / "warp"))
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 # Ray keeps for the life of a process whether it has a token: all clusters that a test process meets ask for one.
@@ -43,7 +49,9 @@ def _asks_for_gpu_tests(config: pytest.Config) -> bool:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if not _asks_for_gpu_tests(config) or config.option.gpu_tests_on_cpu:
+    gc.set_threshold(50_000, 10, 10)  # tracing makes millions of objects that stay: looking for garbage finds little
+    config.stash[ON_CPU] = not _asks_for_gpu_tests(config) or config.option.gpu_tests_on_cpu
+    if config.stash[ON_CPU]:
         os.environ.setdefault("JAX_PLATFORMS", "cpu")
         os.environ.setdefault("XLA_FLAGS", FAST_TO_COMPILE)
     else:
@@ -56,14 +64,17 @@ LONGEST_FILES = (
     "test_gpu_run.py",
     "test_ray_run.py",
     "test_ray_processes.py",
+    "test_run_data.py",
     "test_reference.py",
     "test_local_run.py",
+    "test_follows_float64.py",
     "test_failures.py",
     "test_reference_alone.py",
-    "test_follows_float64.py",
-    "test_effects.py",
+    "test_split.py",
+    "test_level_vae.py",
     "test_hard_scenes.py",
-    "test_paired.py",
+    "test_locomotion.py",
+    "test_joined_trees.py",
 )
 
 
@@ -85,12 +96,41 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             pytest.skip(f"needs an NVIDIA GPU; JAX runs on {jax.default_backend()} here")
 
 
+# Most tests compile large programs for little work: without most optimisations that takes half of the time. Not those
+# of the engine, which step by the thousand and compare with figures. A file that sets OPTIMISED decides for itself.
+OPTIMISED = {"engine"}
+_WITHOUT_OPTIMISATIONS = "jax_disable_most_optimizations"  # of JAX; processes of tests find it in the environment
+
+
 @pytest.fixture(scope="module", autouse=True)
-def programs_of_a_module_are_let_go() -> Iterator[None]:
-    """Otherwise a process that runs most of the suite holds six gigabytes of compiled programs at its end."""
-    yield
-    if jax := sys.modules.get("jax"):
+def optimisation(request: pytest.FixtureRequest) -> None:
+    """How the programs of a file are compiled, also by processes that it starts."""
+    if not request.config.stash[ON_CPU]:
+        return
+    import jax
+
+    folder = request.path.relative_to(TESTS).parts[0]
+    is_bare = not getattr(request.module, "OPTIMISED", folder in OPTIMISED)
+    os.environ[_WITHOUT_OPTIMISATIONS.upper()] = str(is_bare)
+    if jax.config.read(_WITHOUT_OPTIMISATIONS) != is_bare:
         jax.clear_caches()
+        jax.config.update(_WITHOUT_OPTIMISATIONS, is_bare)
+
+
+GROWTH_BYTES = 1 << 30  # of a test process, by which compiled programs are let go
+_resident_bytes = [0]  # when they were let go last
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs_are_let_go() -> Iterator[None]:
+    """Otherwise a process that runs most of the suite holds six gigabytes of compiled programs at its end. Those of few
+    files are kept: the next file needs the small ones again."""
+    yield
+    jax = sys.modules.get("jax")
+    if jax and psutil.Process().memory_info().rss - _resident_bytes[0] > GROWTH_BYTES:
+        jax.clear_caches()
+        gc.collect()
+        _resident_bytes[0] = psutil.Process().memory_info().rss
 
 
 @pytest.fixture(scope="session")

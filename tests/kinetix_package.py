@@ -43,7 +43,9 @@ def run_package(folder: Path, request: dict[str, Any]) -> dict[str, np.ndarray]:
     if not (python := os.environ.get(VARIABLE)):
         pytest.skip(f"the public package is not here: set {VARIABLE} to a Python with kinetix-env 3.0.2")
     (folder / "request.json").write_text(json.dumps({"recalculate": False, "checkpoints": []} | request))
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "XLA_FLAGS")}
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("PYTHONPATH", "XLA_FLAGS", "JAX_"))
+    }
     ended = subprocess.run(
         [python, str(PROGRAM), str(folder / "request.json"), str(folder / "answer.npz")],
         env=environment | {"JAX_PLATFORMS": "cpu"},

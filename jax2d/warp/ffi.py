@@ -92,6 +92,51 @@ def _worlds_first(rows: Array, *shape: int) -> jax.Array:
     return rows.T.reshape(rows.shape[1], *shape)
 
 
+# One program each, also outside of jit, where every operation in them would be a program of its own to compile.
+
+
+@jax.jit
+def _scene_tables(scene: Scene) -> SceneTables:
+    scene = only_what_acts(scene)
+    words = {part: _packed_word(scene, word) for part, word in packed_words().items()}
+    words["joints"] |= yields(scene).astype(jnp.int32) << word_constants()["JOINTS_YIELDS_SHIFT"]
+    return SceneTables(
+        floats=jnp.concatenate([_worlds_last(field.get(scene), jnp.float32) for field in scene_floats()]),
+        ints=jnp.concatenate(
+            [
+                *(_bit_rows(field.get(scene)) for field in bit_sets()),
+                *(_worlds_last(field.get(scene), jnp.int32) for field in whole_numbers()),
+                *(_worlds_last(word, jnp.int32) for word in words.values()),
+            ]
+        ),
+    )
+
+
+@jax.jit
+def _state_tables(state: State) -> StateTables:
+    bodies, impulses = (
+        jnp.concatenate([_worlds_last(field.get(state), jnp.float32) for field in state_floats(table)])
+        for table in ("STATE", "IMPULSE")
+    )
+    return StateTables(bodies=bodies, impulses=impulses, keys=_worlds_last(state.contact_key, jnp.int32))
+
+
+@jax.jit
+def _control_table(controls: Controls) -> jax.Array:
+    return jnp.concatenate([_worlds_last(field.get(controls), jnp.float32) for field in fields_of(Controls)])
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _quantities(capacity: Capacity, table: str, rows: Array) -> list[jax.Array]:
+    """[W, ...] of each quantity of a table of states."""
+    first, sizes = Layout(capacity).rows()[table], capacity.sizes
+    found = []
+    for field in state_floats(table):
+        start = first[cpp_name(field)]
+        found.append(_worlds_first(rows[start : start + num_elements(field, sizes)], *field.shape(sizes)))
+    return found
+
+
 class WarpBackend:
     """Steps batches of worlds of one capacity with one kernel launch a call."""
 
@@ -133,59 +178,33 @@ class WarpBackend:
 
     def pack_scene(self, scene: Scene) -> SceneTables:
         """Tables of a batch of scenes. Inactive shapes get no mass and no partners, so that they do nothing."""
-        scene = only_what_acts(scene)
-        words = {part: _packed_word(scene, word) for part, word in packed_words().items()}
-        words["joints"] |= yields(scene).astype(jnp.int32) << word_constants()["JOINTS_YIELDS_SHIFT"]
-        tables = SceneTables(
-            floats=jnp.concatenate([_worlds_last(field.get(scene), jnp.float32) for field in scene_floats()]),
-            ints=jnp.concatenate(
-                [
-                    *(_bit_rows(field.get(scene)) for field in bit_sets()),
-                    *(_worlds_last(field.get(scene), jnp.int32) for field in whole_numbers()),
-                    *(_worlds_last(word, jnp.int32) for word in words.values()),
-                ]
-            ),
-        )
+        tables = _scene_tables(scene)
         assert tables.floats.shape[0] == self.rows["SCENE"]["ROWS"], tables.floats.shape
         assert tables.ints.shape[0] == self.rows["INTS"]["ROWS"], tables.ints.shape
         return tables
 
     def pack_state(self, state: State) -> StateTables:
-        bodies, impulses = (
-            jnp.concatenate([_worlds_last(field.get(state), jnp.float32) for field in state_floats(table)])
-            for table in ("STATE", "IMPULSE")
-        )
-        return StateTables(bodies=bodies, impulses=impulses, keys=_worlds_last(state.contact_key, jnp.int32))
+        return _state_tables(state)
 
     def bodies(self, packed: StateTables) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n])."""
-        position, angle, velocity, angular_velocity = self._worlds_first("STATE", packed.bodies)
+        position, angle, velocity, angular_velocity = _quantities(self.capacity, "STATE", packed.bodies)
         return position, angle, velocity, angular_velocity
 
     def unpack_state(self, packed: StateTables) -> State:
         floats = {
             field.name: values
             for table, rows in (("STATE", packed.bodies), ("IMPULSE", packed.impulses))
-            for field, values in zip(state_floats(table), self._worlds_first(table, rows), strict=True)
+            for field, values in zip(state_floats(table), _quantities(self.capacity, table, rows), strict=True)
         }
         return State(contact_key=packed.keys.T, **floats)
-
-    def _worlds_first(self, table: str, rows: Array) -> list[jax.Array]:
-        """[W, ...] of each quantity of a table."""
-        first, sizes = self.rows[table], self.capacity.sizes
-        found = []
-        for field in state_floats(table):
-            start = first[cpp_name(field)]
-            found.append(_worlds_first(rows[start : start + num_elements(field, sizes)], *field.shape(sizes)))
-        return found
 
     def step_packed(
         self, scene: SceneTables, state: StateTables, controls: Controls, num_steps: int
     ) -> tuple[StateTables, BackendReport]:
         c, rows = self.capacity, self.rows["OUT"]
         worlds = state.bodies.shape[1]
-        control_rows = [_worlds_last(field.get(controls), jnp.float32) for field in fields_of(Controls)]
-        control_table = jnp.concatenate(control_rows)
+        control_table = _control_table(controls)
         if control_table.shape[0] == 0:  # a table needs a row
             control_table = jnp.zeros((1, worlds), jnp.float32)
         bodies, impulses, keys, out = self._launch(num_steps)(

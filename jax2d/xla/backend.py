@@ -46,20 +46,15 @@ class XlaBackend:
         self.numbers = solver_numbers(settings) if numbers is None else numbers
         self.rules = rules_of(settings, report_contacts=report_contacts)
 
-    def _worlds_last(self, x: Array) -> jax.Array:
-        x = jnp.asarray(x)
-        x = x.astype(self.dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
-        return jnp.moveaxis(x, 0, -1)
-
     def pack_scene(self, scene: Scene) -> Scene:
         """A batch of scenes, worlds last."""
-        return jax.tree.map(self._worlds_last, only_what_acts(scene))
+        return _packed_scene(self.dtype, scene)
 
     def pack_state(self, state: State) -> State:
-        return jax.tree.map(self._worlds_last, state)
+        return _packed_state(self.dtype, state)
 
     def unpack_state(self, packed: State) -> State:
-        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), packed)
+        return _unpacked(packed)
 
     def bodies(self, packed: State) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n])."""
@@ -79,6 +74,30 @@ class XlaBackend:
             capacity=self.capacity,
             num_steps=num_steps,
         )
+
+
+def _worlds_last(dtype: np.dtype, x: Array) -> jax.Array:
+    x = jnp.asarray(x)
+    x = x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x
+    return jnp.moveaxis(x, 0, -1)
+
+
+# One program each, also outside of jit, where every operation in them would be a program of its own to compile.
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _packed_scene(dtype: np.dtype, scene: Scene) -> Scene:
+    return jax.tree.map(functools.partial(_worlds_last, dtype), only_what_acts(scene))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _packed_state(dtype: np.dtype, state: State) -> State:
+    return jax.tree.map(functools.partial(_worlds_last, dtype), state)
+
+
+@jax.jit
+def _unpacked(packed: State) -> State:
+    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), packed)
 
 
 @functools.partial(jax.jit, static_argnames=("rules", "capacity", "num_steps"))

@@ -9,7 +9,8 @@ from typing import Any
 from kinetix_dist.telemetry.compile_time import count_compile_seconds
 
 OFF = "off"
-MIN_COMPILE_SECONDS = 0.3  # programs that compile faster are not worth a file
+MIN_COMPILE_SECONDS = 0.3  # programs that compile faster are not worth a file, unless the environment says otherwise
+MIN_COMPILE_VARIABLE = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"  # JAX reads it itself
 
 
 def enable_compile_cache(setting: str) -> Path | None:
@@ -29,7 +30,8 @@ def enable_compile_cache(setting: str) -> Path | None:
     except OSError:  # a read-only home is no reason not to train
         return None
     jax.config.update("jax_compilation_cache_dir", str(directory))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS)
+    if MIN_COMPILE_VARIABLE not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS)
     _let_every_rank_write()
     return directory
 

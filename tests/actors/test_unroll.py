@@ -43,7 +43,7 @@ def problem():
     env = Environment(EnvConfig(size="s", max_steps=EPISODE))
     policy = make_policy(POLICY, env.action_distribution.head_sizes)
     prepared = env.prepare(levels)
-    params = init_params(policy, env.observe(prepared, prepared.initial_obs), jax.random.key(0))
+    params = init_params(policy, jax.jit(env.observe)(prepared, prepared.initial_obs), jax.random.key(0))
 
     @jax.jit
     def play(levels, key, first_world):
@@ -57,15 +57,15 @@ def problem():
 def test_stored_probabilities_and_values_are_those_of_the_stored_observations(problem):
     trajectory, _, obs, last_value, _ = problem.play(problem.levels, jax.random.key(1), 0)
     prepared = problem.env.prepare(problem.levels)
+    observe, apply = jax.jit(problem.env.observe), jax.jit(problem.policy.apply)
+    log_probs_of = jax.jit(problem.env.action_distribution.log_prob_and_entropy)
     for step in (0, STEPS - 1):
-        seen = problem.env.observe(prepared, jax.tree.map(lambda x, step=step: x[step], trajectory.dynamic_obs))
-        logits, value = problem.policy.apply(problem.params, seen)
+        seen = observe(prepared, jax.tree.map(lambda x, step=step: x[step], trajectory.dynamic_obs))
+        logits, value = apply(problem.params, seen)
         np.testing.assert_allclose(trajectory.values[step], value, atol=1e-5)  # float32, another fusion
-        log_probs, _ = problem.env.action_distribution.log_prob_and_entropy(logits, trajectory.actions[step])
+        log_probs, _ = log_probs_of(logits, trajectory.actions[step])
         np.testing.assert_allclose(trajectory.log_probs[step], log_probs, atol=1e-5)
-    np.testing.assert_allclose(
-        last_value, problem.policy.apply(problem.params, problem.env.observe(prepared, obs))[1], atol=1e-5
-    )
+    np.testing.assert_allclose(last_value, apply(problem.params, observe(prepared, obs))[1], atol=1e-5)
     assert trajectory.actions.dtype == jnp.int8
     assert trajectory.actions.shape == (STEPS, problem.num_worlds, 6)
 

@@ -1,6 +1,7 @@
 """PAIRED: what its teacher comes to build, who plays what, and what regret is, with students that are scripted."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from kinetix_dist.curator.config import CurriculumConfig, PairedConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.paired import PairedSummary
 from kinetix_dist.curator.students import TwoStudents, in_groups, worlds_of
-from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.learner.sharding import data_mesh, replicate
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.roles import Role
 from kinetix_dist.messages import Trajectory
@@ -55,6 +56,21 @@ def _paired(**paired):
 def _propose(curriculum, state, update, groups=tuple(range(GROUPS))):
     key, groups = jax.random.fold_in(jax.random.key(0), update), jnp.asarray(groups)
     return curriculum.propose(state, jax.vmap(lambda group: jax.random.fold_in(key, group))(groups), groups)
+
+
+@functools.cache
+def _compiled():
+    """(init, propose(state, groups)) of a teacher; what it learns from, and how, is not part of them."""
+    curriculum = _paired()
+    return jax.jit(curriculum.init), jax.jit(lambda state, groups: _propose(curriculum, state, 9, groups))
+
+
+def _start():
+    """A state that lies where a run has it: on the devices of a mesh."""
+    return replicate(_compiled()[0](), data_mesh())
+
+
+ALL_GROUPS = jnp.arange(GROUPS)
 
 
 def _outcome(mean_return, max_return, num_episodes=2):
@@ -104,7 +120,7 @@ def test_the_teacher_comes_to_build_what_the_antagonist_alone_can_do(feature):
         gained = 1.0 * is_antagonist * (is_it == is_wanted)
         return curriculum.observe(state, proposal, _outcome(gained, gained)), is_it.mean()
 
-    start = jax.jit(curriculum.init)()
+    start = _start()
     last_quarter = {}
     for is_wanted in (True, False):
         state, shares = start, []
@@ -119,10 +135,10 @@ def test_the_teacher_comes_to_build_what_the_antagonist_alone_can_do(feature):
 def test_regret_is_what_the_antagonist_got_more_on_the_same_level(antagonist_return, regret):
     """Protagonists have a mean of 1.5, antagonists of 3 and at best 4; what is best of the protagonist has no part."""
     curriculum = _paired(antagonist_return=antagonist_return, epochs=1)
-    state = jax.jit(curriculum.init)()
+    state = _start()
     is_antagonist = jnp.arange(GROUPS * PER_GROUP) % PER_GROUP >= PER_GROUP // 2
     mean, best = jnp.where(is_antagonist, 3.0, 1.5), jnp.where(is_antagonist, 4.0, 9.0)
-    proposal = jax.jit(lambda state: _propose(curriculum, state, 0))(state)
+    proposal = _compiled()[1](state, ALL_GROUPS)
     after = jax.jit(curriculum.observe)(state, proposal, _outcome(mean, best))
     metrics = curriculum.metrics(after, 1)
     assert metrics["curriculum/regret"] == pytest.approx(regret)
@@ -131,23 +147,27 @@ def test_regret_is_what_the_antagonist_got_more_on_the_same_level(antagonist_ret
 
 
 def test_both_students_play_the_same_levels_and_no_two_levels_are_alike():
-    curriculum = _paired()
-    state = jax.jit(curriculum.init)()
-    levels = jax.jit(lambda state: _propose(curriculum, state, 0))(state).levels
+    levels = _compiled()[1](_start(), ALL_GROUPS).levels
     ours, theirs = (worlds_of(levels, student, PER_GROUP) for student in (0, 1))
     jax.tree.map(np.testing.assert_array_equal, ours, theirs)
     assert len(np.unique(np.asarray(ours.position).reshape(NUM_LEVELS, -1), axis=0)) == NUM_LEVELS
 
 
 def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn():
-    curriculum = _paired()
-    state = jax.jit(curriculum.init)()
-    propose = jax.jit(lambda state, groups: _propose(curriculum, state, 9, groups))
-    together = propose(state, jnp.arange(4))
-    apart = [propose(state, jnp.asarray(groups)) for groups in ((0, 1), (2, 3))]
-    joined = jax.tree.map(lambda *xs: np.concatenate(xs), *apart)
-    jax.tree.map(np.testing.assert_array_equal, together.levels, joined.levels)
-    np.testing.assert_array_equal(together.tags.actions, joined.tags.actions)
+    state, propose = _start(), _compiled()[1]
+    together = propose(state, ALL_GROUPS)
+    among_others = [propose(state, jnp.asarray(groups)) for groups in ((0, 1, 8, 9), (7, 6, 2, 3))]
+
+    def joined(one, other):
+        half = len(one) // 2
+        return np.concatenate([one[:half], other[half:]])
+
+    jax.tree.map(
+        np.testing.assert_array_equal, together.levels, jax.tree.map(joined, *(p.levels for p in among_others))
+    )
+    actions = [proposal.tags.actions for proposal in among_others]
+    np.testing.assert_array_equal(together.tags.actions, joined(*actions))
+    assert not np.array_equal(actions[0][: NUM_LEVELS // 2], actions[1][: NUM_LEVELS // 2])
 
 
 def test_each_student_acts_with_its_own_parameters():

@@ -15,6 +15,8 @@ import pytest
 from jax2d import BuiltWorld, Capacity, ContactReport, Engine, SceneBuilder, effects_of, preset, stack_worlds
 from jax2d.xla import reports
 
+OPTIMISED = False  # programs of the reference that take few steps: see tests/conftest.py
+
 pytestmark = pytest.mark.also_gpu
 
 CAPACITY = Capacity(polygons=5, circles=3, joints=1, thrusters=0)

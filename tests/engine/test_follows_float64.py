@@ -22,6 +22,7 @@ from jax2d.fidelity import Trajectory, record
 from jax2d.fidelity.trajectory import start_of
 from tests.engine.test_angles import wheel
 from tests.engine.test_extended_shapes import everything
+from tests.engine.test_joined_trees import KINDS, gain, tree
 from tests.engine.test_momentum import FAMILIES, errors, unlimited, worlds_of
 from tests.engine.test_prismatic import all_kinds
 from tests.engine.test_springs import ball_before_a_platform, flying
@@ -161,10 +162,16 @@ def test_momentum_of_isolated_worlds_is_kept_to_the_rounding_of_float64():
         assert linear < 1e-10 and angular < 1e-10, i
 
 
+def test_trees_that_are_welded_gain_no_energy():
+    worlds = [tree(seed, **KINDS["welded"], hangs=False, capacity=CAPACITY) for seed in range(2 * BATCH)]
+    motions = [motion for half in (worlds[:BATCH], worlds[BATCH:]) for motion in follow(half, is_exact=True)]
+    assert max(gain(world, motion.trajectory) for world, motion in zip(worlds, motions, strict=True)) < 0.005
+
+
 def test_angles_wrap_alike_and_float64_loses_nothing():
-    disc, steps = CAPACITY.polygons, 600
-    kernel, exact = both(wheel(45.0, -100.0, CAPACITY), steps)
+    disc, seconds = CAPACITY.polygons, 4
+    kernel, exact = both(wheel(45.0, -100.0, CAPACITY), 60 * seconds)
     angle = float(exact.end.angle[disc])
     assert abs(angle) <= math.pi
-    assert math.remainder(angle - (45.0 * 10 - 100.0), math.tau) == pytest.approx(0, abs=1e-10)
+    assert math.remainder(angle - (45.0 * seconds - 100.0), math.tau) == pytest.approx(0, abs=1e-10)
     assert math.remainder(float(kernel.end.angle[disc]) - angle, math.tau) == pytest.approx(0, abs=3e-5)

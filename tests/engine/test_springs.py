@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 import math
@@ -28,6 +29,8 @@ from jax2d.effects import Effects
 from jax2d.fidelity import Trajectory, record
 from jax2d.palette import BACKGROUND
 from jax2d.warp.layout import Layout
+
+OPTIMISED = False  # programs of the reference that take few steps: see tests/conftest.py
 
 CAPACITY = Capacity(polygons=2, circles=6, joints=1, thrusters=0, springs=6)
 FEW = Capacity(polygons=1, circles=4, joints=0, thrusters=0, springs=2)
@@ -203,13 +206,15 @@ def test_ball_leaves_what_a_platform_pushes_on_a_rod_with_twice_its_speed():
 
 @pytest.mark.parametrize("backend", ["warp", "xla"])
 def test_blow_is_shared_out_along_rods_in_the_step_in_which_it_falls(backend: str):
-    b = SceneBuilder(FEW, gravity=(0, 0))
+    # The reference compiles for as long as there are kinds of shapes.
+    capacity = FEW if backend == "warp" else dataclasses.replace(FEW, polygons=0)
+    b = SceneBuilder(capacity, gravity=(0, 0))
     ball = b.add_circle(radius=0.1, velocity=(10, 0), density=DISC, friction=0)
     discs = [b.add_circle(radius=0.1, position=(0.5 * k, 0), density=DISC, friction=0) for k in (1, 2, 3)]
     for k, (one, other) in enumerate(itertools.pairwise(discs), start=1):
         b.add_rod(one, other, at_a=(0.5 * k, 0), at_b=(0.5 * k + 0.5, 0))
     shared = preset("standard").replace(blow_passes=16)
-    world, one = b.build(), Engine(FEW, settings=shared, backend=backend)
+    world, one = b.build(), Engine(capacity, settings=shared, backend=backend)
     state, _ = one.step(world.scene, one.initial_state(*world), num_steps=2)
     speed = np.asarray(state.velocity[np.array([ball, *discs]), 0])
     np.testing.assert_allclose(speed, 10 / 4, rtol=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -40,13 +41,8 @@ def test_one_full_batch_step_is_adam_on_the_gradient_of_the_formula():
     after, metrics = update(state, *place(arguments, mesh))
 
     static, trajectory, last_value = jax.tree.map(jnp.asarray, arguments)
-    advantages = gae(
-        trajectory.rewards,
-        trajectory.values,
-        trajectory.done_after,
-        last_value,
-        discount=config.discount,
-        trace=config.trace,
+    advantages = jax.jit(functools.partial(gae, discount=config.discount, trace=config.trace))(
+        trajectory.rewards, trajectory.values, trajectory.done_after, last_value
     )
     normalised = (advantages - advantages.mean()) / advantages.std()
     samples = Samples(
@@ -56,7 +52,7 @@ def test_one_full_batch_step_is_adam_on_the_gradient_of_the_formula():
         advantages=normalised.reshape(-1),
         targets=(advantages + trajectory.values).reshape(-1),
     )
-    obs = observe(static, trajectory.dynamic_obs)
+    obs = jax.jit(observe)(static, trajectory.dynamic_obs)
     obs = jax.tree.map(lambda x: x.reshape(STEPS * WORLDS, *x.shape[2:]), obs)
 
     def loss(params):
@@ -65,7 +61,7 @@ def test_one_full_batch_step_is_adam_on_the_gradient_of_the_formula():
         terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=config.clip)
         return total_loss(terms / (STEPS * WORLDS), value_coefficient=0.5, entropy_coefficient=0.01)
 
-    gradient = ravel_pytree(jax.grad(loss)(state.params))[0]
+    gradient = ravel_pytree(jax.jit(jax.grad(loss))(state.params))[0]
     norm = jnp.linalg.norm(gradient)
     assert float(metrics["grad_norm"]) == pytest.approx(float(norm), rel=1e-4)
     assert float(norm) > config.max_grad_norm  # so that clipping matters

@@ -43,7 +43,7 @@ def problem() -> Problem:
     policy = make_policy(POLICY, env.action_distribution.head_sizes)
     prepared = env.prepare(stack_worlds([load_level(path)[0] for path in files] * (WORLDS // 2)))
     worlds = Worlds(prepared, *env.reset(prepared))
-    params = init_params(policy, env.observe(prepared, worlds.obs), jax.random.key(0))
+    params = init_params(policy, jax.jit(env.observe)(prepared, worlds.obs), jax.random.key(0))
     # The last layer starts near zero: what is remembered is to show in the log-probabilities.
     params = jax.tree.map(lambda x: x + 0.3 * jax.random.normal(jax.random.key(1), x.shape), params)
     play = jax.jit(lambda worlds: unroll(policy, params, env, worlds, jax.random.key(2), STEPS))
@@ -73,12 +73,12 @@ def test_what_is_learned_from_is_what_was_acted(problem: Problem) -> None:
     assert trajectory.done_after[EPISODE - 1].all() and not trajectory.done_after[0].any()
     is_first = np.roll(trajectory.done_after, 1, axis=0)
     is_first[0] = True
-    obs = env.observation.join(problem.worlds.prepared.static_obs, trajectory.dynamic_obs)
+    obs = jax.jit(env.observation.join)(problem.worlds.prepared.static_obs, trajectory.dynamic_obs)
     outputs, values = jax.jit(problem.policy.apply)(
         problem.params, obs.reshape(STEPS * WORLDS, -1), is_first=jnp.asarray(is_first)
     )
     actions = trajectory.actions.reshape(STEPS * WORLDS, -1)
-    log_probs, _ = env.action_distribution.log_prob_and_entropy(outputs, actions)
+    log_probs, _ = jax.jit(env.action_distribution.log_prob_and_entropy)(outputs, actions)
     np.testing.assert_allclose(log_probs.reshape(STEPS, WORLDS), trajectory.log_probs, atol=1e-5)  # another order
     np.testing.assert_allclose(values.reshape(STEPS, WORLDS), trajectory.values, atol=1e-5)  # of float32 sums
     # Without the resets it is another policy: the memory reaches as far.

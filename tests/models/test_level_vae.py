@@ -17,6 +17,8 @@ from kinetix_dist.level.vectors import overlaps_at_start
 from kinetix_dist.models.level_vae import VaeConfig, fit
 from tests.level.valid import assert_valid
 
+OPTIMISED = True  # trains for thousands of steps: see tests/conftest.py
+
 CAPACITY, CONFIG = SIZES["s"], GeneratorConfig()
 NUM_SAMPLES = 256
 
@@ -57,7 +59,7 @@ def test_its_loss_falls():
 def test_it_reconstructs_levels_that_it_never_saw():
     """Against the mean level as the guess, which is what a model that learned nothing gives."""
     held_out = drawn()[1]
-    back = jax.tree.map(np.asarray, model()[0].reconstruct(jax.random.key(2), held_out))
+    back = jax.tree.map(np.asarray, jax.jit(model()[0].reconstruct)(jax.random.key(2), held_out))
     assert_valid(back, CAPACITY)
     for role in (Role.GREEN, Role.BLUE):
         there, here = x_of(held_out, role), x_of(back, role)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,11 @@ def small():
     obs = random_obs(6, CAPACITY)
     policy = make_policy(SMALL, HEAD_SIZES)
     return policy, _perturbed(init_params(policy, obs, jax.random.key(0))), obs
+
+
+@functools.cache
+def _apply(policy):
+    return jax.jit(policy.apply)
 
 
 def _perturbed(params):
@@ -74,7 +80,7 @@ def test_outputs_are_float32_heads_and_values_in_both_types(network):
         policy = make_policy(dataclasses.replace(SMALL, network=network, dtype=dtype), HEAD_SIZES)
         params = init_params(policy, obs, jax.random.key(0))
         assert all(x.dtype == jnp.float32 for x in jax.tree.leaves(params))
-        logits, value = policy.apply(params, obs)
+        logits, value = _apply(policy)(params, obs)
         assert [head.shape for head in logits] == [(6, n) for n in (3, 3, 3, 3, 2, 2)]
         assert value.shape == (6,) and value.dtype == logits[0].dtype == jnp.float32
         outputs.append(_as_vector((logits, value)))
@@ -84,7 +90,7 @@ def test_outputs_are_float32_heads_and_values_in_both_types(network):
 def test_first_policy_is_nearly_uniform():
     obs = random_obs(6, CAPACITY)
     policy = make_policy(SMALL, HEAD_SIZES)
-    logits, _ = policy.apply(init_params(policy, obs, jax.random.key(0)), obs)
+    logits, _ = _apply(policy)(init_params(policy, obs, jax.random.key(0)), obs)
     assert max(float(jnp.max(jnp.abs(head))) for head in logits) < 0.1
 
 
@@ -108,8 +114,8 @@ def test_order_of_entities_does_not_matter(small):
         thruster_owner=new_slot[obs.thruster_owner[:, thrusters]],
         attention_masks=obs.attention_masks[:, :, shapes][:, :, :, shapes],
     )
-    expected = _as_vector(policy.apply(params, obs))
-    np.testing.assert_allclose(_as_vector(policy.apply(params, shuffled)), expected, atol=1e-5)  # order of sums
+    expected = _as_vector(_apply(policy)(params, obs))
+    np.testing.assert_allclose(_as_vector(_apply(policy)(params, shuffled)), expected, atol=1e-5)  # order of sums
 
 
 def test_what_does_not_exist_has_no_influence(small):
@@ -132,7 +138,7 @@ def test_what_does_not_exist_has_no_influence(small):
     masks = {"joint_mask": obs.joint_mask & ends_exist, "thruster_mask": obs.thruster_mask & owner_exists}
     plain, noisy = dataclasses.replace(obs, **masks), dataclasses.replace(noisy, **masks)
     np.testing.assert_allclose(
-        _as_vector(policy.apply(params, noisy)), _as_vector(policy.apply(params, plain)), atol=1e-6
+        _as_vector(_apply(policy)(params, noisy)), _as_vector(_apply(policy)(params, plain)), atol=1e-6
     )
 
 
@@ -147,14 +153,14 @@ def test_each_mask_joint_and_thruster_has_influence(small):
         joint_mask=jnp.ones_like(obs.joint_mask),
         thruster_mask=jnp.ones_like(obs.thruster_mask),
     )
-    base = _as_vector(policy.apply(params, full))
+    base = _as_vector(_apply(policy)(params, full))
     alone = jnp.eye(5, dtype=bool)
     changed = [dataclasses.replace(full, attention_masks=both.at[:, mask].set(alone)) for mask in range(4)]
     changed += [dataclasses.replace(full, joint_mask=full.joint_mask.at[:, 1].set(False))]
     changed += [dataclasses.replace(full, joint_to=(full.joint_to + 1) % 5)]
     changed += [dataclasses.replace(full, thruster_mask=full.thruster_mask.at[:, 1].set(False))]
     for other in changed:
-        assert np.all(np.max(np.abs(_as_vector(policy.apply(params, other)) - base), axis=1) > 1e-5)
+        assert np.all(np.max(np.abs(_as_vector(_apply(policy)(params, other)) - base), axis=1) > 1e-5)
 
 
 @pytest.mark.parametrize(

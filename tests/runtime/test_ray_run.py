@@ -128,6 +128,7 @@ def test_several_workers_over_gloo_agree_with_one(ray_backend, local_arrays, tmp
     assert arrays["learner/num_updates"] == 8
 
 
+@pytest.mark.slow  # test_split.py shows it too, of an actor that is lost with a learner
 def test_a_killed_rollout_actor_is_replaced_and_its_steps_are_counted_as_dropped(ray_backend, tmp_path):
     config = tiny_config(num_updates=6, placement="split", num_rollout_actors=2)
     _run(config, tmp_path / "local", LocalBackend())
