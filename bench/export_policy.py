@@ -15,8 +15,8 @@ from pathlib import Path
 from bench.program import exit_code, parser_of
 from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, save_alone
 from kinetix_dist.errors import user_errors
+from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX, released_arrays
 
-PARAMS_PREFIX = "learner/params"
 KEPT = ("config", "config_hash", "env_steps", "training_seconds")
 
 
@@ -31,7 +31,7 @@ def main() -> int:
 def export(source: Path, to: Path) -> int:
     with user_errors(CheckpointError):
         checkpoint = load_checkpoint(source)
-    arrays = {name: array for name, array in checkpoint.arrays.items() if name.startswith(PARAMS_PREFIX)}
+    arrays = {f"{PARAMS_PREFIX}/{name}": array for name, array in released_arrays(checkpoint).items()}
     description = {name: checkpoint.description[name] for name in KEPT}
     evaluation = description["config"]["evaluation"]
     evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name]

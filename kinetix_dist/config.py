@@ -23,7 +23,7 @@ from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
-from kinetix_dist.learner.update import PpoConfig
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
@@ -211,6 +211,11 @@ class TrainConfig:
             raise ConfigError(
                 f"env.action_space is {self.env.action_space!r}: environments have it, but no policy can be trained "
                 f"for it; use {' or '.join(map(repr, trainable))}"
+            )
+        if self.ppo.mask_unbound_heads and not ACTION_SPACES[self.env.action_space].has_bound_heads:
+            raise ConfigError(
+                f"ppo.mask_unbound_heads is True, but no dimension of {self.env.action_space!r} actions is of one "
+                "colour; set it to False or use another env.action_space"
             )
         gives, takes = OBSERVATIONS[self.env.observation].gives, NETWORKS[self.policy.network].takes
         if gives != takes:

@@ -25,6 +25,16 @@ class Trajectory:
     values: Array  # [T, W] float32
     rewards: Array  # [T, W] float32
     done_after: Array  # [T, W] bool, the episode ended with this step (also at the time limit)
+    timed_out: Array | None = None  # [T, W] bool, it ended so at the time limit; None: not asked for
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StaticInput:
+    """What levels fix of what is learned from W worlds."""
+
+    obs: Any  # [W, ...], see `Observation.static`
+    bound_heads: Array | None = None  # [W, heads] bool, see `ActionSpace.bound_heads`; None: all heads count
 
 
 @jax.tree_util.register_dataclass

@@ -16,7 +16,7 @@ from kinetix_dist.config import (
 )
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
-from kinetix_dist.learner.update import PpoConfig
+from kinetix_dist.learner.config import AnnealConfig, PpoConfig
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
@@ -77,11 +77,22 @@ def single_level() -> TrainConfig:
 
 
 def tiny() -> TrainConfig:
-    """A run of seconds that learns nothing: for tests and for trying an installation."""
+    """A run of seconds that learns nothing, with all parts of PPO: for tests and for trying an installation."""
     return TrainConfig(
         env=EnvConfig(size="s", max_steps=16),
         policy=PolicyConfig(encoder_size=8, attention_features=8, num_layers=1, hidden_size=8, hidden_layers=1),
-        ppo=PpoConfig(epochs=2, minibatches=2, virtual_shards=4, clip=0.2, learning_rate=1e-3),
+        ppo=PpoConfig(
+            epochs=2,
+            minibatches=2,
+            virtual_shards=4,
+            clip=0.2,
+            learning_rate=1e-3,
+            mask_unbound_heads=True,
+            bootstrap_timeouts=True,
+            average_updates=2,
+            max_kl=0.1,
+            anneal=AnnealConfig(start=256, end=1024, learning_rate=0.1, clip=0.5, entropy_coefficient=0.5),
+        ),
         curriculum=CurriculumConfig(
             num_candidates=16, scoring_batch=8, scoring_steps=16, refresh_every=3, adopt_after=2, buffer_size=8
         ),

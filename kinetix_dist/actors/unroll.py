@@ -50,13 +50,17 @@ def unroll(
     num_steps: int,
     *,
     numbers: Array | None = None,
+    bound_heads: Array | None = None,
+    keep_timeouts: bool = False,
 ) -> Played:
     """`num_steps` steps of W worlds, each at the start of an episode: what a policy remembers begins with them.
 
     key: a typed key, used up by this call (fold in a counter for the next). numbers: [W] of these worlds in the
-    whole batch; None: from 0 on.
+    whole batch; None: from 0 on. bound_heads: [W, dimensions] bool, those whose log-probability counts; None: all.
+    keep_timeouts: whether the trajectory says which episodes ended at the time limit.
     """
     prepared = worlds.prepared
+    counted = {} if bound_heads is None else {"bound": bound_heads}
     distribution = env.action_distribution
     num_worlds = _num_worlds(worlds.obs)
     world_keys = _world_keys(key, jnp.arange(num_worlds) if numbers is None else numbers)
@@ -64,7 +68,8 @@ def unroll(
     def step(carry: tuple, number: Array) -> tuple[tuple, Trajectory]:
         env_state, obs, memory, outcome = carry
         outputs, value, memory = act(policy, params, env.observe(prepared, obs), memory)
-        actions, log_prob = distribution.sample(outputs, _uniforms(world_keys, number, distribution.num_uniforms))
+        uniforms = _uniforms(world_keys, number, distribution.num_uniforms)
+        actions, log_prob = distribution.sample(outputs, uniforms, **counted)
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
         taken = Trajectory(
             dynamic_obs=obs,
@@ -73,6 +78,7 @@ def unroll(
             values=value,
             rewards=reward,
             done_after=done,
+            timed_out=info.timed_out if keep_timeouts else None,
         )
         return (env_state, next_obs, forget(memory, done), add_step(outcome, done, info)), taken
 

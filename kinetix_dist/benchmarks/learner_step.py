@@ -21,11 +21,13 @@ from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_ob
 from kinetix_dist.benchmarks.timing import median_seconds
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.errors import user_errors
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import data_mesh, replicate, spread_worlds
 from kinetix_dist.learner.state import init_learner_state
-from kinetix_dist.learner.update import PpoConfig, make_update
+from kinetix_dist.learner.update import make_update
 from kinetix_dist.level.level import SIZES
+from kinetix_dist.messages import StaticInput
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy, num_parameters
 
 PAPER_EPOCHS = 8
@@ -105,11 +107,11 @@ def _timed(options: Options, config: PpoConfig) -> Record:
         ),
         ACTIONS.head_sizes,
     )
-    static = synthetic_static_obs(options.worlds, capacity)
+    static = StaticInput(obs=synthetic_static_obs(options.worlds, capacity))
     trajectory = synthetic_trajectory(options.steps, options.worlds, capacity)
     observation = OBSERVATIONS["flat" if options.network == "flat" else "entity"]
     first = observation.join(
-        jax.tree.map(lambda x: x[:1], static), jax.tree.map(lambda x: x[0, :1], trajectory.dynamic_obs)
+        jax.tree.map(lambda x: x[:1], static.obs), jax.tree.map(lambda x: x[0, :1], trajectory.dynamic_obs)
     )
     params = init_params(policy, first, jax.random.key(0))
     state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(1)), mesh)
@@ -124,7 +126,7 @@ def _timed(options: Options, config: PpoConfig) -> Record:
     forward_inputs = jax.tree.map(
         jnp.asarray,
         (
-            jax.tree.map(lambda x: x[chosen % options.worlds], static),
+            jax.tree.map(lambda x: x[chosen % options.worlds], static.obs),
             jax.tree.map(lambda x: x[chosen // options.worlds, chosen % options.worlds], trajectory.dynamic_obs),
         ),
     )

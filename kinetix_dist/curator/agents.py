@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from jax2d.scene import Array
 from kinetix_dist.level.level import Level
-from kinetix_dist.messages import Trajectory
+from kinetix_dist.messages import StaticInput, Trajectory
 
 
 class Agent(Protocol):
@@ -18,11 +18,11 @@ class Agent(Protocol):
         """Its first state, a pytree of arrays with `params` among its attributes."""
 
     def learn(
-        self, state: Any, static_obs: Any, trajectory: Trajectory, last_value: Array
+        self, state: Any, static: StaticInput, trajectory: Trajectory, last_value: Array
     ) -> tuple[Any, dict[str, Array]]:
         """(next state, metrics by the names of the learner's) from T steps of worlds, each once and by groups.
 
-        static_obs [W, ...], trajectory [T, W, ...], last_value [W]; W: as many worlds as the policy learns from.
+        static [W, ...], trajectory [T, W, ...], last_value [W]; W: as many worlds as the policy learns from.
         Called where the curriculum observes, inside jit: the work is divided over the devices.
         """
 
@@ -38,5 +38,5 @@ class Agents(Protocol):
         what the policy takes, [1, ...], and what trajectories keep in `dynamic_obs`; ppo: settings that are not those
         of the run."""
 
-    def static_obs(self, levels: Level) -> Any:
-        """What levels [W, ...] fix of a student's observation."""
+    def static_input(self, levels: Level) -> StaticInput:
+        """What levels [W, ...] fix of what a student learns from."""

@@ -129,7 +129,7 @@ class Paired(Curriculum):
         teacher, of_teacher = self._teacher.learn(state.teacher, _swap_time_and_worlds(proposal.tags), regret)
         student, of_student = self._antagonist.learn(
             state.antagonist,
-            self.tools.agents.static_obs(self._of(ANTAGONIST, proposal.levels)),
+            self.tools.agents.static_input(self._of(ANTAGONIST, proposal.levels)),
             _swap_time_and_worlds(outcome.summary.trajectory),
             outcome.summary.last_value,
         )

@@ -31,7 +31,7 @@ from kinetix_dist.level.construction import (
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
-from kinetix_dist.messages import Trajectory
+from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.teacher import NUM_NOISE, TeacherObs, TeacherPolicy, construction_features
 
 # Levels are short games with one reward at their end.
@@ -108,7 +108,7 @@ class Teacher(LevelBuilder):
     def learn(self, state: Any, trajectory: Trajectory, rewards: Array) -> tuple[Any, dict[str, Array]]:
         """(next state, metrics) from levels that were built, [T, B, ...], and the reward of each [B]."""
         trajectory = dataclasses.replace(trajectory, rewards=trajectory.rewards.at[-1].set(rewards))
-        return self._agent.learn(state, None, trajectory, jnp.zeros_like(rewards))
+        return self._agent.learn(state, StaticInput(obs=None), trajectory, jnp.zeros_like(rewards))
 
 
 def _uniforms(keys: Array, number: Array | int, count: int) -> Array:

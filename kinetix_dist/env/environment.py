@@ -199,6 +199,7 @@ class Environment:
             initial_obs=self.observation.dynamic(moving),
             initial_distance=goal_distance(moving.position, roles),
             static_obs=self.observation.static(levels),
+            bound_heads=self.action_space.bound_heads(levels),
             roles=roles,
             motor_colour=levels.motor_colour,
             motor_auto=levels.motor_auto,

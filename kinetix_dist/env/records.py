@@ -21,6 +21,7 @@ class PreparedLevels:
     initial_obs: Any  # [W, ...], see `Observation.dynamic`
     initial_distance: Array  # [W] m, of green and blue
     static_obs: Any  # [W, ...], see `Observation.static`
+    bound_heads: Array | None  # [W, dimensions] bool, see `ActionSpace.bound_heads`
     roles: RoleMasks  # [W, ...]
     motor_colour: Array  # [W, J] int32
     motor_auto: Array  # [W, J] bool

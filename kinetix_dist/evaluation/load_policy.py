@@ -9,13 +9,21 @@ from __future__ import annotations
 from typing import Any
 
 import jax
+import numpy as np
 
 from kinetix_dist.checkpoint import Checkpoint, select_arrays, unflatten_arrays
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.policy import PolicyConfig, make_policy
 
-PARAMS_PREFIX = "learner/params"  # where a checkpoint's arrays keep the parameters of the policy
+# Where a checkpoint's arrays keep the parameters of the policy, and their average over updates where there is one.
+PARAMS_PREFIX = "learner/params"
+AVERAGE_PREFIX = "learner/average"
+
+
+def released_arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
+    """The parameters for use, by path: `LearnerState.released`."""
+    return select_arrays(checkpoint.arrays, AVERAGE_PREFIX) or select_arrays(checkpoint.arrays, PARAMS_PREFIX)
 
 
 def load_policy(checkpoint: Checkpoint, config: PolicyConfig, env: Environment, levels: Level) -> tuple[Any, Any]:
@@ -31,4 +39,4 @@ def load_policy(checkpoint: Checkpoint, config: PolicyConfig, env: Environment, 
         return module.init(key, env.observe(prepared, prepared.initial_obs))
 
     template = jax.eval_shape(init, jax.random.key(0))
-    return module, unflatten_arrays(template, select_arrays(checkpoint.arrays, PARAMS_PREFIX))
+    return module, unflatten_arrays(template, released_arrays(checkpoint))

@@ -29,10 +29,17 @@ class Samples:
     advantages: Array  # [B] float32, normalised
     targets: Array  # [B] float32, of the value
     is_counted: Array | None = None  # [B] bool, whether a sample is part of the sums; None: all are
+    bound_heads: Array | None = None  # [B, heads] bool, those that count in log-probability and entropy; None: all
 
 
 def ppo_terms(
-    log_probs: Array, entropies: Array, values: Array, samples: Samples, *, clip: float, value_clip: float | None
+    log_probs: Array,
+    entropies: Array,
+    values: Array,
+    samples: Samples,
+    *,
+    clip: Array | float,
+    value_clip: Array | float | None,
 ) -> Array:
     """Sums over the samples of the five LOSS_METRICS, in their order: [5] float32. `value_clip` None: not clipped."""
     log_ratio = log_probs - samples.old_log_probs
@@ -51,6 +58,6 @@ def ppo_terms(
     return jnp.stack([jnp.sum(term) for term in terms])
 
 
-def total_loss(terms: Array, *, value_coefficient: float, entropy_coefficient: float) -> Array:
+def total_loss(terms: Array, *, value_coefficient: float, entropy_coefficient: Array | float) -> Array:
     """The scalar to minimise, from means (or sums) in the order of LOSS_METRICS."""
     return terms[0] + value_coefficient * terms[1] - entropy_coefficient * terms[2]

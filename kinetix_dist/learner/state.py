@@ -24,11 +24,18 @@ class LearnerState:
     """Replicated over devices and equal on all of them."""
 
     params: Any  # float32
+    average: Any  # as `params`, over updates, see step_size.py; None: no average is kept
     opt_state: Any  # of the flattened parameters, see `adam`
     key: Array  # [2] uint32, `jax.random.key_data` of the learner's key; constant, updates fold in their number
     num_updates: Array  # [] int32, calls of update(); the policy version
     num_gradient_steps: Array  # [] int32, applied (skipped ones are not counted)
     env_steps: Array  # [2] uint32, low and high word of the environment steps learned from
+    rate_factor: Array  # [] float32, what the guard on KL has left of the learning rate
+
+    @property
+    def released(self) -> Any:
+        """The parameters for evaluation, scoring and use: the average, where one is kept."""
+        return self.params if self.average is None else self.average
 
 
 def adam(learning_rate: float, *, epsilon: float) -> optax.GradientTransformation:
@@ -36,16 +43,20 @@ def adam(learning_rate: float, *, epsilon: float) -> optax.GradientTransformatio
     return optax.adam(learning_rate, eps=epsilon)
 
 
-def init_learner_state(params: Any, optimizer: optax.GradientTransformation, key: Array) -> LearnerState:
+def init_learner_state(
+    params: Any, optimizer: optax.GradientTransformation, key: Array, *, has_average: bool = False
+) -> LearnerState:
     """key: a typed key (`jax.random.key`), from which all shuffling of this learner follows."""
     flat, _ = ravel_pytree(params)
     return LearnerState(
         params=params,
+        average=params if has_average else None,
         opt_state=optimizer.init(flat),
         key=jax.random.key_data(key),
         num_updates=jnp.zeros((), jnp.int32),
         num_gradient_steps=jnp.zeros((), jnp.int32),
         env_steps=jnp.zeros(2, jnp.uint32),
+        rate_factor=jnp.ones((), jnp.float32),
     )
 
 

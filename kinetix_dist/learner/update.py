@@ -1,7 +1,7 @@
 """One learner update: advantages, then epochs of shuffled minibatches of clipped PPO, on all devices at once.
 
     update = make_update(policy, env.observation, env.action_distribution, PpoConfig(), data_mesh())
-    learner_state, metrics = update(learner_state, static_obs, trajectory, last_value)
+    learner_state, metrics = update(learner_state, static, trajectory, last_value)
 
     trajectory, sharded by world --> advantages --> for each epoch: shuffle, statistics of advantages (psum)
                                                     for each minibatch: gradient of this device's samples
@@ -22,7 +22,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
 from flax import linen as nn
 from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
@@ -30,74 +29,19 @@ from jax.sharding import Mesh, PartitionSpec
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces import ActionDistribution
 from kinetix_dist.env.observations import Observation
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import LOSS_METRICS, Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
-from kinetix_dist.learner.state import LearnerState, adam, add_env_steps
-from kinetix_dist.messages import Trajectory
+from kinetix_dist.learner.state import LearnerState, add_env_steps
+from kinetix_dist.learner.step_size import Sizes, average, guarded, sizes
+from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.gru import has_memory
 
-METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps")
+METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "learning_rate")
 
-Update = Callable[[LearnerState, Any, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PpoConfig:
-    """The defaults are the paper's (256 steps of 2,048 worlds make minibatches of 16,384)."""
-
-    discount: float = 0.995
-    trace: float = 0.9  # lambda of GAE
-    epochs: int = 8
-    minibatches: int = 32  # an epoch, over all devices together
-    clip: float = 0.02
-    value_clip: bool = True  # by the same amount
-    learning_rate: float = 5e-5
-    adam_eps: float = 1e-5
-    max_grad_norm: float = 0.5
-    value_coefficient: float = 0.5
-    entropy_coefficient: float = 0.01
-    normalise_advantages: bool = True  # over each minibatch, all devices together
-    virtual_shards: int = 64  # of worlds, for shuffling; no more devices can learn
-
-    def __post_init__(self) -> None:
-        for name in ("epochs", "minibatches", "virtual_shards"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be 1 or more")
-        for name in ("clip", "learning_rate", "adam_eps", "max_grad_norm"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be positive")
-        for name in ("discount", "trace"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be from 0 to 1")
-
-    def check_batch(self, *, num_steps: int, num_worlds: int, whole_worlds: bool = False) -> None:
-        """Raises ValueError, with the numbers, if T steps of W worlds (all devices) cannot be divided as asked.
-
-        whole_worlds: minibatches are of all steps of some worlds, as for recurrent policies.
-        """
-        shards = self.virtual_shards
-        if num_worlds % shards:
-            raise ValueError(
-                f"{num_worlds} worlds cannot be divided into {shards} virtual shards; "
-                "change the number of worlds or PpoConfig.virtual_shards"
-            )
-        if whole_worlds and num_worlds // shards % self.minibatches:
-            raise ValueError(
-                f"a recurrent policy learns from whole worlds: {num_worlds} worlds give {num_worlds // shards} to each "
-                f"of {shards} virtual shards, which cannot be divided into {self.minibatches} minibatches; raise "
-                "rollout.num_envs, or lower ppo.virtual_shards or ppo.minibatches"
-            )
-        samples = num_steps * num_worlds // shards
-        if samples % self.minibatches:
-            raise ValueError(
-                f"{num_steps} steps of {num_worlds} worlds give {samples} samples to each of {shards} virtual shards, "
-                f"which cannot be divided into {self.minibatches} minibatches; change one of these numbers"
-            )
-
-    def optimizer(self) -> optax.GradientTransformation:
-        return adam(self.learning_rate, epsilon=self.adam_eps)
+Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,23 +73,23 @@ def make_update(
     *,
     division: Division | None = None,
 ) -> Update:
-    """A compiled update(learner_state, static_obs, trajectory, last_value) -> (learner_state, metrics).
+    """A compiled update(learner_state, static, trajectory, last_value) -> (learner_state, metrics).
 
     observation, distribution: those of the environment; `policy` takes the one and gives the outputs of the other.
     division: of blocks of virtual shards over the devices, by default of single ones; a divisor of their number.
-    learner_state: replicated over `mesh`. static_obs [W, ...], trajectory [T, W, ...] and last_value [W]: sharded by
+    learner_state: replicated over `mesh`. static [W, ...], trajectory [T, W, ...] and last_value [W]: sharded by
     world (`sharding.shard_worlds`), in all places of the division (`Division.spread`). metrics: METRICS, replicated
     float32 scalars, means over applied gradient steps (NaN when all were skipped) except explained_variance (of the
-    values in the trajectory) and skipped_steps.
+    values in the trajectory), skipped_steps and the learning_rate of the update.
     """
 
     division = division or Division(config.virtual_shards, mesh.devices.size)
     program = _Program(policy, observation, distribution, config, division)
 
     def local_update(
-        state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
+        state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array
     ) -> tuple[LearnerState, dict[str, Array]]:
-        return _update(program, state, static_obs, trajectory, last_value)
+        return _update(program, state, static, trajectory, last_value)
 
     replicated, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
     on_mesh = on_devices(  # gradients are summed by hand, all leaves in one psum
@@ -156,12 +100,12 @@ def make_update(
     )
 
     def update(
-        state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
+        state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array
     ) -> tuple[LearnerState, dict[str, Array]]:
         num_steps, num_rows = trajectory.rewards.shape
         num_worlds = _num_worlds(division, num_rows)
         config.check_batch(num_steps=num_steps, num_worlds=num_worlds, whole_worlds=program.is_recurrent)
-        return on_mesh(state, static_obs, trajectory, last_value)
+        return on_mesh(state, static, trajectory, last_value)
 
     return jax.jit(update)
 
@@ -169,11 +113,14 @@ def make_update(
 def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig) -> Array:
     """[T, W] float32, by which a policy is updated."""
     rewards, values, done_after = trajectory.rewards, trajectory.values, trajectory.done_after
+    if trajectory.timed_out is not None:
+        # What followed was never seen: the value of the state before stands for it.
+        rewards = rewards + config.discount * jnp.where(trajectory.timed_out, values, 0.0)
     return gae(rewards, values, done_after, last_value, discount=config.discount, trace=config.trace)
 
 
 def _update(
-    program: _Program, state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
+    program: _Program, state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array
 ) -> tuple[LearnerState, dict[str, Array]]:
     """The update as one device sees it; arrays hold its own worlds."""
     config, division = program.config, program.division
@@ -189,6 +136,7 @@ def _update(
     is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(True).reshape(-1)
     flat_params, unravel = ravel_pytree(state.params)
     key = jax.random.fold_in(jax.random.wrap_key_data(state.key), state.num_updates)
+    now = sizes(config, state)
 
     def epoch(carry: tuple[Array, Any], number: Array) -> tuple[tuple[Array, Any], Array]:
         index = _shuffled(jax.random.fold_in(key, number), num_steps, num_worlds, program)
@@ -199,6 +147,7 @@ def _update(
         flat_params, opt_state = carry
         index, offset, scale = at
         steps, minibatch_advantages, minibatch_targets = jax.tree.map(lambda x: x[index], flat)
+        fixed = jax.tree.map(lambda x: x[index % num_worlds], static)
         samples = Samples(
             actions=steps.actions,
             old_log_probs=steps.log_probs,
@@ -206,14 +155,15 @@ def _update(
             advantages=(minibatch_advantages - offset) * scale,
             targets=minibatch_targets,
             is_counted=is_counted,
+            bound_heads=fixed.bound_heads,
         )
-        obs = program.observation.join(jax.tree.map(lambda x: x[index % num_worlds], static_obs), steps.dynamic_obs)
+        obs = program.observation.join(fixed.obs, steps.dynamic_obs)
         memory = {"is_first": is_first[index].reshape(num_steps, -1)} if program.is_recurrent else {}
-        grads, terms = _gradient(program, unravel(flat_params), obs, samples, minibatch_size, memory)
+        grads, terms = _gradient(program, now, unravel(flat_params), obs, samples, minibatch_size, memory)
         # The only communication of a gradient step: gradient and metrics of all devices in one vector.
         summed = jax.lax.psum(jnp.concatenate([ravel_pytree(grads)[0], terms]), DATA_AXIS)
         grad, terms = jnp.split(summed, [flat_params.size])
-        return _apply(config, flat_params, opt_state, grad, terms)
+        return _apply(config, now, flat_params, opt_state, grad, terms)
 
     (flat_params, opt_state), rows = jax.lax.scan(
         epoch, (flat_params, state.opt_state), jnp.arange(config.epochs, dtype=jnp.uint32)
@@ -222,13 +172,17 @@ def _update(
     metrics["explained_variance"] = _explained_variance(
         targets, advantages, _counted(program, num_samples_here=num_worlds), num_samples
     )
+    metrics["learning_rate"] = config.learning_rate * now.rate
+    params = unravel(flat_params)
     state = LearnerState(
-        params=unravel(flat_params),
+        params=params,
+        average=average(config, state, params),
         opt_state=opt_state,
         key=state.key,
         num_updates=state.num_updates + 1,
         num_gradient_steps=state.num_gradient_steps + num_applied,
         env_steps=add_env_steps(state.env_steps, num_samples),
+        rate_factor=guarded(config, state, metrics["approx_kl"]),
     )
     return state, metrics
 
@@ -309,34 +263,43 @@ def _advantage_statistics(
 
 
 def _gradient(
-    program: _Program, params: Any, obs: Any, samples: Samples, minibatch_size: int, memory: dict[str, Array]
+    program: _Program,
+    now: Sizes,
+    params: Any,
+    obs: Any,
+    samples: Samples,
+    minibatch_size: int,
+    memory: dict[str, Array],
 ) -> tuple[Any, Array]:
     """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS.
 
     memory: what a recurrent policy is told beside `obs`, see models/gru.py.
     """
     config = program.config
+    counted = {} if samples.bound_heads is None else {"bound": samples.bound_heads}
 
     def loss(params: Any) -> tuple[Array, Array]:
         outputs, values = program.policy.apply(params, obs, **memory)
-        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions)
-        value_clip = config.clip if config.value_clip else None
-        terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=value_clip)
+        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions, **counted)
+        value_clip = now.clip if config.value_clip else None
+        terms = ppo_terms(log_probs, entropies, values, samples, clip=now.clip, value_clip=value_clip)
         means = terms / minibatch_size
-        weights = {"value_coefficient": config.value_coefficient, "entropy_coefficient": config.entropy_coefficient}
+        weights = {"value_coefficient": config.value_coefficient, "entropy_coefficient": now.entropy_coefficient}
         return total_loss(means, **weights), means
 
     return jax.grad(loss, has_aux=True)(params)
 
 
 def _apply(
-    config: PpoConfig, flat_params: Array, opt_state: Any, grad: Array, terms: Array
+    config: PpoConfig, now: Sizes, flat_params: Array, opt_state: Any, grad: Array, terms: Array
 ) -> tuple[tuple[Array, Any], Array]:
     """Clips by norm and steps, unless the gradient is not finite; one row of metrics: LOSS_METRICS, norm, applied."""
     norm = jnp.sqrt(jnp.sum(jnp.square(grad)))
     is_finite = jnp.isfinite(norm)
     clipped = grad * jnp.minimum(1.0, config.max_grad_norm / jnp.maximum(norm, 1e-12))
     step, new_opt_state = config.optimizer().update(clipped, opt_state, flat_params)
+
+    step = step * now.rate  # steps of Adam are as long as its learning rate
 
     def keep_if_skipped(new: Array, old: Array) -> Array:
         return jnp.where(is_finite, new, old)

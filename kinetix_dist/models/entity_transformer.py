@@ -8,6 +8,13 @@
                 x[from] += Dense([x_from, x_to, joint])        for each joint and direction
                 x[owner] += Dense([x_owner, thruster])         for each thruster, from the same x
     pooling     mean over the tokens that exist, the dummy included
+
+Where it is not `gated` its gates are plain residuals around norms (pre-norm, Xiong et al. 2020): one product takes the
+place of six of a layer's nine, and tokens are normalised once more before pooling.
+
+    layer       x = x + attention(norm(x))
+                x = x + Dense(relu(Dense(norm(x))))
+                messages as above
     towers      actor and critic, see towers.py; a memory before them, see gru.py
 
 What bounds it on a GPU is memory traffic between small operations, not arithmetic. So products of one input are
@@ -56,6 +63,7 @@ class EntityTransformer(nn.Module):
     dtype: Any
     shape_ids: tuple[float, float] | None = None  # of polygons and of circles
     memory_size: int = 0  # see gru.py; 0: none
+    gated: bool = True
 
     @nn.compact
     def __call__(self, obs: EntityObs, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
@@ -82,6 +90,8 @@ class EntityTransformer(nn.Module):
             )
             x = add_rows(x, obs.joint_from, from_joints)
             x = add_rows(x, obs.thruster_owner, from_thrusters)
+        if not self.gated:
+            x = self._norm("pooling", x)
         embedding = _masked_mean(x, token_mask).astype(self.dtype)
         towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
         return apply_towers(towers, embedding, memory, is_first, self.memory_size)
@@ -108,7 +118,7 @@ class EntityTransformer(nn.Module):
         out_kernel = self.param(f"attention_{layer}_out_kernel", lecun_normal(), (features, size))
         out_bias = self.param(f"attention_{layer}_out_bias", zeros, (size,))
         update = contract("fbn,fo->bno", out, out_kernel) + out_bias.astype(self.dtype)
-        return self._gate(f"attention_{layer}", x, jax.nn.relu(update))
+        return self._gate(f"attention_{layer}", x, jax.nn.relu(update)) if self.gated else x + update
 
     def _feed_forward(self, layer: int, x: Array) -> Array:
         size = self.encoder_size
@@ -116,7 +126,16 @@ class EntityTransformer(nn.Module):
         bias = self.param(f"feed_forward_{layer}_bias", zeros, (size,))
         kernel, bias = self._fold_norm(f"feed_forward_{layer}", kernel, bias)
         update = linear(normalise(x), kernel) + bias.astype(self.dtype)
-        return self._gate(f"feed_forward_{layer}", x, jax.nn.relu(update))
+        if self.gated:
+            return self._gate(f"feed_forward_{layer}", x, jax.nn.relu(update))
+        out_kernel = self.param(f"feed_forward_{layer}_out_kernel", lecun_normal(), (size, size))
+        out_bias = self.param(f"feed_forward_{layer}_out_bias", zeros, (size,))
+        return x + linear(jax.nn.relu(update), out_kernel) + out_bias.astype(self.dtype)
+
+    def _norm(self, name: str, x: Array) -> Array:
+        scale = self.param(f"{name}_norm_scale", ones, (self.encoder_size,))
+        offset = self.param(f"{name}_norm_offset", zeros, (self.encoder_size,))
+        return normalise(x) * scale.astype(self.dtype) + offset.astype(self.dtype)
 
     def _fold_norm(self, name: str, kernel: Array, bias: Array) -> tuple[Array, Array]:
         """Kernel and bias that act on `normalise(x)` as the given ones do on scale * normalise(x) + offset."""

@@ -89,7 +89,11 @@ def _common(config: PolicyConfig, head_sizes: tuple[int, ...]) -> dict[str, Any]
 
 
 def _transformer(
-    config: PolicyConfig, head_sizes: tuple[int, ...], *, shape_ids: tuple[float, float] | None = None
+    config: PolicyConfig,
+    head_sizes: tuple[int, ...],
+    *,
+    shape_ids: tuple[float, float] | None = None,
+    gated: bool = True,
 ) -> nn.Module:
     return EntityTransformer(
         encoder_size=config.encoder_size,
@@ -97,6 +101,7 @@ def _transformer(
         num_heads=config.num_heads,
         num_layers=config.num_layers,
         shape_ids=shape_ids,
+        gated=gated,
         **_common(config, head_sizes),
     )
 
@@ -111,6 +116,8 @@ def _cnn(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
 
 NETWORKS: Registry[Network] = Registry("network")
 NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer))
+# Plain residuals for gates: fewer and smaller products, see entity_transformer.py.
+NETWORKS.register("transformer_lean", Network(takes=ENTITIES, build=functools.partial(_transformer, gated=False)))
 NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
 NETWORKS.register("cnn", Network(takes=IMAGE, build=_cnn, sample_bytes=SAMPLE_BYTES))
 # Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.

@@ -121,6 +121,9 @@ _ALL = (
     Metric("learner/approx_kl", "nat", "estimated KL divergence from the policy that acted"),
     Metric("learner/clip_fraction", "share", "of ratios that were clipped"),
     Metric("learner/grad_norm", "1", "global norm of the gradients before clipping"),
+    Metric(
+        "learner/learning_rate", "1", "of the steps of Adam in this update: annealed, and lowered by the guard on KL"
+    ),
     Metric("learner/explained_variance", "share", "of the variance of returns that the value function explains"),
     Metric("learner/skipped_steps", "gradient steps", "skipped in this update because a gradient was not finite"),
     Metric("learner/skipped_updates", "updates", "skipped as a whole, since the start of this session"),

@@ -33,7 +33,7 @@ class _Scripted:
     def init(self):
         return jnp.zeros(())
 
-    def learn(self, state, static_obs, trajectory, last_value):
+    def learn(self, state, static, trajectory, last_value):
         return state, {"skipped_steps": jnp.zeros(())}
 
 
@@ -43,7 +43,7 @@ class _Agents(PpoAgents):
     def student(self):
         return _Scripted()
 
-    def static_obs(self, levels):
+    def static_input(self, levels):
         return None
 
 

@@ -13,12 +13,13 @@ from jax.flatten_util import ravel_pytree
 
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS
 from kinetix_dist.env.observations.entities import observe
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.learner.state import add_env_steps
-from kinetix_dist.learner.update import METRICS, PpoConfig, _Program, _shuffled
+from kinetix_dist.learner.update import METRICS, _Program, _shuffled
 from kinetix_dist.models.policy import make_policy
 from tests.learner.update_program import POLICY, PPO, STEPS, WORLDS, make_problem, place, poisoned
 
@@ -52,7 +53,7 @@ def test_one_full_batch_step_is_adam_on_the_gradient_of_the_formula():
         advantages=normalised.reshape(-1),
         targets=(advantages + trajectory.values).reshape(-1),
     )
-    obs = jax.jit(observe)(static, trajectory.dynamic_obs)
+    obs = jax.jit(observe)(static.obs, trajectory.dynamic_obs)
     obs = jax.tree.map(lambda x: x.reshape(STEPS * WORLDS, *x.shape[2:]), obs)
 
     def loss(params):

@@ -18,10 +18,12 @@ from jax.flatten_util import ravel_pytree
 from jax2d.scene import Capacity
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
 from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, spread_worlds
 from kinetix_dist.learner.state import LearnerState, init_learner_state
-from kinetix_dist.learner.update import PpoConfig, Update, make_update
+from kinetix_dist.learner.update import Update, make_update
+from kinetix_dist.messages import StaticInput
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 
 CAPACITY = Capacity(polygons=2, circles=1, joints=1, thrusters=1)
@@ -36,14 +38,15 @@ def make_problem(
     mesh: jax.sharding.Mesh, config: PpoConfig = PPO, policy_config: PolicyConfig = POLICY
 ) -> tuple[Update, LearnerState, tuple]:
     """(update, first state, its numpy arguments for all worlds)."""
-    static = synthetic_static_obs(WORLDS, CAPACITY)
+    static = StaticInput(obs=synthetic_static_obs(WORLDS, CAPACITY))
     trajectory = synthetic_trajectory(STEPS, WORLDS, CAPACITY)
     last_value = np.linspace(-1.0, 1.0, WORLDS, dtype=np.float32)
     policy = make_policy(policy_config, ACTIONS.head_sizes)
     observation = OBSERVATIONS["entity"]
-    obs = observation.join(static, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
+    obs = observation.join(static.obs, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
     params = init_params(policy, obs, jax.random.key(0))
-    state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(7)), mesh)
+    key, has_average = jax.random.key(7), config.average_updates > 0
+    state = replicate(init_learner_state(params, config.optimizer(), key, has_average=has_average), mesh)
     return make_update(policy, observation, ACTIONS, config, mesh), state, (static, trajectory, last_value)
 
 

@@ -15,8 +15,9 @@ from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.curator.students import TwoStudents
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.policies import NetworkPolicy, act, first_memory
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.update import PpoConfig, _Program, _shuffled
+from kinetix_dist.learner.update import _Program, _shuffled
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.models import gru
 from kinetix_dist.models.gru import Gru, forget, initial_memory

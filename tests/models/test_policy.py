@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import operator
 
 import jax
 import jax.numpy as jnp
@@ -22,10 +23,10 @@ SMALL = PolicyConfig(
 )
 
 
-@pytest.fixture(scope="module")
-def small():
+@pytest.fixture(scope="module", params=["transformer", "transformer_lean"])
+def small(request):
     obs = random_obs(6, CAPACITY)
-    policy = make_policy(SMALL, HEAD_SIZES)
+    policy = make_policy(dataclasses.replace(SMALL, network=request.param), HEAD_SIZES)
     return policy, _perturbed(init_params(policy, obs, jax.random.key(0))), obs
 
 
@@ -59,6 +60,70 @@ def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders()
     assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417 + 3 * 128
 
 
+def test_a_lean_layer_is_what_its_formula_says():
+    """In numpy, in float64, world by world and token by token."""
+    obs = random_obs(4, CAPACITY, seed=3)
+    config = dataclasses.replace(SMALL, network="transformer_lean", num_layers=1)
+    policy = make_policy(config, HEAD_SIZES)
+    params = _perturbed(init_params(policy, obs, jax.random.key(0)))
+    found = _as_vector(policy.apply(params, obs))
+    p = jax.tree.map(lambda x: np.asarray(x, np.float64), params["params"])
+    o = jax.tree.map(np.asarray, obs)
+    for world in range(4):
+        np.testing.assert_allclose(found[world], _lean_world(p, jax.tree.map(operator.itemgetter(world), o)), atol=2e-5)
+
+
+def _norm(x, p, name):
+    centred = x - x.mean(-1, keepdims=True)
+    scale, offset = p[f"{name}_norm_scale"], p[f"{name}_norm_offset"]
+    return centred / np.sqrt(np.square(centred).mean(-1, keepdims=True) + 1e-6) * scale + offset
+
+
+def _lean_world(p, o) -> np.ndarray:
+    size, features, heads = SMALL.encoder_size, SMALL.attention_features, SMALL.num_heads
+
+    def encode(name, x):
+        return np.tanh(x @ p[name]["kernel"] + p[name]["bias"])
+
+    x = np.concatenate([encode("polygon_encoder", o.polygons), encode("circle_encoder", o.circles), np.ones((1, size))])
+    joints, thrusters = encode("joint_encoder", o.joints), encode("thruster_encoder", o.thrusters)
+    exists = np.append(o.shape_mask, True)
+    sees = np.zeros((4, len(x), len(x)), bool)
+    sees[:, :-1, :-1] = o.attention_masks
+    sees[:, :, -1] = exists  # everyone sees the dummy, and the dummy everyone
+    sees[:, -1, :] = exists
+
+    qkv = _norm(x, p, "attention_0") @ p["attention_0_qkv_kernel"] + p["attention_0_qkv_bias"]
+    query, key, value = qkv.reshape(len(x), 3, heads, -1).transpose(1, 2, 0, 3)  # [heads, n, d]
+    out = np.zeros((len(x), heads, features // heads))
+    for head in range(heads):
+        score = query[head] @ key[head].T / np.sqrt(features // heads)
+        weight = np.where(sees[head * 4 // heads], np.exp(score - score.max()), 0.0)
+        total = weight.sum(1, keepdims=True)
+        out[:, head] = weight @ value[head] / np.where(total == 0, 1.0, total)
+    x = x + out.reshape(len(x), -1) @ p["attention_0_out_kernel"] + p["attention_0_out_bias"]
+
+    hidden = np.maximum(_norm(x, p, "feed_forward_0") @ p["feed_forward_0_kernel"] + p["feed_forward_0_bias"], 0)
+    x = x + hidden @ p["feed_forward_0_out_kernel"] + p["feed_forward_0_out_bias"]
+
+    before = x.copy()
+    for kind, entities, mask, ends in (
+        ("joint", joints, o.joint_mask, np.stack([o.joint_from, o.joint_to], axis=1)),
+        ("thruster", thrusters, o.thruster_mask, o.thruster_owner[:, None]),
+    ):
+        for number in np.flatnonzero(mask):
+            told = np.concatenate([*before[ends[number]], entities[number]])
+            x[ends[number][0]] += told @ p[f"{kind}_messages_0_kernel"] + p[f"{kind}_messages_0_bias"]
+
+    pooled = _norm(x, p, "pooling")[exists].mean(0)
+    towers, both = p["towers"], np.stack([pooled, pooled])
+    for layer in range(SMALL.hidden_layers):
+        kernel, bias = towers[f"kernel_{layer}"], towers[f"bias_{layer}"]
+        both = np.tanh(np.einsum("ti,tio->to", both, kernel) + bias)
+    logits = both[0] @ towers["actor_output"]["kernel"] + towers["actor_output"]["bias"]
+    return np.append(logits, both[1] @ towers["critic_output"]["kernel"] + towers["critic_output"]["bias"])
+
+
 def test_the_cnn_has_the_convolutions_of_the_paper():
     pictures = jax.ShapeDtypeStruct((1, 125, 125, 3), jnp.uint8)
     policy = make_policy(PolicyConfig(network="cnn"), HEAD_SIZES)
@@ -69,7 +134,7 @@ def test_the_cnn_has_the_convolutions_of_the_paper():
     assert num_parameters(shapes) == convolutions + towers
 
 
-@pytest.mark.parametrize("network", ["transformer", "flat", "cnn"])
+@pytest.mark.parametrize("network", ["transformer", "transformer_lean", "flat", "cnn"])
 def test_outputs_are_float32_heads_and_values_in_both_types(network):
     obs = random_obs(6, CAPACITY)
     obs = flatten(obs) if network == "flat" else obs
@@ -166,7 +231,7 @@ def test_each_mask_joint_and_thruster_has_influence(small):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("network", "lstm", "'lstm'; choose one of transformer, flat"),
+        ("network", "lstm", "'lstm'; choose one of transformer, transformer_lean"),
         ("dtype", "float16", "'float16'; choose one of float32, bfloat16"),
         ("num_heads", 6, "6; it must be a multiple of 4"),
         ("attention_features", 12, "12; it must be a multiple of num_heads, 8"),

@@ -100,6 +100,6 @@ def test_the_learner_gets_the_first_worlds_of_each_group_where_a_curriculum_says
     world = np.arange(8)
     batch = worlds_trained(Batch({"static": world}, {"step": world + np.array([[0], [100]])}, world), 2, 2)
     kept = np.array([0, 1, 4, 5])
-    np.testing.assert_array_equal(batch.static_obs["static"], kept)
+    np.testing.assert_array_equal(batch.static["static"], kept)
     np.testing.assert_array_equal(batch.trajectory["step"], [kept, kept + 100])
     np.testing.assert_array_equal(batch.last_value, kept)

@@ -39,6 +39,8 @@ def config_of(observation: str, space: str) -> TrainConfig:
     return dataclasses.replace(
         tiny,
         env=dataclasses.replace(tiny.env, observation=observation, action_space=space, max_steps=8),
+        # Every head learns, and the entropy is that of all.
+        ppo=dataclasses.replace(tiny.ppo, mask_unbound_heads=False),
         policy=dataclasses.replace(tiny.policy, network=NETWORK_OF[observation], flat_size=16),
         curriculum=CurriculumConfig(name="fixed", levels="s/hop_home"),
     )
@@ -69,6 +71,7 @@ def test_a_policy_is_trained(observation: str, space: str):
 def test_a_run_with_evaluation_and_recordings(observation: str, space: str, tmp_path):
     options = f"--env.observation {observation} --env.action_space {space} --policy.network {NETWORK_OF[observation]}"
     sections = "--recording.num_rollouts 2 --run.total_env_steps 256 --evaluation.min_attempts 10"
+    sections += " --ppo.mask_unbound_heads False"
     arguments = [*options.split(), *sections.split(), "--evaluation.sets", "s/hop_home"]
     assert main(["train", "--recipe", "tiny", "--run", str(tmp_path / "run"), *arguments]) == 0
     assert main(["eval", "--run", str(tmp_path / "run"), "--levels", "s/hop_home"]) == 0

@@ -29,7 +29,7 @@ class Categorical:
     def num_uniforms(self) -> int:
         return len(self.head_sizes)
 
-    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array, *, bound: Array | None = None) -> tuple[Array, Array]:
         """Actions [..., heads] int32 and their log-probability [...] from uniform numbers [..., heads] in [0, 1)."""
         log_probs = _log_probabilities(outputs)
         actions = jnp.zeros(uniforms.shape, jnp.int32)
@@ -40,14 +40,16 @@ class Categorical:
             actions = actions + (uniforms >= cumulative).astype(jnp.int32)
         # Rounding can leave the sum of probabilities below 1: never step past the last choice of a head.
         actions = jnp.minimum(actions, last_choice)
-        return actions, _log_prob(log_probs, actions)
+        return actions, _log_prob(log_probs, actions, bound)
 
-    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+    def log_prob_and_entropy(
+        self, outputs: tuple[Array, ...], actions: Array, *, bound: Array | None = None
+    ) -> tuple[Array, Array]:
         """Both from one normalisation, summed over heads: (log-probability [...], entropy [...] in nats)."""
         log_probs = _log_probabilities(outputs)
-        log_prob = _log_prob(log_probs, actions)
+        log_prob = _log_prob(log_probs, actions, bound)
         # Absent choices: probability 0 times a finite log-probability is 0.
-        return log_prob, -_sum_heads(sum(jnp.exp(lp) * lp for lp in log_probs))
+        return log_prob, -sum_heads(sum(jnp.exp(lp) * lp for lp in log_probs), bound)
 
     def mode(self, outputs: tuple[Array, ...]) -> Array:
         """The most likely actions [..., heads] int32."""
@@ -66,14 +68,16 @@ class OneCategorical:
     def head_sizes(self) -> tuple[int]:
         return (self.num_choices,)
 
-    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array, *, bound: Array | None = None) -> tuple[Array, Array]:
         """Actions [...] int32 and their log-probability [...] from uniform numbers [..., 1] in [0, 1)."""
-        actions, log_prob = self._heads.sample(outputs, uniforms)
+        actions, log_prob = self._heads.sample(outputs, uniforms, bound=bound)
         return actions[..., 0], log_prob
 
-    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+    def log_prob_and_entropy(
+        self, outputs: tuple[Array, ...], actions: Array, *, bound: Array | None = None
+    ) -> tuple[Array, Array]:
         """(log-probability [...], entropy [...] in nats)."""
-        return self._heads.log_prob_and_entropy(outputs, actions[..., None])
+        return self._heads.log_prob_and_entropy(outputs, actions[..., None], bound=bound)
 
     def mode(self, outputs: tuple[Array, ...]) -> Array:
         """The most likely action [...] int32."""
@@ -84,8 +88,8 @@ class OneCategorical:
         return Categorical(head_sizes=self.head_sizes)
 
 
-def _log_prob(log_probs: list[Array], actions: Array) -> Array:
-    return _sum_heads(sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs)))
+def _log_prob(log_probs: list[Array], actions: Array, bound: Array | None) -> Array:
+    return sum_heads(sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs)), bound)
 
 
 def _log_probabilities(logits: tuple[Array, ...]) -> list[Array]:
@@ -111,7 +115,10 @@ def _log_probabilities(logits: tuple[Array, ...]) -> list[Array]:
     return [choice - log_total for choice in choices]
 
 
-def _sum_heads(x: Array) -> Array:
+def sum_heads(x: Array, bound: Array | None) -> Array:
+    """[..., heads] -> [...], over those that are bound (bool, as large); None: over all, in order."""
+    if bound is not None:
+        x = jnp.where(bound, x, 0.0)
     total = x[..., 0]
     for head in range(1, x.shape[-1]):
         total = total + x[..., head]

@@ -7,9 +7,10 @@ import dataclasses
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.env.action_spaces.colours import bound_colours
 from kinetix_dist.env.action_spaces.space import ActionSpace
 from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -28,3 +29,6 @@ class Continuous(ActionSpace):
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         actions = jnp.where(allowed, actions, 0)
         return actions[:, :NUM_MOTOR_COLOURS].astype(jnp.float32), actions[:, NUM_MOTOR_COLOURS:].astype(jnp.float32)
+
+    def bound_heads(self, levels: Level) -> Array:
+        return bound_colours(levels)

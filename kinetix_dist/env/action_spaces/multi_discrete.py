@@ -9,8 +9,9 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces.categorical import Categorical
+from kinetix_dist.env.action_spaces.colours import bound_colours
 from kinetix_dist.env.action_spaces.space import ActionSpace
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -30,3 +31,6 @@ class MultiDiscrete(ActionSpace):
         actions = jnp.where(allowed, actions, 0)
         motor, thruster = actions[:, :NUM_MOTOR_COLOURS], actions[:, NUM_MOTOR_COLOURS:]
         return (motor == 1).astype(jnp.float32) - (motor == 2), thruster.astype(jnp.float32)
+
+    def bound_heads(self, levels: Level) -> Array:
+        return bound_colours(levels)

@@ -14,19 +14,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist.level.level import Level
 
 
 class ActionDistribution(Protocol):
-    """How a policy acts in a space: from its outputs, a tuple of [..., k] float32, one of each of `head_sizes`."""
+    """How a policy acts in a space: from its outputs, a tuple of [..., k] float32, one of each of `head_sizes`.
+
+    bound: [..., dimensions] bool, see `ActionSpace.bound_heads`: dimensions that count in log-probability and entropy;
+    None: all do. It is given only where the space has `bound_heads`.
+    """
 
     head_sizes: tuple[int, ...]  # k of each output of the policy
     num_uniforms: int  # random numbers that a sample takes
     stored_dtype: Any  # in which trajectories keep actions
 
-    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array, *, bound: Array | None = None) -> tuple[Array, Array]:
         """(actions, their log-probability [...]) from uniform numbers [..., num_uniforms] in [0, 1)."""
 
-    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+    def log_prob_and_entropy(
+        self, outputs: tuple[Array, ...], actions: Array, *, bound: Array | None = None
+    ) -> tuple[Array, Array]:
         """(log-probability [...] of stored actions, entropy [...] in nats)."""
 
     def mode(self, outputs: tuple[Array, ...]) -> Array:
@@ -55,6 +62,19 @@ class ActionSpace(abc.ABC):
     @abc.abstractmethod
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         """What each colour is told: motors [W, 4] in -1..1, thrusters [W, 2] in 0..1; off where not `allowed`."""
+
+    @property
+    def has_bound_heads(self) -> bool:
+        """Whether `bound_heads` tells anything."""
+        return type(self).bound_heads is not ActionSpace.bound_heads
+
+    def bound_heads(self, levels: Level) -> Array | None:
+        """[W, num_dimensions] bool: the dimensions that some motor or thruster of a level obeys.
+
+        Nothing that happens in the level depends on the others. None: a space whose dimensions are not of one colour.
+        """
+        del levels
+        return None
 
     @property
     def num_dimensions(self) -> int:

@@ -45,7 +45,7 @@ class TruncatedNormal:
     def num_uniforms(self) -> int:
         return len(self.low)
 
-    def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
+    def sample(self, outputs: tuple[Array, ...], uniforms: Array, *, bound: Array | None = None) -> tuple[Array, Array]:
         """Actions [..., n] float32 and their log-probability density [...], from uniform numbers [..., n] in [0, 1)."""
         mean, spread = self.mean_and_spread(outputs)
         below, above = self._ends(mean, spread)
@@ -53,9 +53,11 @@ class TruncatedNormal:
         share = jnp.clip(share, _MIN_SHARE, 1 - _MIN_SHARE)
         actions = mean + spread * jax.scipy.special.ndtri(share)
         actions = jnp.clip(actions, np.float32(self.low), np.float32(self.high))  # rounding
-        return actions, self._log_prob(mean, spread, actions)
+        return actions, self._log_prob(mean, spread, actions, bound)
 
-    def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
+    def log_prob_and_entropy(
+        self, outputs: tuple[Array, ...], actions: Array, *, bound: Array | None = None
+    ) -> tuple[Array, Array]:
         """Both summed over numbers: (log-probability density [...], differential entropy [...] in nats)."""
         mean, spread = self.mean_and_spread(outputs)
         below, above = self._ends(mean, spread)
@@ -63,7 +65,7 @@ class TruncatedNormal:
         # ln(sqrt(2 pi e) spread Z) + (alpha phi(alpha) - beta phi(beta)) / (2 Z)
         entropy = 0.5 + _LOG_ROOT_2_PI + jnp.log(spread * mass)
         entropy += (below * _density(below) - above * _density(above)) / (2 * mass)
-        return self._log_prob(mean, spread, actions), jnp.sum(entropy, axis=-1)
+        return self._log_prob(mean, spread, actions, bound), _sum_of_bound(entropy, bound)
 
     def mode(self, outputs: tuple[Array, ...]) -> Array:
         """The most likely actions [..., n] float32: the means."""
@@ -81,11 +83,15 @@ class TruncatedNormal:
         """alpha and beta: how many spreads the ends of the range are from the mean."""
         return (np.float32(self.low) - mean) / spread, (np.float32(self.high) - mean) / spread
 
-    def _log_prob(self, mean: Array, spread: Array, actions: Array) -> Array:
+    def _log_prob(self, mean: Array, spread: Array, actions: Array, bound: Array | None) -> Array:
         below, above = self._ends(mean, spread)
         mass = _distribution(above) - _distribution(below)
         deviation = (actions.astype(jnp.float32) - mean) / spread
-        return jnp.sum(-0.5 * jnp.square(deviation) - _LOG_ROOT_2_PI - jnp.log(spread * mass), axis=-1)
+        return _sum_of_bound(-0.5 * jnp.square(deviation) - _LOG_ROOT_2_PI - jnp.log(spread * mass), bound)
+
+
+def _sum_of_bound(x: Array, bound: Array | None) -> Array:
+    return jnp.sum(x if bound is None else jnp.where(bound, x, 0.0), axis=-1)
 
 
 def _distribution(x: Array) -> Array:

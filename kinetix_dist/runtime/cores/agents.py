@@ -16,11 +16,12 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.action_spaces import ActionDistribution
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.observations import Moving, Observation
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.state import LearnerState, init_learner_state
-from kinetix_dist.learner.update import PpoConfig, Update, make_update
+from kinetix_dist.learner.update import Update, make_update
 from kinetix_dist.level.level import Level
-from kinetix_dist.messages import Trajectory
+from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.stored import one_level
 from kinetix_dist.runtime.cores.streams import ANTAGONIST, TEACHER, stream
@@ -46,8 +47,10 @@ class PpoAgents:
         settings = dataclasses.replace(self._config.ppo, **ppo)
         return self._agent(policy, _OfNoEnvironment(), distribution, obs, settings, stream_number=TEACHER)
 
-    def static_obs(self, levels: Level) -> Any:
-        return self._env.observation.static(levels)
+    def static_input(self, levels: Level) -> StaticInput:
+        env, is_masked = self._env, self._config.ppo.mask_unbound_heads
+        bound = env.action_space.bound_heads(levels) if is_masked else None
+        return StaticInput(obs=env.observation.static(levels), bound_heads=bound)
 
     def _agent(
         self,
@@ -91,19 +94,20 @@ class PpoAgent:
 
     def init(self) -> LearnerState:
         zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), self._obs)
-        return init_learner_state(init_params(self._policy, zeros, self._keys[0]), self._ppo.optimizer(), self._keys[1])
+        params, ppo = init_params(self._policy, zeros, self._keys[0]), self._ppo
+        return init_learner_state(params, ppo.optimizer(), self._keys[1], has_average=ppo.average_updates > 0)
 
     def learn(
-        self, state: LearnerState, static_obs: Any, trajectory: Trajectory, last_value: Array
+        self, state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array
     ) -> tuple[LearnerState, dict[str, Array]]:
         if self._division.is_even:
-            return self._update(state, static_obs, trajectory, last_value)
+            return self._update(state, static, trajectory, last_value)
         places = self._division.spread(last_value.shape[0])
-        static_obs, trajectory = (
-            jax.tree.map(lambda x: x[places], static_obs),
+        static, trajectory = (
+            jax.tree.map(lambda x: x[places], static),
             jax.tree.map(lambda x: x[:, places], trajectory),
         )
-        return self._update(state, static_obs, trajectory, last_value[places])
+        return self._update(state, static, trajectory, last_value[places])
 
     # Made by those alone who learn: rollout actors may have more devices than there are blocks.
 

@@ -50,7 +50,9 @@ class LearnerCore:
         else:
             state = local_values(self._init())
             if given:  # the optimiser of a new run is all zeros, whatever the parameters
-                state = dataclasses.replace(state, params=unflatten_arrays(state.params, given))
+                params = unflatten_arrays(state.params, given)
+                average = None if state.average is None else params
+                state = dataclasses.replace(state, params=params, average=average)
         self.state = replicate(state, self._mesh)
 
     @property
@@ -58,9 +60,14 @@ class LearnerCore:
         assert self.state is not None, "start() comes first"
         return self.state.params
 
-    def learn(self, static_obs: Any, trajectory: Any, last_value: Array) -> dict[str, Array]:
+    @property
+    def released(self) -> Any:
+        assert self.state is not None, "start() comes first"
+        return self.state.released
+
+    def learn(self, static: Any, trajectory: Any, last_value: Array) -> dict[str, Array]:
         """From worlds in all places of the division."""
-        self.state, metrics = self._update(self.state, static_obs, trajectory, last_value)
+        self.state, metrics = self._update(self.state, static, trajectory, last_value)
         return metrics
 
 
@@ -70,4 +77,7 @@ def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> Learne
     obs = jax.eval_shape(lambda: some_observation(config, env))
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), obs)
     params = init_params(policy, zeros, key)
-    return init_learner_state(params, config.ppo.optimizer(), stream(config.run.seed, SHUFFLE))
+    ppo = config.ppo
+    return init_learner_state(
+        params, ppo.optimizer(), stream(config.run.seed, SHUFFLE), has_average=ppo.average_updates > 0
+    )

@@ -16,7 +16,7 @@ from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
-from kinetix_dist.messages import LevelOutcome
+from kinetix_dist.messages import LevelOutcome, StaticInput
 from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, stream
 
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
@@ -29,7 +29,7 @@ class Batch(NamedTuple):
     Worlds lie in all places of a division, see `Division.spread`.
     """
 
-    static_obs: Any
+    static: Any  # `StaticInput`
     trajectory: Any
     last_value: Any
 
@@ -96,6 +96,9 @@ class RolloutCore:
             )
         prepared = env.prepare(proposal.levels)
         policy, params = self._curriculum.players(self._policy, params, state)
+        static = StaticInput(
+            obs=prepared.static_obs, bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None
+        )
         played = unroll(
             policy,
             params,
@@ -104,11 +107,13 @@ class RolloutCore:
             play_key,
             config.rollout.num_steps,
             numbers=by_part(groups, worlds_per_group),
+            bound_heads=static.bound_heads,
+            keep_timeouts=config.ppo.bootstrap_timeouts,
         )
         seen = None
         if self._curriculum.observes:
             seen = dataclasses.replace(proposal, source=None), self._summarised(played)
-        batch = Batch(prepared.static_obs, played.trajectory, played.last_value)
+        batch = Batch(static, played.trajectory, played.last_value)
         batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
         is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.places)
         sums = _sums(played.outcome, played.trajectory.rewards, is_counted)
@@ -133,7 +138,7 @@ def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
         return batch
     world = (jnp.arange(num_groups)[:, None] * size + jnp.arange(kept)).reshape(-1)
     return Batch(
-        jax.tree.map(lambda x: x[world], batch.static_obs),
+        jax.tree.map(lambda x: x[world], batch.static),
         jax.tree.map(lambda x: x[:, world], batch.trajectory),
         batch.last_value[world],
     )

@@ -63,6 +63,6 @@ class RolloutWorker:
         def once(x: Any, axis: int = 0) -> Any:
             return np.take(x, self._rollout.division.gathered(x.shape[axis]), axis=axis)
 
-        static_obs, seen = jax.tree.map(once, (batch.static_obs, seen))
+        static, seen = jax.tree.map(once, (batch.static, seen))
         trajectory = jax.tree.map(lambda x: once(x, axis=1), batch.trajectory)
-        return Batch(static_obs, trajectory, once(batch.last_value)), seen
+        return Batch(static, trajectory, once(batch.last_value)), seen

@@ -82,9 +82,9 @@ class Staging:
 
     def _placed(self, batch: Batch, seen: Any) -> tuple[Batch, Any]:
         """On the devices, when it is there."""
-        static_obs, trajectory, last_value = batch
+        static, trajectory, last_value = batch
         placed = Batch(
-            shard_worlds(static_obs, self._mesh),
+            shard_worlds(static, self._mesh),
             shard_worlds(trajectory, self._mesh, axis=1),
             shard_worlds(last_value, self._mesh),
         )
@@ -121,7 +121,7 @@ class _Coming:
 
 
 def _axis_of_worlds(batch: Batch) -> Batch:
-    return Batch(jax.tree.map(lambda x: 0, batch.static_obs), jax.tree.map(lambda x: 1, batch.trajectory), 0)
+    return Batch(jax.tree.map(lambda x: 0, batch.static), jax.tree.map(lambda x: 1, batch.trajectory), 0)
 
 
 def _with_length(shape: tuple[int, ...], axis: int, length: int) -> tuple[int, ...]:

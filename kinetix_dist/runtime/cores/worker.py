@@ -48,7 +48,12 @@ class LearnerWorker:
         self._state.start(arrays)
 
     def weights(self) -> Any:
+        """That act."""
         return local_values(self._learner.params)
+
+    def released(self) -> Any:
+        """For evaluation and scoring: see `LearnerState.released`."""
+        return local_values(self._learner.released)
 
     def curriculum_state(self) -> Any:
         """As numpy: what rollout actors propose levels from."""
@@ -95,10 +100,10 @@ class LearnerWorker:
         return flatten_arrays({LEARNER: local_values(self._learner.state), CURRICULUM: self._state.values})
 
     def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
-        return self._evaluator.evaluate(self.weights() if use_policy else None)
+        return self._evaluator.evaluate(self.released() if use_policy else None)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
-        return self._evaluator.record(self.weights(), num_rollouts, num_updates)
+        return self._evaluator.record(self.released(), num_rollouts, num_updates)
 
     def facts(self) -> dict[str, Any]:
         """What a report says of this process."""

@@ -47,7 +47,7 @@ class ColocatedTrainer:
         self._plans = placement.of("worker")
 
     def weights(self) -> Ticket:
-        return self._handles[0].call("weights")
+        return self._handles[0].call("released")
 
     def adopt(self, parts: Sequence[Any]) -> None:
         self._all("adopt", *parts)

@@ -26,7 +26,7 @@ class Trainer(Protocol):
         """Other processes from the next start on."""
 
     def weights(self) -> Any:
-        """The parameters now, or a reference to them: what a curator is given."""
+        """The parameters for evaluation and scoring now, or a reference to them: what a curator is given."""
 
     def adopt(self, parts: Sequence[Any]) -> None:
         """Uses what curators worked out, `Refresh.parts`, for every batch drawn from now on."""

@@ -97,6 +97,8 @@ class SplitTrainer:
         self._rollout_plans = placement.of("rollout")
 
     def weights(self) -> Ticket:
+        if self._config.ppo.average_updates:
+            return self._learners[0].call("released")
         return self._weights.newest
 
     def adopt(self, parts: Sequence[Any]) -> None:
