@@ -123,7 +123,8 @@ def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..
 def test_levels_play_plays_at_once_and_stops_for_editing(open_page: OpenPage, serve: Callable[..., Server]) -> None:
     page = open_page(serve("s/hop_home", "--policy", "random", name="levels play"), "#/edit")
     page.wait_for_function(
-        "() => Number(/step (\\d+) of/.exec(document.querySelector('.play-state')?.textContent)?.[1]) > 10"
+        "() => Number(/step (\\d+) of/.exec(document.querySelector('.play-state')?.textContent)?.[1]) > 10",
+        timeout=180_000,  # the engine starts and compiles first, below everything else that a machine does
     )
     assert page.get_by_label("who plays").input_value() == "random"
     page.get_by_role("button", name="stop").click()
