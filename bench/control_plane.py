@@ -77,6 +77,7 @@ def build_tiny_learner(index: int, num_processes: int) -> TinyLearner:
 
 def measure(count: int, *, learns: bool = False) -> dict[str, object]:
     """A record of `count` processes; learns: that form one JAX world."""
+    from kinetix_dist.runtime.cores.build import MODULES
     from kinetix_dist.runtime.processes.placement import ProcessPlan
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
@@ -87,7 +88,7 @@ def measure(count: int, *, learns: bool = False) -> dict[str, object]:
         return record | {
             "left_out": f"{available >> 20} MiB of memory are free, about {BYTES_A_PROCESS >> 20} a process"
         }
-    backend = RayBackend(heartbeat_seconds=600.0)
+    backend = RayBackend(heartbeat_seconds=600.0, modules=MODULES)  # as a run does
     try:
         began = time.monotonic()
         role, build = ("worker", build_tiny_learner) if learns else ("rollout", build_idle)

@@ -18,6 +18,8 @@ from kinetix_dist.runtime.cores.rollout_worker import RolloutWorker
 from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
 from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
+MODULES = (__name__, "jax2d.warp.ffi")  # all that a process imports, the engine too: for a server that forks processes
+
 
 def build_worker(index: int, num_processes: int, config: TrainConfig) -> Worker:
     del index, num_processes

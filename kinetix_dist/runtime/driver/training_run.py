@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.env.physics import describe
 from kinetix_dist.errors import one_line
+from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
@@ -215,7 +216,7 @@ def _start_roles(
     from kinetix_dist.runtime.driver.resizing import Resizing
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
-    backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event)
+    backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event, modules=MODULES)
     try:
         if backend.has_joined_a_cluster:
             check_nodes(run.path)

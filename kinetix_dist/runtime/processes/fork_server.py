@@ -6,7 +6,7 @@
 Otherwise every process imports for 5 s of a core, at the start and in every recovery. Memory of what is imported is
 shared until it is written to.
 
-    python -m kinetix_dist.runtime.processes.fork_server DESCRIPTOR        stdin is a pipe from the driver
+    python -m kinetix_dist.runtime.processes.fork_server DESCRIPTOR MODULE...        stdin is a pipe from the driver
 
 consumes      requests, at a socket of the abstract namespace: of this user alone, and without a file to leave behind
 produces      processes, its own children, so that whoever looks for what a driver started finds them
@@ -23,6 +23,7 @@ import array
 import contextlib
 import dataclasses
 import gc
+import importlib
 import json
 import os
 import runpy
@@ -33,7 +34,7 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 
 from kinetix_dist.runtime.processes.fork_client import SERVER
@@ -49,13 +50,14 @@ NUM_STREAMS = 3
 class ForkServer:
     """The driver's side: starts the server and keeps the pipe open."""
 
-    def __init__(self) -> None:
+    def __init__(self, modules: Sequence[str] = ()) -> None:
+        """modules: that its processes import, by name."""
         self._name = f"kinetix-fork-{secrets.token_hex(16)}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
             listener.bind("\0" + self._name)
             listener.listen(BACKLOG)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "kinetix_dist.runtime.processes.fork_server", str(listener.fileno())],
+                [sys.executable, "-m", "kinetix_dist.runtime.processes.fork_server", str(listener.fileno()), *modules],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -105,13 +107,13 @@ class Request:
     streams: tuple[int, ...]  # descriptors of stdin, stdout and stderr
 
 
-def serve(listener_number: int) -> Request | None:
+def serve(listener_number: int, modules: Sequence[str]) -> Request | None:
     """Returns None when stdin has ended; and in each process that was forked, what that was asked for.
 
-    listener_number: descriptor of a socket that listens.
+    listener_number: descriptor of a socket that listens. modules: to import first.
     """
     with socket.socket(fileno=listener_number) as listener:
-        _import_all()
+        _import_all(modules)
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the kernel collects children
         while True:
             ready, _, _ = select.select([sys.stdin, listener], [], [])
@@ -122,15 +124,15 @@ def serve(listener_number: int) -> Request | None:
                     return request
 
 
-def _import_all() -> None:
+def _import_all(modules: Sequence[str]) -> None:
     """What every process of a run imports: not Ray itself, whose numbers at random would be the same in all forks."""
     import google.protobuf.json_format  # noqa: F401
+    import jax  # noqa: F401
     import jsonschema  # noqa: F401
     import requests  # noqa: F401
-    import warp  # noqa: F401
 
-    import kinetix_dist.runtime.cores.build  # noqa: F401
-
+    for module in modules:
+        importlib.import_module(module)
     gc.collect()
     gc.freeze()  # else a first collection in each process would write to all that is shared
 
@@ -202,5 +204,5 @@ def become(request: Request) -> None:
 
 
 if __name__ == "__main__":
-    if (asked := serve(int(sys.argv[1]))) is not None:
+    if (asked := serve(int(sys.argv[1]), sys.argv[2:])) is not None:
         become(asked)

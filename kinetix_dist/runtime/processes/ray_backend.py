@@ -83,9 +83,14 @@ class RayBackend:
     """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
 
     def __init__(
-        self, *, heartbeat_seconds: float, on_event: Callable[..., None] = lambda kind, **details: None
+        self,
+        *,
+        heartbeat_seconds: float,
+        on_event: Callable[..., None] = lambda kind, **details: None,
+        modules: Sequence[str] = (),
     ) -> None:
-        """`on_event(kind, **details)` hears of every process that starts: who, where, with how much memory."""
+        """`on_event(kind, **details)` hears of every process that starts: who, where, with how much memory. modules:
+        that processes import, by name; they are forked with them where they can be (`fork_server.py`)."""
         self._on_event = on_event
         self.sections = Sections()
         self.losses = Losses()
@@ -117,7 +122,7 @@ class RayBackend:
             if (path := secure_token()) is not None:
                 on_event("token_secured", path=str(path))
             self._watchdog = Watchdog(os.getpid())
-            self._fork_server = ForkServer() if ForkServer.can_run() else None
+            self._fork_server = ForkServer(modules) if ForkServer.can_run() else None
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
             options |= {
                 "address": "local",
