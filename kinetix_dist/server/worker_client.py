@@ -186,7 +186,7 @@ class _Worker:
                 self._ended(WorkerError(GONE, "the engine worker ended, since nothing was asked of it; ask again"))
             else:
                 last = self._log.decode(errors="replace").strip().splitlines()[-1:]
-                why = f": {last[0]}" if last else ""
+                why = f": {last[0]}" if last and status > 0 else ""  # one that was killed did not say why
                 self._ended(WorkerError(GONE, f"the engine worker died (exit status {status}){why}; ask again"))
         except ValueError as error:
             self._kill(WorkerError(GONE, f"the engine worker said something that is no message ({error})"))

@@ -1,5 +1,5 @@
 // Everything that a key or a button does at once. The bar, the keyboard and the help are made from this list.
-import { aligned, copied, everything, joined, mirrored, moved, pasted, turned, without } from "./edits.js";
+import { aligned, copied, distributed, everything, joined, mirrored, moved, pasted, turned, without } from "./edits.js";
 import { GRID_M, TURN_RAD } from "./snap.js";
 import { WHOLE_VIEW } from "./state.js";
 import { TOOLS } from "./tools.js";
@@ -84,6 +84,8 @@ export const COMMANDS = [
     label: `Align ${how}`,
     run: (/** @type {Editor} */ editor) => changed(editor, (level) => aligned(level, editor.selection, how, editor.walls)),
   })),
+  { keys: ["alt+h"], label: "Distribute from left to right", run: (editor) => changed(editor, (level) => distributed(level, editor.selection, 0, editor.walls)) },
+  { keys: ["alt+v"], label: "Distribute from bottom to top", run: (editor) => changed(editor, (level) => distributed(level, editor.selection, 1, editor.walls)) },
   { keys: Object.keys(DIRECTIONS), label: "Move by 5 cm, or the cross", run: arrow },
   { keys: Object.keys(DIRECTIONS).map((key) => `shift+${key}`), label: "Move by 5 mm, or the cross", run: arrow },
   { keys: ["enter"], label: "Click with the cross", run: click },

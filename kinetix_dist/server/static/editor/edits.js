@@ -181,6 +181,23 @@ export function aligned(document, selection, how, walls) {
   }, document);
 }
 
+/** Shapes moved so that the gaps between their boxes are the same; the outermost stay.
+ * @param {Level} document @param {readonly string[]} selection @param {0 | 1} axis along x or y @param {readonly Wall[]} walls @returns {Level} */
+export function distributed(document, selection, axis, walls) {
+  const boxes = selectedShapes(document, selection).map((index) => ({ index, box: boundsOf(document.shapes[index]) }));
+  if (boxes.length < 3) return document;
+  boxes.sort((a, b) => a.box[axis] + a.box[axis + 2] - b.box[axis] - b.box[axis + 2]);
+  const room = boxes[boxes.length - 1].box[axis + 2] - boxes[0].box[axis];
+  const gap = (room - boxes.reduce((sum, { box }) => sum + box[axis + 2] - box[axis], 0)) / (boxes.length - 1);
+  let next = boxes[0].box[axis];
+  return boxes.reduce((level, { index, box }) => {
+    const step = /** @type {Point} */ ([0, 0]);
+    step[axis] = next - box[axis];
+    next += box[axis + 2] - box[axis] + gap;
+    return moved(level, [`shapes[${index}]`], step, walls);
+  }, document);
+}
+
 /** Without what is selected, and what was on its shapes. @param {Level} document @param {readonly string[]} selection @returns {Level} */
 export function without(document, selection) {
   const ids = idsOf(document, selection);

@@ -2,18 +2,18 @@
 import { boundsOf, contains, cornersOf, jointEnds, jointsOf, parsePath, reshaped, shapesOf, thrusterPlace, thrustersOf, toLocal, toWorld } from "./document.js";
 import { middleOf, selectedShapes, turned } from "./edits.js";
 import { add, distance, hull, isInside, rotate, rounded, roundedPoint, signedArea, sub, wrapped } from "./geometry.js";
+import { draggedJoint, jointHandles } from "./joint_handles.js";
 import { snappedAngle } from "./snap.js";
 
 /**
  * @typedef {import("./geometry.js").Point} Point
  * @typedef {import("./document.js").Level} Level
  * @typedef {import("./document.js").Wall} Wall
- * @typedef {{ kind: "corner" | "vertex" | "radius" | "turn" | "direction" | "lower" | "upper", at: Point, index: number, middle?: Point }} Handle
+ * @typedef {{ kind: "corner" | "vertex" | "radius" | "turn" | "direction" | "lower" | "upper" | "rest" | "axis", at: Point, index: number, middle?: Point }} Handle
  */
 
 const TURN_PX = 34; // how far the handle that turns is from what it turns
 const ARROW_M = 0.45; // from a thruster to the handle of its direction
-export const ARC_M = 0.32; // radius of the arc that shows limits
 const SMALLEST_M = 0.02;
 
 /** Paths of all things at a point, the one on top first; walls come last.
@@ -44,18 +44,6 @@ function isInWall(wall, point) {
   return [0, 1].every((axis) => Math.abs(point[axis] - wall.position[axis]) <= wall.half_extents[axis]);
 }
 
-/** Angle of b against a less that at rest: what limits bound. @param {Level} document @param {any} joint @param {readonly Wall[]} walls */
-export function hingeFacts(document, joint, walls) {
-  const ends = jointEnds(document, joint, walls);
-  const shape = (/** @type {string} */ id) => shapesOf(document).find((entry) => entry.id === id);
-  if (!ends) return null;
-  const [a, b] = [shape(joint.a), shape(joint.b)];
-  const now = (b?.angle ?? 0) - (a?.angle ?? 0);
-  const arm = b ? sub(b.position, ends[1]) : /** @type {Point} */ ([0, 0]);
-  const towards = Math.hypot(...arm) > 1e-3 ? Math.atan2(arm[1], arm[0]) : (b?.angle ?? 0);
-  return { at: ends[0], coordinate: now - (joint.rest_angle ?? now), towards };
-}
-
 /** Of what is selected, if that is one thing or some shapes. @param {Level} document @param {readonly string[]} selection
  * @param {readonly Wall[]} walls @param {number} px m of a pixel @returns {Handle[]} */
 export function handlesOf(document, selection, walls, px) {
@@ -73,15 +61,7 @@ export function handlesOf(document, selection, walls, px) {
     return place ? [{ kind: "direction", index: only.index, at: add(place.at, rotate([ARROW_M, 0], place.angle)) }] : [];
   }
   const joint = only?.part === "joints" ? jointsOf(document)[only.index] : null;
-  if (only?.part === "joints" && joint?.type === "revolute" && joint.limits) {
-    const facts = hingeFacts(document, joint, walls);
-    if (!facts) return [];
-    return /** @type {const} */ (["lower", "upper"]).map((kind, k) => ({
-      kind,
-      index: only.index,
-      at: add(facts.at, rotate([ARC_M, 0], facts.towards + joint.limits[k] - facts.coordinate)),
-    }));
-  }
+  if (only?.part === "joints" && joint) return jointHandles(document, joint, only.index, walls);
   return [];
 }
 
@@ -119,7 +99,7 @@ export function dragged(document, selection, handle, number, point, snaps, walls
     const angle = rounded(wrapped((snaps ? snappedAngle(world) : world) - (place.shape.angle ?? 0)));
     return { ...document, thrusters: thrustersOf(document).with(handle.index, { ...thruster, angle }) };
   }
-  if (handle.kind === "lower" || handle.kind === "upper") return withLimit(document, handle, point, snaps, walls);
+  if (["lower", "upper", "rest", "axis"].includes(handle.kind)) return draggedJoint(document, handle, point, snaps, walls);
   if (handle.kind === "radius") {
     const radius = rounded(Math.max(SMALLEST_M, distance(point, shape.position)));
     return reshaped(document, handle.index, { ...shape, radius }, walls);
@@ -140,19 +120,4 @@ export function dragged(document, selection, handle, number, point, snaps, walls
 /** Whether all corners are those of their hull, in its order. @param {Point[]} corners */
 export function isConvex(corners) {
   return signedArea(corners) > 1e-4 && hull(corners).length === corners.length && corners.every((corner) => isInside(corner, corners));
-}
-
-/** @param {Level} document @param {Handle} handle @param {Point} point @param {boolean} snaps @param {readonly Wall[]} walls */
-function withLimit(document, handle, point, snaps, walls) {
-  const joint = jointsOf(document)[handle.index];
-  const facts = hingeFacts(document, joint, walls);
-  if (!facts) return null;
-  const k = handle.kind === "upper" ? 1 : 0;
-  const before = joint.limits[k] - facts.coordinate;
-  const direction = Math.atan2(point[1] - facts.at[1], point[0] - facts.at[0]) - facts.towards;
-  const turn = before + wrapped(direction - before); // the nearest: limits may lie beyond a whole turn
-  const free = turn + facts.coordinate;
-  const value = snaps ? snappedAngle(free) : rounded(free);
-  const limits = k ? [joint.limits[0], Math.max(value, joint.limits[0])] : [Math.min(value, joint.limits[1]), joint.limits[1]];
-  return { ...document, joints: jointsOf(document).with(handle.index, { ...joint, limits }) };
 }

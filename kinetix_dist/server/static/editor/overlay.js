@@ -2,7 +2,8 @@
 import { LETTER_FROM_M } from "../world/canvas.js";
 import { boundsOf, jointEnds, jointsOf, parsePath, shapesOf, thrusterPlace, thrustersOf, worldCorners } from "./document.js";
 import { distance } from "./geometry.js";
-import { ARC_M, handlesOf, hingeFacts } from "./handles.js";
+import { handlesOf } from "./handles.js";
+import { ARC_M, axisReach, hingeFacts, sliderFacts } from "./joint_handles.js";
 
 /**
  * @typedef {import("./geometry.js").Point} Point
@@ -24,7 +25,7 @@ export function drawOverlay(paper, editor) {
     if (handle.kind === "turn" && handle.middle) line(paper, [handle.middle, handle.at], accent, [3, 3]);
     const [x, y] = [paper.x(handle.at[0]), paper.y(handle.at[1])];
     context.beginPath();
-    if (["turn", "direction"].includes(handle.kind)) context.arc(x, y, HANDLE_PX * dot, 0, 2 * Math.PI);
+    if (["turn", "direction", "rest", "axis"].includes(handle.kind)) context.arc(x, y, HANDLE_PX * dot, 0, 2 * Math.PI);
     else context.rect(x - (HANDLE_PX - 1) * dot, y - (HANDLE_PX - 1) * dot, 2 * (HANDLE_PX - 1) * dot, 2 * (HANDLE_PX - 1) * dot);
     context.fillStyle = "#ffffff";
     context.fill();
@@ -94,13 +95,16 @@ function ring({ context, x, y, dot }, at) {
   context.arc(x(at[0]), y(at[1]), 11 * dot, 0, 2 * Math.PI);
 }
 
-/** The range of a hinge as an arc about it, with a mark where it is. @param {Paper} paper @param {import("./state.js").Editor} editor @param {string} path @param {string} accent */
+/** The range of a joint with a mark where it is: of a hinge an arc about it, of a slider a line along its axis. @param {Paper} paper @param {import("./state.js").Editor} editor @param {string} path @param {string} accent */
 function limitsOf(paper, editor, path, accent) {
   const found = parsePath(path);
   const joint = found?.part === "joints" ? jointsOf(editor.document)[found.index] : null;
-  if (!joint?.limits || joint.type !== "revolute") return;
-  const facts = hingeFacts(editor.document, joint, editor.walls);
+  if (joint?.type === "prismatic") return sliderOf(paper, editor, joint, accent);
+  const facts = joint && hingeFacts(editor.document, joint, editor.walls);
   if (!facts) return;
+  const atRest = facts.towards - facts.coordinate;
+  line(paper, [facts.at, [facts.at[0] + ARC_M * Math.cos(atRest), facts.at[1] + ARC_M * Math.sin(atRest)]], "#d55e00", [2, 3]);
+  if (!joint.limits || joint.type !== "revolute") return;
   const { context, x, y, scale } = paper;
   const [low, high] = joint.limits.map((/** @type {number} */ limit) => facts.towards + limit - facts.coordinate);
   context.beginPath();
@@ -112,6 +116,20 @@ function limitsOf(paper, editor, path, accent) {
   context.strokeStyle = accent;
   context.stroke();
   line(paper, [facts.at, [facts.at[0] + ARC_M * Math.cos(facts.towards), facts.at[1] + ARC_M * Math.sin(facts.towards)]], accent, [3, 2]);
+}
+
+/** @param {Paper} paper @param {import("./state.js").Editor} editor @param {any} joint @param {string} accent */
+function sliderOf(paper, editor, joint, accent) {
+  const facts = sliderFacts(editor.document, joint, editor.walls);
+  if (!facts) return;
+  line(paper, [facts.at, facts.place(axisReach(joint))], "#d55e00", [2, 3]);
+  if (!joint.limits) return;
+  line(paper, joint.limits.map(facts.place), accent, []);
+  for (const limit of joint.limits) {
+    const [x, y] = facts.place(limit);
+    const across = /** @type {Point} */ ([-0.1 * Math.sin(facts.angle), 0.1 * Math.cos(facts.angle)]);
+    line(paper, [[x - across[0], y - across[1]], [x + across[0], y + across[1]]], accent, []);
+  }
 }
 
 /** @param {Paper} paper @param {Point[]} points @param {string} stroke @param {number[]} dash */

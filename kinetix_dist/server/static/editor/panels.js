@@ -6,7 +6,7 @@ import { renamed } from "./edits.js";
 import { fieldsOf, LEVEL_FIELDS, SHAPE_FIELDS, valueOf, withValue } from "./fields.js";
 
 /** @typedef {import("./state.js").Editor} Editor */
-const ALIGNMENTS = COMMANDS.filter((command) => command.label.startsWith("Align"));
+const ALIGNMENTS = COMMANDS.filter((command) => /^(Align|Distribute)/.test(command.label));
 /** @typedef {import("./fields.js").Field} Field */
 
 /** What is typed: kept as text until it is a value; the text of another value takes its place. @param {{ value: any, parse: (text: string) => any, show: (value: any) => string, commit: (value: any) => void, label: string, type?: string, step?: number }} props */

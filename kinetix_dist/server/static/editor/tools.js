@@ -278,7 +278,7 @@ export const TOOLS = {
   quadrilateral: { key: "q", label: "Quadrilateral", mark: "▱", help: "click four corners", down: clicking("quadrilateral", 4) },
   revolute: { key: "r", label: "Revolute", mark: "◎", help: "click where two shapes overlap, or drag from one to another; it has a motor", down: joining("revolute", { motor: { speed: 1, power: 1, colour: 0 } }) },
   fixed: { key: "f", label: "Fixed", mark: "✕", help: "click where two shapes overlap, or drag from one to another", down: joining("fixed", {}) },
-  prismatic: { key: "l", label: "Slider", mark: "⇔", help: "click where two shapes overlap, or drag from one to another; set its axis in the panel", down: joining("prismatic", { axis: 0, motor: { speed: 1, power: 1, colour: 0 } }) },
+  prismatic: { key: "l", label: "Slider", mark: "⇔", help: "click where two shapes overlap, or drag from one to another; its handle turns the axis", down: joining("prismatic", { axis: 0, motor: { speed: 1, power: 1, colour: 0 } }) },
   thruster: { key: "h", label: "Thruster", mark: "▲", help: "press on a shape and drag to where it pushes", down: beginThruster },
   pan: { key: "p", label: "Pan", mark: "✥", help: "drag; two fingers, the wheel and the middle button do so with any tool", down: beginPan },
 };

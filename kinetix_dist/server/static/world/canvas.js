@@ -21,13 +21,14 @@
  * @property {number} [reach]
  * @property {number} [coils]
  * @typedef {{ num_shapes: number, primitives: Primitive[] }} Display
- * @typedef {{ role_palette: number[][], background: number[], ink: number[], line_width: number }} Palette
+ * @typedef {{ role_palette: number[][], background: number[], ink: number[], line_width: number, fixed_shade: number }} Palette
  * @typedef {{ context: CanvasRenderingContext2D, x: (value: number) => number, y: (value: number) => number, scale: number, dot: number }} Paper
  *   x, y: pixels of m; scale: pixels of a metre; dot: pixels of the canvas for one of the page
  */
 
 export const VIEW = [-0.12, -0.12, 5.12, 5.12]; // lowest x, lowest y, highest x, highest y, m: the box and a rim of its walls
 const ROLE_LETTERS = ["", "G", "B", "R"];
+const HATCH_PX = 9; // between lines over what does not move
 export const LETTER_FROM_M = 0.16; // smaller shapes have no letter
 
 /**
@@ -126,14 +127,15 @@ export function drawWorld(canvas, display, poses, palette, { start = 0, thrust =
   for (const primitive of display.primitives) {
     const points = worldPoints(primitive, poses, start, thrust);
     if (!points || !points.every((point) => Number.isFinite(point[0]) && Number.isFinite(point[1]))) continue;
-    context.beginPath();
-    if (primitive.kind === "disc") context.arc(x(points[0][0]), y(points[0][1]), (primitive.radius ?? 0) * scale, 0, 2 * Math.PI);
-    else points.forEach((point, k) => (k ? context.lineTo(x(point[0]), y(point[1])) : context.moveTo(x(point[0]), y(point[1]))));
+    trace(context, primitive, points, x, y, scale);
     if (primitive.kind === "disc" || primitive.kind === "polygon") {
-      context.closePath();
       context.fillStyle = rgb(primitive.fill);
       context.fill();
-      if (primitive.outline) outlined(context, primitive.outline, palette.line_width);
+      if (letters && isFixed(primitive, palette)) hatched(context, points.map((point) => /** @type {Point} */ ([x(point[0]), y(point[1])])), (primitive.radius ?? 0) * scale, primitive.outline ?? []);
+      if (primitive.outline) {
+        trace(context, primitive, points, x, y, scale);
+        outlined(context, primitive.outline, palette.line_width);
+      }
     } else {
       context.strokeStyle = rgb(primitive.fill);
       context.lineWidth = primitive.width ?? palette.line_width;
@@ -141,6 +143,41 @@ export function drawWorld(canvas, display, poses, palette, { start = 0, thrust =
     }
   }
   if (letters) drawLetters(context, display, poses, start, palette, x, y, scale);
+}
+
+/** The path of a primitive, of discs and polygons closed. @param {CanvasRenderingContext2D} context @param {Primitive} primitive
+ * @param {Point[]} points @param {(v: number) => number} x @param {(v: number) => number} y @param {number} scale */
+function trace(context, primitive, points, x, y, scale) {
+  context.beginPath();
+  if (primitive.kind === "disc") context.arc(x(points[0][0]), y(points[0][1]), (primitive.radius ?? 0) * scale, 0, 2 * Math.PI);
+  else points.forEach((point, k) => (k ? context.lineTo(x(point[0]), y(point[1])) : context.moveTo(x(point[0]), y(point[1]))));
+  if (primitive.kind === "disc" || primitive.kind === "polygon") context.closePath();
+}
+
+/** Whether a shape is drawn in the shade of those that do not move. @param {Primitive} primitive @param {Palette} palette */
+function isFixed({ part, fill, outline }, palette) {
+  const full = palette.role_palette[roleOf(fill, palette)];
+  return part[0] === "shape" && outline !== undefined && fill.every((value, k) => Math.abs(value - full[k] * palette.fixed_shade) <= 1);
+}
+
+/** Lines from lower left to upper right over the path of the canvas: what does not move is told by more than its shade.
+ * @param {CanvasRenderingContext2D} context @param {Point[]} points pixels @param {number} reach pixels beyond them @param {number[]} colour */
+function hatched(context, points, reach, colour) {
+  const [left, right] = [Math.min, Math.max].map((end, k) => end(...points.map((point) => point[0])) + (k ? reach : -reach));
+  const [top, bottom] = [Math.min, Math.max].map((end, k) => end(...points.map((point) => point[1])) + (k ? reach : -reach));
+  if (right - left < HATCH_PX || bottom - top < HATCH_PX) return;
+  const every = HATCH_PX * (devicePixelRatio || 1);
+  context.save();
+  context.clip();
+  context.beginPath();
+  for (let start = Math.floor((left - (bottom - top)) / every) * every; start < right; start += every) {
+    context.moveTo(start, bottom);
+    context.lineTo(start + bottom - top, top);
+  }
+  context.strokeStyle = rgb(colour);
+  context.lineWidth = devicePixelRatio || 1;
+  context.stroke();
+  context.restore();
 }
 
 /** The outline lies inside of the edge. @param {CanvasRenderingContext2D} context @param {number[]} colour @param {number} width */
