@@ -56,11 +56,13 @@ def test_a_replay_is_the_same_bit_for_bit_wherever_the_level_stands_in_the_batch
 def test_as_users_run_it_every_proof_takes_exactly_as_many_steps_as_it_says(size: str) -> None:
     """With the flags of XLA and the optimisations that users have, which tests have not."""
     command = [sys.executable, "-m", "kinetix_dist.cli.main", "levels", "solve", f"all_designed_{size}", "--check"]
+    command += ["--worlds", "32"]  # of slightly different starts, which are not what this is about
     environment = {**environment_of_cpus(1), "XLA_FLAGS": "", "JAX_DISABLE_MOST_OPTIMIZATIONS": "false"}
     done = subprocess.run(command, env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     _, _, proofs = levels_and_proofs(size)
-    assert done.stdout.splitlines()[:-1] == [f"{proof.level}: solved in {proof.num_steps} steps" for proof in proofs]
+    lines = [line.partition(", also from ")[0] for line in done.stdout.splitlines()[:-1]]
+    assert lines == [f"{proof.level}: solved in {proof.num_steps} steps" for proof in proofs]
 
 
 def test_a_proof_with_its_last_step_left_out_proves_nothing(replayed: Replayed) -> None:
