@@ -140,4 +140,5 @@ def test_play_ends_in_one_line_with_its_worker_and_with_the_server(editing: Call
     picture.press("Control+a")
     picture.press("Delete")  # drawing goes on without a server
     page.get_by_text("disconnected").wait_for()
+    page.context.close()  # before it tries again
     page.complaints.clear()  # the browser says that it cannot connect

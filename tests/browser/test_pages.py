@@ -169,6 +169,7 @@ def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_
     page.get_by_text("1 line is damaged in metrics/metrics.jsonl and left out").wait_for()
     end(server.process)
     page.get_by_text("disconnected").wait_for(timeout=10_000)
+    page.context.close()  # before it tries again
     page.complaints.clear()  # the browser says that it cannot connect
 
 
