@@ -77,9 +77,11 @@ export function SelectionPanel({ editor }) {
       if (document.shapes.some((shape) => shape.id === value)) return editor.say(`there is a shape ${value} already`);
       return editor.commit(renamed(document, found.index, value));
     }
-    editor.commit(withThing(document, path, withValue(thing, field, value)));
+    // Of the level as it is now: the panel is drawn again a picture later.
+    const now = thingAt(editor.settled, path);
+    if (now !== undefined) editor.commit(withThing(editor.settled, path, withValue(now, field, value)));
   };
-  const change = (/** @type {any} */ next) => editor.commit(withThing(document, path, next));
+  const change = (/** @type {any} */ next) => editor.commit(withThing(editor.settled, path, next));
   return html`<section class="panel" data-panel="selection"><header><h3>${nameOf(document, path)}</h3><span class="help">${path}</span></header>
     <div class="fields">${fieldsOf(found.part, thing, bodies).map((field) => html`<${FieldInput} key=${`${path} ${field.name}`} field=${field} thing=${thing} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>
     ${found.part === "joints" ? html`<div class="row small"><${JointSwitches} joint=${thing} change=${change} /></div>` : null}
@@ -104,7 +106,7 @@ function ManyPanel({ editor }) {
   const shapes = selection.filter((path) => path.startsWith("shapes["));
   const first = thingAt(document, shapes[0] ?? "");
   const commit = (/** @type {Field} */ field, /** @type {any} */ value) =>
-    editor.commit(shapes.reduce((level, path) => withThing(level, path, withValue(thingAt(level, path), field, value)), document));
+    editor.commit(shapes.reduce((level, path) => withThing(level, path, withValue(thingAt(level, path), field, value)), editor.settled));
   return html`<section class="panel" data-panel="selection"><header><h3>${selection.length} things</h3><span class="help">fields are set for all ${shapes.length} shapes</span></header>
     <div class="row small">${ALIGNMENTS.map((command) => html`<button key=${command.label} title=${command.keys[0]} onClick=${() => command.run(editor, command.keys[0])}>${command.label.toLowerCase()}</button>`)}</div>
     ${first ? html`<div class="fields">${SHAPE_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${first} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>` : null}
