@@ -1,6 +1,7 @@
 """Ray processes by themselves: who shares a GPU, and what a failure in one says. GPUs are slots of Ray's books here."""
 
 import dataclasses
+import gc
 import os
 import re
 import signal
@@ -216,6 +217,7 @@ def _stored_mib():
 def _wait_for(condition, seconds=20.0):
     deadline = time.monotonic() + seconds
     while not condition():
+        gc.collect()  # errors hold what they were raised over, in cycles
         assert time.monotonic() < deadline
         time.sleep(0.1)
 
