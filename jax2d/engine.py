@@ -136,7 +136,9 @@ class Engine:
         def start(field: Field) -> jax.Array:
             x = given.get(field.name)
             if x is None:
-                return jnp.asarray(field.get(state), field.dtype(self.dtype))
+                zeros, dtype = field.get(state), field.dtype(self.dtype)
+                # What holds nothing is made by a program, not captured by it: jax 0.11 cannot compile some that do.
+                return jnp.zeros(np.shape(zeros), dtype) if np.size(zeros) == 0 else jnp.asarray(zeros, dtype)
             check_real(field.name, x)
             x, shape = jnp.asarray(x, self.dtype), (*batch, *field.shape(self.capacity.sizes))
             if x.shape != shape:

@@ -13,6 +13,8 @@ from bench.soak import EPISODE_STEPS, Soak, Tally
 from jax2d import preset
 from jax2d.scene import index_worlds
 
+OPTIMISED = True  # worlds alone and among others have the same bits: see tests/conftest.py
+
 FRAME_SKIP = 2
 WORLDS = 6
 
