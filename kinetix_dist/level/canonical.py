@@ -78,11 +78,11 @@ def swap_ends(joints: Joints) -> Joints:
         b=joints.a,
         anchor_a=joints.anchor_b,
         anchor_b=joints.anchor_a,
-        rest_angle=_negative(joints.rest_angle),
+        rest_angle=negative(joints.rest_angle),
         axis_angle=jnp.where(slides, joints.axis_angle - joints.rest_angle + math.pi, joints.axis_angle),
-        motor_speed=jnp.where(slides, joints.motor_speed, _negative(joints.motor_speed)),
-        lower_limit=jnp.where(slides, joints.lower_limit, _negative(joints.upper_limit)),
-        upper_limit=jnp.where(slides, joints.upper_limit, _negative(joints.lower_limit)),
+        motor_speed=jnp.where(slides, joints.motor_speed, negative(joints.motor_speed)),
+        lower_limit=jnp.where(slides, joints.lower_limit, negative(joints.upper_limit)),
+        upper_limit=jnp.where(slides, joints.upper_limit, negative(joints.lower_limit)),
     )
 
 
@@ -91,6 +91,6 @@ def _wrapped(angle: Array) -> Array:
     return angle - 2.0 * math.pi * jnp.round(angle / (2.0 * math.pi))
 
 
-def _negative(x: Array) -> Array:
+def negative(x: Array) -> Array:
     """-x, and 0 of 0: a negative zero would be another number in files."""
     return jnp.where(x == 0, 0, -jnp.asarray(x)).astype(jnp.asarray(x).dtype)

@@ -4,8 +4,11 @@
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
 ("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
-walkers, unicycles and arms "locomotion_s" to "locomotion_l"), or a file or directory of level files, ours or of the
-public package.
+walkers, unicycles and arms "locomotion_s" to "locomotion_l"), a set to develop with ("dev_random_s", "dev_designed_s"
+and so on), or a file or directory of level files, ours or of the public package.
+
+What is published is measured on held-out and designed sets; what is chosen (settings, recipes, networks) is chosen on
+sets to develop with, which share no random level with them: else what is published would be too good.
 """
 
 from __future__ import annotations
@@ -28,43 +31,64 @@ from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import LevelInfo, load_level
 from kinetix_dist.level.set_files import designed_files, designed_sets
 from kinetix_dist.level.validate import read_document
+from kinetix_dist.level.variants import variants
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
 HELD_OUT_LEVELS = 256
+DEVELOPMENT_STREAM = 0x444556  # "DEV"
+DEVELOPMENT_LEVELS = 2048
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RandomSet:
-    """Held-out random levels of a size."""
+    """Random levels of a size that nobody trains on."""
 
     name: str
     size: str
     generator: str  # of GENERATORS
+    stream: int = HELD_OUT_STREAM  # key of it
+    num_levels: int = HELD_OUT_LEVELS
 
 
 RANDOM_SETS = {
     f"{prefix}_{size}": RandomSet(name=f"{prefix}_{size}", size=size, generator=generator)
     for prefix, generator in (("random", "default"), ("kinetix", "kinetix"), ("locomotion", "locomotion"))
     for size in SIZES
+} | {
+    f"dev_random_{size}": RandomSet(
+        name=f"dev_random_{size}",
+        size=size,
+        generator="default",
+        stream=DEVELOPMENT_STREAM,
+        num_levels=DEVELOPMENT_LEVELS,
+    )
+    for size in SIZES
 }
+VARIED_SETS = {
+    f"dev_designed_{size}": f"all_designed_{size}" for size in SIZES
+}  # and of which levels they are variants
 
 
 def load_level_set(
     name: str,
     size: str | None = None,
     *,
-    num_levels: int = HELD_OUT_LEVELS,
+    num_levels: int | None = None,
     noop_outcome_fn: Callable[[Level], Array] = noop_solved,
 ) -> tuple[Level, list[str]]:
     """A batch of levels and their names, in arrays of `size` (default: the smallest that fits all of them).
 
-    `num_levels` and `noop_outcome_fn` are for random sets: how many, and which solve themselves. Raises `ValueError`
-    (`LevelFormatError`, `LevelSizeError`) or `FileNotFoundError`, one line each.
+    `num_levels` and `noop_outcome_fn` are for random sets: how many (None: all), and which solve themselves. Raises
+    `ValueError` (`LevelFormatError`, `LevelSizeError`) or `FileNotFoundError`, one line each.
     """
     if size is not None:
         capacity_of_size(size)
     if name in RANDOM_SETS:
-        return _random_set(RANDOM_SETS[name], size, num_levels, noop_outcome_fn)
+        drawn = RANDOM_SETS[name]
+        return _random_set(drawn, size, drawn.num_levels if num_levels is None else num_levels, noop_outcome_fn)
+    if name in VARIED_SETS:
+        levels, names = _stack(files_of_set(VARIED_SETS[name]), size)
+        return variants(jax.random.key(DEVELOPMENT_STREAM), levels, names)
     return _stack(files_of_set(name), size)
 
 
@@ -103,7 +127,7 @@ def files_of_set(name: str) -> list[Path]:
         if not files:
             raise FileNotFoundError(f"no .json level files in {path}; give a directory of level files")
         return files
-    known = ", ".join([*sets, *RANDOM_SETS])
+    known = ", ".join([*sets, *VARIED_SETS, *RANDOM_SETS])
     raise ValueError(f"unknown level set {name!r}; sets are {known}, or give a level file or a directory of them")
 
 
@@ -115,16 +139,16 @@ def file_of_level(name: str) -> Path:
     return files[0]
 
 
-def held_out_key(size: str) -> Array:
-    """Key of the held-out random levels of one size."""
-    return jax.random.fold_in(jax.random.key(HELD_OUT_STREAM), list(SIZES).index(size))
+def held_out_key(size: str, stream: int = HELD_OUT_STREAM) -> Array:
+    """Key of the random levels of one size that nobody trains on."""
+    return jax.random.fold_in(jax.random.key(stream), list(SIZES).index(size))
 
 
 def _random_set(
     drawn: RandomSet, size: str | None, num_levels: int, noop_outcome_fn: Callable[[Level], Array]
 ) -> tuple[Level, list[str]]:
     config = generator(drawn.generator)
-    levels = generate_filtered(held_out_key(drawn.size), num_levels, drawn.size, config, noop_outcome_fn)
+    levels = generate_filtered(held_out_key(drawn.size, drawn.stream), num_levels, drawn.size, config, noop_outcome_fn)
     levels = jax.tree.map(np.asarray, levels)
     names = [f"{drawn.name}_{i}" for i in range(num_levels)]
     if size is None or size == drawn.size:

@@ -17,7 +17,8 @@ from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import LevelFormatError, level_from_json, load_level
-from kinetix_dist.level.sets import designed_sets, held_out_key, load_level_set
+from kinetix_dist.level.sets import RANDOM_SETS, designed_sets, held_out_key, load_level_set
+from kinetix_dist.level.variants import NUM_VARIANTS
 from tests.level.documents import cart_document
 
 
@@ -81,6 +82,35 @@ def test_random_sets_are_held_out_and_fit_larger_sizes() -> None:
     keys = {tuple(jax.random.key_data(held_out_key(size)).tolist()) for size in SIZES}
     seeds = {tuple(jax.random.key_data(jax.random.key(seed)).tolist()) for seed in range(100)}
     assert len(keys) == 3 and not keys & seeds
+
+
+def test_sets_to_develop_with_share_no_level_with_those_that_are_published() -> None:
+    held_out, _ = load_level_set("random_s", num_levels=8, noop_outcome_fn=nothing_solved)
+    to_develop, names = load_level_set("dev_random_s", num_levels=8, noop_outcome_fn=nothing_solved)
+    assert names[7] == "dev_random_s_7"
+    distance = np.abs(held_out.position[:, None] - to_develop.position[None]).max(axis=(2, 3))
+    assert distance.min() > 0.1
+    assert RANDOM_SETS["dev_random_s"].num_levels == 2048
+
+
+def test_variants_of_designed_levels_differ_a_little_and_half_of_them_are_mirrored() -> None:
+    plain, stems = load_level_set("all_designed_s")
+    levels, names = load_level_set("dev_designed_s")
+    assert names == [f"{stem}_{i}" for stem in stems for i in range(NUM_VARIANTS)]
+    again, _ = load_level_set("dev_designed_s")
+    np.testing.assert_array_equal(levels.velocity, again.velocity)
+    for number in range(len(stems)):
+        one = jax.tree.map(lambda x, i=number: x[i], plain)
+        here, there = (jax.tree.map(lambda x, k=NUM_VARIANTS * number + k: x[k], levels) for k in (0, 1))
+        active = one.scene.shapes.active
+        np.testing.assert_array_equal(here.position, one.position)  # geometry stays
+        np.testing.assert_allclose(there.position[active, 1], one.position[active, 1], atol=1e-5)
+        shapes = one.scene.shapes
+        movable = active & (shapes.inverse_mass > 0)
+        np.testing.assert_allclose(here.scene.shapes.inverse_mass[movable], shapes.inverse_mass[movable], rtol=0.12)
+        assert (here.scene.shapes.inverse_mass[movable] != shapes.inverse_mass[movable]).all()
+        np.testing.assert_array_equal(here.scene.shapes.inverse_mass[~movable], shapes.inverse_mass[~movable])
+        assert not here.velocity[~movable].any() or one.velocity[~movable].any()
 
 
 def test_one_designed_level_a_file_and_a_directory_are_sets_too(tmp_path: Path) -> None:
