@@ -41,7 +41,7 @@ def variants(key: Array, levels: Level, names: Sequence[str]) -> tuple[Level, li
         return jax.tree.map(lambda a, b: jnp.where(is_image.reshape(-1, *[1] * (a.ndim - 1)), b, a), varied, image)
 
     drawn = jax.device_get(jax.jit(jax.vmap(of_one))(keys, levels))
-    flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), drawn)
+    flat = jax.tree.map(lambda x: x.reshape(x.shape[0] * NUM_VARIANTS, *x.shape[2:]), drawn)
     return flat, [f"{name}_{i}" for name in names for i in range(NUM_VARIANTS)]
 
 
