@@ -20,7 +20,7 @@ from kinetix_dist.dashboard.levels import LevelQueryError
 from kinetix_dist.dashboard.run_files import RunFileError
 from kinetix_dist.dashboard.series import AxisError
 from kinetix_dist.errors import UserError, one_line
-from kinetix_dist.server.access import Access
+from kinetix_dist.server.access import Access, Handler
 from kinetix_dist.server.answers import BadRequestError, error_response
 from kinetix_dist.server.channel import Channel
 from kinetix_dist.server.compare_pages import ComparePages
@@ -72,7 +72,8 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
     async def end_worker(app: web.Application) -> None:
         await worker.close()
 
-    app = web.Application(middlewares=[access.middleware, _errors_are_lines], client_max_size=MAX_BODY_BYTES)
+    middlewares = [access.middleware, _errors_are_lines, _new_runs_are_found(service)]
+    app = web.Application(middlewares=middlewares, client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
     rerun = RerunViewer(service, worker)
     for pages in (
@@ -93,9 +94,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 
 
 @web.middleware
-async def _errors_are_lines(
-    request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
-) -> web.StreamResponse:
+async def _errors_are_lines(request: web.Request, handler: Handler) -> web.StreamResponse:
     """What was wrong with a request or a file, as one line. Anything else is a bug, and keeps its traceback."""
     try:
         return await handler(request)
@@ -107,6 +106,16 @@ async def _errors_are_lines(
         return worker_error_response(error)
     except (RunFileError, SnapshotError) as error:
         return error_response(422, str(error))
+
+
+def _new_runs_are_found(service: RunService) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+    @web.middleware
+    async def look(request: web.Request, handler: Handler) -> web.StreamResponse:
+        if "run" in request.match_info:
+            await service.look_for(request.match_info["run"])
+        return await handler(request)
+
+    return look
 
 
 def _following(service: RunService) -> Callable[[web.Application], AsyncIterator[None]]:

@@ -134,6 +134,7 @@ class Channel:
             raise ValueError(f"unknown type {kind!r}")
 
     async def _watch(self, run_id: str, since: int | None, revision: int | None) -> None:
+        await self._service.look_for(run_id)
         self._service.path_of(run_id)
         self._service.watch(run_id, self)
         reader = await self._service.reader(run_id)

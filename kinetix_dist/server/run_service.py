@@ -49,6 +49,11 @@ class RunService:
             raise UnknownRunError(f"there is no run {run_id!r}; the page of runs lists those that are there")
         return self.index.runs[run_id]
 
+    async def look_for(self, run_id: str) -> None:
+        """Finds a run that began after the last look: a page may be opened on it before the list is."""
+        if run_id not in self.index.runs:
+            await self._scan_now()
+
     async def summaries(self) -> list[dict[str, Any]]:
         """One object for each run, see `dashboard.run_index.summary`."""
         await self._scan()
@@ -57,8 +62,7 @@ class RunService:
 
     async def reader(self, run_id: str) -> RunReader:
         """The reader of a run, once all that is there is read. Raises UnknownRunError."""
-        if run_id not in self.index.runs:
-            await self._scan()
+        await self.look_for(run_id)
         path = self.path_of(run_id)
         if run_id not in self._readers:
             self._readers[run_id] = RunReader(path)
@@ -85,8 +89,11 @@ class RunService:
 
     async def _scan(self) -> None:
         if time.monotonic() - self._scanned_at > SCAN_SECONDS or not self.index.runs:
-            self._scanned_at = time.monotonic()
-            await asyncio.to_thread(self.index.scan)
+            await self._scan_now()
+
+    async def _scan_now(self) -> None:
+        self._scanned_at = time.monotonic()
+        await asyncio.to_thread(self.index.scan)
 
     async def _read_first(self, run_id: str) -> None:
         loop = asyncio.get_running_loop()

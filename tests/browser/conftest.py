@@ -17,14 +17,14 @@ from typing import Any
 
 import pytest
 
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import PATIENCE_S, REPOSITORY, python_path
 from tests.server.serving import Server, serving
 
 FETCHED = REPOSITORY / ".cache" / "browser"
 REQUIRED = os.environ.get("KINETIX_BROWSER_TESTS") == "required"
 # One process, no sandbox (containers have no user namespaces), WebGL in software.
 OPTIONS = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-TIMEOUT_MS = 60_000
+TIMEOUT_MS = 1000 * PATIENCE_S
 TRAINED_VARIABLE = "KINETIX_TRAINED_RUNS"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,6 +22,18 @@ from tests.server.serving import Server
 
 OpenPage = Callable[..., Any]
 VIEW_M = 5.5  # WHOLE_VIEW of state.js: along the shorter side of the picture, about (2.5, 2.5)
+LATE_PICTURES = """{
+  const real = window.requestAnimationFrame.bind(window);
+  window.requestAnimationFrame = (act) => setTimeout(() => real(act), 200);
+}"""
+LATE_FILES = """{
+  const real = window.fetch.bind(window);
+  window.fetch = async (address, options) => {
+    if (String(address).includes("api/files")) await new Promise((done) => setTimeout(done, 2000));
+    return real(address, options);
+  };
+}"""
+HAS_DRAFT = """(name) => localStorage.getItem("kinetix-dist draft")?.includes(name)"""
 DESIGNED = [file for size in "sml" for file in files_of_set(f"all_designed_{size}")]
 
 
@@ -51,7 +64,13 @@ class Bench:
     def use(self, tool: str) -> None:
         self.page.get_by_role("toolbar").get_by_label(tool, exact=True).click()
 
+    def drawn(self) -> None:
+        """Waits until the panels show what the last gesture led to: they are drawn with the next picture, and until
+        then have what was selected before, which a person sees and a test does not."""
+        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => setTimeout(done)))")
+
     def field(self, name: str, value: str) -> None:
+        self.drawn()
         entry = self.page.locator("[data-panel=selection]").get_by_label(name, exact=True)
         if entry.evaluate("(element) => element.tagName") == "SELECT":
             entry.select_option(value)
@@ -61,7 +80,7 @@ class Bench:
 
     def checked(self) -> str:
         """What the validator says of the level as it is now."""
-        self.page.wait_for_timeout(200)
+        self.drawn()
         self.page.wait_for_selector("[data-panel=problems][data-checked=true]")
         return self.page.locator("[data-panel=problems]").inner_text()
 
@@ -95,6 +114,7 @@ def build_car(bench: Bench) -> None:
     bench.use("Circle")
     bench.drag((4.0, 0.8), (4.4, 0.8))
     bench.field("role", "blue")
+    bench.drawn()
     page.locator("[data-panel=selection]").get_by_label("fixed").check()
     assert "Valid" in bench.checked()
     page.get_by_label("the level").press("Escape")
@@ -106,8 +126,7 @@ def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..
     assert "green" in bench.checked()  # a level needs one green and one blue shape
     build_car(bench)
     page.keyboard.press("Space")
-    page.wait_for_selector(".play-state")
-    page.keyboard.down("ArrowRight")
+    page.keyboard.down("ArrowRight")  # held from the first step on, also where that takes a while to be compiled
     page.wait_for_selector(".play-state[data-outcome=solved]")
     page.keyboard.up("ArrowRight")
     page.keyboard.press("Escape")
@@ -118,6 +137,38 @@ def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..
     document = json.loads((tmp_path / "mine.json").read_text())
     assert [shape["type"] for shape in document["shapes"]] == ["box", "circle", "circle", "circle"]
     assert document["shapes"][0]["width"] == 1.2 and document["joints"][0]["anchor"] == [0.6, 0.6]
+
+
+def test_a_level_is_built_while_pictures_come_late(editing: Callable[..., Any], tmp_path: Path) -> None:
+    """As on a busy machine: whoever is faster than the page changes what is selected, not what was."""
+    bench, _ = editing(tmp_path / "mine.json")
+    bench.page.context.add_init_script(LATE_PICTURES)
+    bench.page.reload()
+    bench = Bench(bench.page)
+    build_car(bench)
+    bench.save("mine.json")
+    document = json.loads((tmp_path / "mine.json").read_text())
+    assert [joint["motor"]["speed"] for joint in document["joints"]] == [-2, -2]
+
+
+def test_a_level_that_comes_late_replaces_nothing_that_was_done(editing: Callable[..., Any], tmp_path: Path) -> None:
+    """Nobody can draw, and no draft can be brought back, before the level is here that the command line named."""
+    bench, server = editing(tmp_path / "mine.json")
+    page = bench.page
+    page.context.add_init_script(LATE_FILES)
+    page.reload()
+    page.get_by_text("the level is opened ...").wait_for()
+    bench = Bench(page)
+    bench.use("Box")
+    bench.drag((0.4, 0.6), (1.6, 0.8))
+    page.wait_for_function(HAS_DRAFT, arg="box_1")
+
+    again = page.context.new_page()
+    again.goto(f"http://127.0.0.1:{server.port}/#/edit")
+    again.get_by_role("button", name="bring it back").click()
+    again.get_by_role("button", name="box_1").wait_for()
+    again.wait_for_timeout(2500)  # longer than a file takes
+    assert again.get_by_role("button", name="box_1").count() == 1
 
 
 def test_levels_play_plays_at_once_and_stops_for_editing(open_page: OpenPage, serve: Callable[..., Server]) -> None:
@@ -282,7 +333,7 @@ def test_what_is_wrong_leads_to_its_shape_and_nothing_is_lost(editing: Callable[
     page.get_by_role("button", name="save").click()
     page.get_by_text("was changed elsewhere; nothing was saved.", exact=False).first.wait_for()
     assert file.read_bytes() == original + b"\n"
-    page.wait_for_timeout(500)  # a draft is kept 300 ms after a change
+    page.wait_for_function(HAS_DRAFT, arg="box_1")
 
     again = page.context.new_page()  # the page before is left as a crash leaves it
     again.goto(f"http://127.0.0.1:{server.port}/#/edit")
@@ -306,11 +357,16 @@ def test_a_policy_plays_with_its_value_and_64_attempts_have_an_interval(editing:
     page.get_by_role("button", name="play", exact=False).first.click()
     mind = page.locator(".mind")
     mind.wait_for()
-    page.get_by_role("button", name="pause").click()
-    shares = [float(text.split()[-2]) for text in mind.locator(".chance").all_inner_texts()]
-    assert len(shares) == 4 * 3 + 2 * 2 and sum(shares) == pytest.approx(600, abs=1)
+    page.get_by_role("button", name="one step on").click()  # and pauses, also where nothing was played yet
+    page.locator(".play-state", has_text=re.compile(r"step [1-9]")).wait_for()
     page.get_by_label("step", exact=True).fill("1")
     page.locator(".play-state", has_text="step 1 of").wait_for()
+    shares = [float(text.split()[-2]) for text in mind.locator(".chance").all_inner_texts()]
+    assert len(shares) == 4 * 3 + 2 * 2 and sum(shares) == pytest.approx(600, abs=1)
+    page.get_by_label("speed").select_option("0.125")  # the episode lasts a minute, so that it can be paused
+    page.get_by_role("button", name="go on").click()
+    page.get_by_role("button", name="pause").click()
+    page.get_by_role("button", name="go on").wait_for()
     page.get_by_role("button", name="take over").click()
     page.locator(".pads").wait_for()
     page.get_by_role("button", name="edit", exact=False).last.click()

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from kinetix_dist.telemetry import curriculum_log
 from kinetix_dist.telemetry.json_lines import append_line
 from tests.dashboard.runs_for_tests import solve_rate, write_rows, write_run
-from tests.server.serving import Server, end
+from tests.helpers import PATIENCE_S
+from tests.server.serving import Server, end, environment, wait_for
 
 OpenPage = Callable[..., Any]
 Serve = Callable[..., Server]
@@ -24,6 +31,18 @@ COLOURS = """(canvas) => {
   return seen.size;
 }"""
 
+# How many pixels of a canvas have exactly a colour.
+PIXELS = """(canvas, [red, green, blue]) => {
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+  copy.drawImage(canvas, 0, 0);
+  const data = copy.getImageData(0, 0, canvas.width, canvas.height).data;
+  let count = 0;
+  for (let k = 0; k < data.length; k += 4) count += data[k] === red && data[k + 1] === green && data[k + 2] === blue;
+  return count;
+}"""
+# What Chromium says where LANG is C.
+NO_TAG = 'Object.defineProperty(Navigator.prototype, "language", { get: () => "en-US@posix", configurable: true });'
+
 
 def panel(page: Any, title: str) -> Any:
     return page.locator(f'[data-panel^="{title}"]')
@@ -31,22 +50,21 @@ def panel(page: Any, title: str) -> Any:
 
 def box_of(page: Any, locator: Any) -> dict[str, float]:
     """Where an element is, once it is there: one that is just made again is nowhere."""
-    for _ in range(100):
-        if (box := locator.bounding_box()) is not None:
-            return box
+    deadline = time.monotonic() + PATIENCE_S
+    while (box := locator.bounding_box()) is None:
+        assert time.monotonic() < deadline, f"{locator} is nowhere"
         page.wait_for_timeout(100)
-    raise AssertionError(f"{locator} is nowhere")
+    return box
 
 
 def wait_for_drawn(page: Any, title: str, selector: str = "canvas") -> None:
     """Until the first canvas of a panel is more than blank."""
     canvas = panel(page, title).locator(selector).first
     canvas.wait_for()
-    for _ in range(100):
-        if canvas.evaluate(COLOURS) > 4:
-            return
+    deadline = time.monotonic() + PATIENCE_S
+    while canvas.evaluate(COLOURS) <= 4:
+        assert time.monotonic() < deadline, f"nothing is drawn in {title!r}"
         page.wait_for_timeout(100)
-    raise AssertionError(f"nothing is drawn in {title!r}")
 
 
 def test_from_the_list_to_every_page_of_a_real_run(trained_server: Server, open_page: OpenPage) -> None:
@@ -77,6 +95,34 @@ def test_from_the_list_to_every_page_of_a_real_run(trained_server: Server, open_
     page.get_by_role("link", name="Compare", exact=True).click()
     page.get_by_text("tiny", exact=True).click()
     wait_for_drawn(page, "train/solve_rate: each run")
+
+
+def test_pages_fill_while_a_run_trains(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
+    """From before its first update on, without reloading; it trains on when all was looked at."""
+    run = tmp_path / "tiny"
+    command = [
+        sys.executable, "-m", "kinetix_dist.cli.main", "train", "--recipe", "tiny", "--run", str(run),
+        "--run.total_env_steps", str(10**9), "--evaluation.every", "2",
+        "--curriculum_log.max_snapshots", "10000",  # what is left out while it is looked at has a test of its own
+    ]  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        training = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment())
+        stack.callback(training.wait)
+        stack.callback(training.terminate)
+        wait_for((run / "config.json").is_file)
+        page = open_page(serve(tmp_path), "#/run/tiny/overview")
+        panel(page, "Training episodes").locator("canvas").wait_for(timeout=240_000)  # it compiles first
+        for title in ("Training episodes", "Evaluation: solve rates", "Level buffer", "Losses", "Where the time goes"):
+            wait_for_drawn(page, title)
+        assert "running" in page.locator(".facts").inner_text()
+        assert panel(page, "Processes").locator("tbody tr").count() == 1
+        page.get_by_role("link", name="Curriculum", exact=True).click()
+        wait_for_drawn(page, "Learnability")
+        page.get_by_role("link", name="Levels", exact=True).click()
+        page.locator(".thumbnail canvas").first.wait_for()
+        page.get_by_role("link", name="Evaluation", exact=True).click()
+        wait_for_drawn(page, "random_s")
+        assert training.poll() is None
 
 
 def test_levels_are_pictures_and_one_of_them_opens(trained_server: Server, open_page: OpenPage) -> None:
@@ -153,11 +199,11 @@ def test_a_row_on_disk_is_shown_and_a_resumed_run_goes_back(tmp_path: Path, open
     facts = page.locator(".facts")
     facts.get_by_text("640 of").wait_for()  # 5 updates of 128 steps
     write_rows(run, 6, 7)
-    facts.get_by_text("896 of").wait_for(timeout=5000)
+    facts.get_by_text("896 of").wait_for()
     write_rows(run, 3, 3, resume_at=2, **{"learner/approx_kl": 0.5})
-    facts.get_by_text("384 of").wait_for(timeout=10_000)
+    facts.get_by_text("384 of").wait_for()
     append_line(run / "events.jsonl", {"time": "2026-01-31T13:00:00Z", "event": "resumed", "update": 2})
-    panel(page, "Events").get_by_text("resumed").wait_for(timeout=10_000)
+    panel(page, "Events").get_by_text("resumed").wait_for()
 
 
 def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
@@ -168,7 +214,7 @@ def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_
     page = open_page(server, "#/run/a/overview")
     page.get_by_text("1 line is damaged in metrics/metrics.jsonl and left out").wait_for()
     end(server.process)
-    page.get_by_text("disconnected").wait_for(timeout=10_000)
+    page.get_by_text("disconnected").wait_for()
     page.context.close()  # before it tries again
     page.complaints.clear()  # the browser says that it cannot connect
 
@@ -234,6 +280,85 @@ def test_nothing_is_cut_off_on_a_phone(trained_server: Server, open_page: OpenPa
     page.locator("main").wait_for()
     page.wait_for_timeout(1000)
     assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
+
+
+@pytest.mark.parametrize("is_removed", [False, True], ids=["thinned", "removed"])
+def test_a_snapshot_that_goes_between_list_and_request_is_dropped(
+    is_removed: bool, trained: Path, tmp_path: Path, open_page: OpenPage, serve: Serve
+) -> None:
+    shutil.copytree(trained / "tiny", tmp_path / "runs" / "tiny")
+    folder = tmp_path / "runs" / "tiny" / curriculum_log.DIRECTORY
+    kind, number, newest = curriculum_log.list_snapshots(folder)[-1]
+
+    def answer(route: Any) -> None:
+        listed = route.fetch()
+        found = [entry["number"] for entry in listed.json()["snapshots"] if entry["has_levels"]]
+        assert number in found and len(found) > 1
+        if is_removed:
+            newest.unlink()
+        else:
+            read = curriculum_log.read_snapshot(newest, with_levels=False)
+            arrays = {name: array for name, array in read.arrays.items() if name not in ("format", "kind")}
+            curriculum_log.write_snapshot(folder, kind, number, arrays)
+        route.fulfill(response=listed)
+
+    page = open_page(serve(tmp_path / "runs"))
+    page.route("**/api/runs/tiny/curriculum", answer, times=1)
+    page.get_by_role("link", name="tiny", exact=True).click()
+    page.get_by_role("link", name="Levels", exact=True).click()
+    page.locator(".thumbnail canvas").first.wait_for()
+    snapshots = page.get_by_label("snapshot").locator("option").all_inner_texts()
+    assert snapshots and f"{kind} {number}" not in snapshots
+    assert page.locator(".notes").count() == 0
+    if is_removed:  # the browser itself says so of every answer of 404
+        assert all("404" in line for line in page.complaints)
+        page.complaints.clear()
+
+
+def test_a_value_alone_is_a_point(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
+    write_run(tmp_path / "a", 1)
+    page = open_page(serve(tmp_path), "#/run/a/overview", color_scheme="light")
+    wait_for_drawn(page, "Training episodes")
+    canvas = panel(page, "Training episodes").locator("canvas").first
+    assert canvas.evaluate(PIXELS, [0x00, 0x72, 0xB2]) > 5, "--line-0 of style.css"
+
+
+def test_two_runs_are_compared(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
+    write_run(tmp_path / "a", 20)
+    write_rows(write_run(tmp_path / "b", 10, run={"seed": 7}), 11, 20, **{"train/solve_rate": 0.9})
+    page = open_page(serve(tmp_path))
+    for name in "ab":
+        page.get_by_label(f"compare {name}").check()
+    page.get_by_role("link", name="compare 2").click()
+    page.get_by_label("axis").select_option("updates")
+    wait_for_drawn(page, "train/solve_rate: each run")
+    with page.expect_download() as download:
+        panel(page, "train/solve_rate: each run").get_by_text("CSV").click()
+    _, *rows = [line.split(",") for line in Path(download.value.path()).read_text().split()]
+    expected = {"a": [solve_rate(u) for u in range(1, 21)], "b": [*map(solve_rate, range(1, 11)), *[0.9] * 10]}
+    for name, values in expected.items():
+        shown = [(float(row[1]), float(row[2])) for row in rows if row[0] == name]
+        assert shown == [(update, pytest.approx(value)) for update, value in enumerate(values, 1)]
+    differences = panel(page, "Where the configurations differ")
+    assert differences.locator("tbody tr").all_inner_texts() == ["run.seed\t0\t7"]
+    differences.get_by_role("button", name="run.seed").click()
+    legend = panel(page, "train/solve_rate: mean of groups").locator(".u-legend")
+    for text in ("seed = 0 (1 run)", "seed = 7 (1 run)"):
+        legend.get_by_text(text).wait_for()
+
+
+def test_a_browser_whose_language_is_no_tag_shows_charts(tmp_path: Path, browser: Any, serve: Serve) -> None:
+    write_run(tmp_path / "a", 20)
+    server = serve(tmp_path)
+    context = browser.new_context()
+    context.add_init_script(NO_TAG)
+    page = context.new_page()
+    page.goto(server.address)
+    page.locator("nav").wait_for()
+    page.goto(f"http://127.0.0.1:{server.port}/#/run/a/overview")
+    wait_for_drawn(page, "Training episodes")
+    assert page.evaluate("() => navigator.language") == "en-US"
+    context.close()
 
 
 def test_dark_and_light_differ_and_stay(trained_server: Server, open_page: OpenPage) -> None:

@@ -42,7 +42,7 @@ def test_a_rollout_is_shown_by_rerun(server: Server, browser: Any) -> None:
         is_blue = (blue > red + 60) & (blue > green + 40)
         return is_green.sum() > 50 and is_blue.sum() > 50
 
-    wait_for(has_green_and_blue, seconds=90)
+    wait_for(has_green_and_blue)
     own = f"http://127.0.0.1:{server.port}/"
     assert all(url.startswith((own, "blob:", "data:")) for url, _ in answered), "nobody else has answered"
     rrd = next(url for url, _ in answered if "/rrd/" in url)

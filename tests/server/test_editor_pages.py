@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 from tests.server.serving import Server, command, environment, serving
 
 LEVEL = (REPOSITORY / "levels" / "s" / "hop_home.json").read_bytes()
@@ -104,6 +104,6 @@ def test_what_is_no_level_is_one_line_and_status_2(tmp_path: Path) -> None:
     for given, text in (("nothing", "is no designed level, level file or directory"), ("picture.png", "end in .json")):
         done = subprocess.run(
             command(given, name="edit"),
-            capture_output=True, text=True, env=environment(), cwd=tmp_path, timeout=60, check=False,
+            capture_output=True, text=True, env=environment(), cwd=tmp_path, timeout=PATIENCE_S, check=False,
         )  # fmt: skip
         assert done.returncode == 2 and done.stderr.count("\n") == 1 and text in done.stderr, done

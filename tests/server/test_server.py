@@ -19,7 +19,7 @@ import pytest
 
 from kinetix_dist.telemetry.json_lines import append_line
 from tests.dashboard.runs_for_tests import solve_rate, write_config, write_rows, write_run
-from tests.helpers import python_path
+from tests.helpers import PATIENCE_S, python_path
 from tests.server.serving import Server, command, environment, serving, wait_for
 
 
@@ -110,7 +110,7 @@ async def hear(server: Server, watch: dict, act, until) -> list[dict]:
             await channel.send_json({"type": "hello", "version": 1})
             await channel.send_json({"type": "watch", **watch})
             while not heard or not until(heard[-1]):
-                heard.append(await asyncio.wait_for(channel.receive_json(), 15))
+                heard.append(await asyncio.wait_for(channel.receive_json(), PATIENCE_S))
                 if heard[-1]["type"] == "rows" and act is not None:
                     act()
                     act = None
@@ -166,7 +166,7 @@ def test_a_message_that_is_wrong_gets_a_line_and_the_channel_stays(server: Serve
             async with session.ws_connect(address, headers={"Cookie": server.cookie}) as channel:
                 await channel.send_str(message)
                 await channel.send_json({"type": "hello", "version": 1})
-                return [await asyncio.wait_for(channel.receive_json(), 10) for _ in range(2)]
+                return [await asyncio.wait_for(channel.receive_json(), PATIENCE_S) for _ in range(2)]
 
     error, hello = asyncio.run(talk())
     assert error["type"] == "error" and "\n" not in error["text"] and hello["type"] == "hello"
@@ -219,7 +219,16 @@ def test_a_run_that_vanishes_is_an_answer_and_no_end(tmp_path: Path) -> None:
         shutil.rmtree(tmp_path / "a")
         found = server.json("/api/runs/a")
         assert found["config"] is None
-        wait_for(lambda: [row["id"] for row in server.json("/api/runs")["runs"]] == ["b"], seconds=15)
+        wait_for(lambda: [row["id"] for row in server.json("/api/runs")["runs"]] == ["b"])
+
+
+@pytest.mark.parametrize("path", ["", "/series", "/evaluations", "/curriculum", "/recordings"])
+def test_a_run_that_has_just_begun_is_found_by_any_page(tmp_path: Path, path: str) -> None:
+    with serving(tmp_path, "--no-play") as server:
+        server.json("/api/runs")  # the list was looked at a moment ago
+        write_run(tmp_path / "new")
+        status, _, content = server.ask(f"/api/runs/new{path}")
+        assert b"there is no run" not in content and status in (200, 503), content
 
 
 def test_the_server_imports_no_jax() -> None:
@@ -228,7 +237,7 @@ def test_the_server_imports_no_jax() -> None:
         "print([m for m in ('jax', 'jaxlib', 'warp', 'ray', 'orbax', 'flax') if m in sys.modules])"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment(), check=True, timeout=60
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment(), check=True, timeout=PATIENCE_S
     )
     assert done.stdout.strip() == "[]" and python_path() in environment()["PYTHONPATH"]
 
@@ -268,7 +277,7 @@ def test_wrong_arguments_are_one_line_and_status_2(tmp_path: Path, arguments: li
     (tmp_path / "here").mkdir()
     done = subprocess.run(
         command(*(argument.format(tmp=tmp_path) for argument in arguments)),
-        capture_output=True, text=True, env=environment(), cwd=tmp_path / "here", timeout=60, check=False,
+        capture_output=True, text=True, env=environment(), cwd=tmp_path / "here", timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert done.returncode == 2 and done.stdout == "", done
     assert done.stderr.startswith("kinetix-dist: ") and done.stderr.count("\n") == 1 and text in done.stderr

@@ -1,7 +1,13 @@
 // Requests to the server. Addresses are relative, so that a path prefix of a proxy works.
 import { useEffect, useState } from "./html.js";
 
-export class ApiError extends Error {}
+export class ApiError extends Error {
+  /** @param {string} text @param {number | null} [status] of the answer, where there was one */
+  constructor(text, status = null) {
+    super(text);
+    this.isGone = status === 404;
+  }
+}
 
 /**
  * JSON of an address below api/; throws ApiError with one line.
@@ -22,7 +28,7 @@ export async function get(path, query = {}) {
     throw new ApiError("no access any more: the server was started again; open the address that it printed");
   }
   const content = await answer.json().catch(() => ({ error: `the server answered ${answer.status}` }));
-  if (!answer.ok) throw new ApiError(content.error ?? `the server answered ${answer.status}`);
+  if (!answer.ok) throw new ApiError(content.error ?? `the server answered ${answer.status}`, answer.status);
   return content;
 }
 
@@ -31,22 +37,24 @@ export async function get(path, query = {}) {
  * @template T
  * @param {() => Promise<T>} ask
  * @param {readonly unknown[]} inputs
- * @returns {{ data: T | null, error: string | null, isLoading: boolean }}
+ * `isGone`: what was asked for is not there any more.
+ * @returns {{ data: T | null, error: string | null, isGone: boolean, isLoading: boolean }}
  */
 export function useRequest(ask, inputs) {
   const [state, set] = useState(
-    /** @type {{ data: T | null, error: string | null, isLoading: boolean }} */ ({
+    /** @type {{ data: T | null, error: string | null, isGone: boolean, isLoading: boolean }} */ ({
       data: null,
       error: null,
+      isGone: false,
       isLoading: true,
     }),
   );
   useEffect(() => {
     let isCurrent = true;
-    set((before) => ({ ...before, isLoading: true }));
+    set((before) => ({ ...before, isGone: false, isLoading: true }));
     ask().then(
-      (data) => isCurrent && set({ data, error: null, isLoading: false }),
-      (error) => isCurrent && set((before) => ({ ...before, error: String(error.message ?? error), isLoading: false })),
+      (data) => isCurrent && set({ data, error: null, isGone: false, isLoading: false }),
+      (error) => isCurrent && set((before) => ({ ...before, error: String(error.message ?? error), isGone: Boolean(error.isGone), isLoading: false })),
     );
     return () => {
       isCurrent = false;

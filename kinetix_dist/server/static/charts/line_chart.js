@@ -1,4 +1,5 @@
 // Curves over a shared axis: lines with bands (smallest to largest, or an interval), events as marks, zoom by dragging.
+import "../base/language.js";
 import uPlot from "../vendor/uPlot.esm.js";
 import { html, useEffect, useRef } from "../base/html.js";
 import { short } from "../base/format.js";
@@ -10,7 +11,6 @@ import { colour, lineStyle } from "../base/theme.js";
  * @property {(number | null)[]} values one for each x
  * @property {(number | null)[]} [low] lower end of a band
  * @property {(number | null)[]} [high]
- * @property {boolean} [points] marks instead of a line
  * @property {number} [style] number of its colour and dashes; its place in the chart where it is left out
  */
 
@@ -26,7 +26,7 @@ const LEGEND_LINES = 12;
 export function LineChart(props) {
   const place = useRef(/** @type {HTMLDivElement | null} */ (null));
   const chart = useRef(/** @type {uPlot | null} */ (null));
-  const shape = JSON.stringify([props.lines.map((line) => [line.label, Boolean(line.low), line.points]), props.axis,
+  const shape = JSON.stringify([props.lines.map((line) => [line.label, Boolean(line.low)]), props.axis,
     props.log, props.stacked, props.height]);
 
   useEffect(() => {
@@ -128,8 +128,7 @@ function options(props, width) {
       stroke,
       dash,
       width: 1.5,
-      points: { show: line.points ? true : undefined, size: 6 },
-      paths: line.points ? () => null : undefined,
+      points: { show: false, filter: (u, number) => lonely(u.data[number]), size: 6, fill: stroke },
       value: (/** @type {uPlot} */ u, /** @type {number | null} */ value, /** @type {number} */ __, /** @type {number | null} */ k) =>
         valueText(latest.get(u)?.lines[index], value, k),
     });
@@ -146,7 +145,7 @@ function options(props, width) {
     height: props.height ?? HEIGHT,
     series,
     bands,
-    padding: [8, 8, 0, 0],
+    padding: [8, 16, 0, 0],
     legend: { show: props.lines.length <= LEGEND_LINES, live: true },
     scales: { x: { time: isDate }, y: props.log ? { distr: 3 } : { range: (_, low, high) => rangeOf(low, high) } },
     axes: [
@@ -180,6 +179,15 @@ function rangeOf(low, high) {
   if (low === high) return low === 0 ? [0, 1] : [Math.min(low, 0), Math.max(1.2 * high, 0)];
   const room = 0.06 * (high - low);
   return [low >= 0 && low < room ? 0 : low - room, high + room];
+}
+
+/** Places of values without a neighbour, which no line shows; null where there is none. What is undefined is bridged.
+ * @param {ArrayLike<number | null | undefined>} values @returns {number[] | null} */
+function lonely(values) {
+  const places = [...Array(values.length).keys()].filter((k) => values[k] !== undefined);
+  const has = (/** @type {number} */ at) => at >= 0 && at < places.length && values[places[at]] !== null;
+  const found = places.filter((_, at) => has(at) && !has(at - 1) && !has(at + 1));
+  return found.length ? found : null;
 }
 
 /** @param {Line | undefined} line @param {number | null} value @param {number | null} k */

@@ -33,7 +33,7 @@ export function CurriculumPage({ run }) {
         <${Persistence} run=${run} snapshots=${refreshes} />` : null}
       ${buffers.length ? html`<${ReplayBuffers} run=${run} buffers=${buffers} />` : null}
     </div>
-    ${chosen ? html`<h3 class="section">Refresh ${chosen.number}
+    ${chosen ? html`<h3 class="section">Refresh ${chosen.number}${" "}
       <select aria-label="refresh" onChange=${(/** @type {any} */ e) => setQuery({ refresh: e.target.value })}>
         ${refreshes.map((/** @type {any} */ entry) => html`<option key=${entry.number} value=${entry.number} selected=${entry === chosen}>scored by version ${entry.number}, in use from update ${entry.first_batch}</option>`)}
       </select> <a class="button" href=${addressOf(["run", run, "levels"], new URLSearchParams({ of: `refresh ${chosen.number}` }))}>its levels</a></h3>

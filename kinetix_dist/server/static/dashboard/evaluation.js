@@ -35,7 +35,7 @@ function Set({ run, name, set, order }) {
   const columns = points.map((/** @type {any} */ p) => PHASES[p.phase] || String(p.update));
   const rows = () => [["set", "phase", "update", "env_steps", "level", "solved", "attempts"],
     ...points.flatMap((/** @type {any} */ p) => (p.solved ? p.solved.map((/** @type {number} */ count, /** @type {number} */ k) => [name, p.phase, p.update, p.env_steps, set.names[k], count, p.attempts]) : [[name, p.phase, p.update, p.env_steps, "", null, p.episodes]]))];
-  const table = html`<div class="scroll"><table><thead><tr><th></th>${columns.map((/** @type {string} */ column, /** @type {number} */ k) => html`<th key=${k}>${column}</th>`)}</tr></thead>
+  const table = html`<div class="scroll"><table><thead><tr><th></th>${columns.map((/** @type {string} */ column, /** @type {number} */ k) => html`<th key=${k} class="number">${column}</th>`)}</tr></thead>
     <tbody><tr><td>${name}</td>${points.map((/** @type {any} */ p, /** @type {number} */ k) => html`<td key=${k} class="number" title=${`95 % interval ${percent(p.low)} to ${percent(p.high)}`}>${percent(p.rate)} of ${p.episodes}</td>`)}</tr></tbody></table></div>`;
   if (!set.names) return html`<${Panel} title=${name} rows=${rows} name=${`${run} ${name}`} picture=${false} wide=${true}>${table}</${Panel}>`;
   const rate = (/** @type {any} */ p, /** @type {number} */ level) => (p && p.attempts ? p.solved[level] / p.attempts : 0);

@@ -35,8 +35,8 @@ export function LevelDrawer({ run, snapshot, level, picture, changes }) {
 
 /** When the level was scored, kept, played in training and played again. @param {{ own: string, changes: number }} props */
 function History({ own, changes }) {
-  const { data, error } = useRequest(() => get(`${own}/history`), [own, changes]);
-  if (!data) return html`<${Notes} notes=${error ? [error] : []} />`;
+  const { data, error, isGone } = useRequest(() => get(`${own}/history`), [own, changes]);
+  if (!data) return html`<${Notes} notes=${error && !isGone ? [error] : []} />`;
   /** @type {{ update: number, what: string, counts: any }[]} */
   const rows = [
     ...data.snapshots.map((/** @type {any} */ one) => ({ update: one.update, what: one.scored ? `scored, refresh ${one.number}` : `in ${one.kind} ${one.number}, score ${short(one.score)}`, counts: one.scored })),
@@ -45,7 +45,7 @@ function History({ own, changes }) {
   ].sort((a, b) => a.update - b.update);
   const of = (/** @type {string} */ field) => data.windows.map((/** @type {any} */ one) => one[field]);
   return html`<section data-panel="history"><h3>History</h3>
-    ${data.windows.length ? html`<${LineChart} x=${of("update")} lines=${[{ label: "solved in training", values: of("rate"), low: of("low"), high: of("high"), points: data.windows.length < 2 }]} axis="updates" height=${130} />` : null}
+    ${data.windows.length ? html`<${LineChart} x=${of("update")} lines=${[{ label: "solved in training", values: of("rate"), low: of("low"), high: of("high") }]} axis="updates" height=${130} />` : null}
     <table class="tight"><tbody>${rows.map(({ update, what, counts }) => html`<tr key=${`${update} ${what}`}><td>${what}</td><td class="number">${counts ? rateWithCount(counts.solved, counts.finished) : ""}</td></tr>`)}</tbody></table>
     ${data.windows.length ? null : html`<p class="missing">No episode of it finished in training so far, or its curriculum does not say of which level episodes are.</p>`}
   </section>`;

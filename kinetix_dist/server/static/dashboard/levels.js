@@ -1,8 +1,8 @@
 // Levels of a buffer as thumbnails: sorted, filtered, and one of them in a drawer.
 import { setQuery, useAddress } from "../base/address.js";
-import { get, useRequest } from "../base/api.js";
+import { ApiError, get, useRequest } from "../base/api.js";
 import { short } from "../base/format.js";
-import { html, useState } from "../base/html.js";
+import { html, useEffect, useState } from "../base/html.js";
 import { getPalette, Picture } from "../world/picture.js";
 import { LevelDrawer } from "./level_drawer.js";
 import { Notes } from "./parts.js";
@@ -26,33 +26,41 @@ export function LevelsPage({ run }) {
   const base = `runs/${encodeURIComponent(run)}/curriculum`;
   const all = useRequest(() => get(base), [run, changes]);
   const palette = useRequest(getPalette, []);
-  const snapshots = all.data?.snapshots ?? [];
+  // Of a fast run, levels are left out and files removed between this list and what is asked for by it: those are
+  // dropped without a word until the list comes again.
+  const [gone, setGone] = useState(/** @type {string[]} */ ([]));
+  useEffect(() => setGone([]), [all.data]);
+  const snapshots = (all.data?.snapshots ?? []).filter((/** @type {any} */ s) => !gone.includes(nameOf(s)));
   const of = query.get("of");
-  const chosen = snapshots.find((/** @type {any} */ s) => `${s.kind} ${s.number}` === of) ?? snapshots.findLast((/** @type {any} */ s) => s.has_levels) ?? snapshots.at(-1);
+  const chosen = snapshots.find((/** @type {any} */ s) => nameOf(s) === of) ?? snapshots.findLast((/** @type {any} */ s) => s.has_levels) ?? snapshots.at(-1);
   const sort = query.get("sort") ?? "place up";
   const filter = query.get("filter") ?? "";
   const offset = Number(query.get("offset") ?? 0);
   const [field, order] = sort.split(" ");
   const page = useRequest(
-    () => (chosen ? get(`${base}/${chosen.kind}/${chosen.number}/levels`, { sort: field, order, filter, offset, limit: A_PAGE }) : Promise.resolve(null)),
+    () => (chosen ? get(`${base}/${chosen.kind}/${chosen.number}/levels`, { sort: field, order, filter, offset, limit: A_PAGE }).then((found) => present(found, found.has_levels || !chosen.has_levels)) : Promise.resolve(null)),
     [run, chosen?.kind, chosen?.number, sort, filter, offset, changes],
   );
   const indices = (page.data?.levels ?? []).map((/** @type {any} */ level) => level.index);
   const pictures = useRequest(
-    () => (page.data?.has_levels && indices.length ? get(`${base}/${chosen.kind}/${chosen.number}/thumbnails`, { indices: indices.join(",") }) : Promise.resolve([])),
+    () => (page.data?.has_levels && indices.length ? get(`${base}/${chosen.kind}/${chosen.number}/thumbnails`, { indices: indices.join(",") }).then((found) => present(found, found.length > 0)) : Promise.resolve([])),
     [run, chosen?.kind, chosen?.number, indices.join(",")],
   );
+  const isGone = page.isGone || pictures.isGone;
+  useEffect(() => {
+    if (isGone && chosen) setGone([...gone, nameOf(chosen)]);
+  }, [isGone]);
   const drawn = new Map((pictures.data ?? []).map((/** @type {any} */ entry) => [entry.index, entry]));
   const open = query.get("level");
   const level = page.data?.levels.find((/** @type {any} */ entry) => String(entry.index) === open);
-  const notes = [all.error, page.error, pictures.error ?? palette.error, ...(all.data?.problems ?? [])].filter(Boolean);
+  const notes = [all.error, isGone ? null : page.error, isGone ? null : (pictures.error ?? palette.error), ...(all.data?.problems ?? [])].filter(Boolean);
   if (!all.data) return html`<main><${Notes} notes=${notes} /></main>`;
   return html`<main>
     <${Notes} notes=${notes} />
     ${snapshots.length ? null : html`<p class="missing">This run has no snapshots of its curriculum (curriculum/*.npz): it is of an older version, or its curriculum keeps no levels that change.</p>`}
     ${chosen ? html`<div class="row bar">
       <label>snapshot <select onChange=${(/** @type {any} */ e) => setQuery({ of: e.target.value, offset: null, level: null })}>
-        ${snapshots.map((/** @type {any} */ s) => html`<option key=${`${s.kind} ${s.number}`} value=${`${s.kind} ${s.number}`} selected=${s === chosen}>${s.kind} ${s.number}${s.has_levels ? "" : " (levels left out)"}</option>`)}</select></label>
+        ${snapshots.map((/** @type {any} */ s) => html`<option key=${nameOf(s)} value=${nameOf(s)} selected=${s === chosen}>${s.kind} ${s.number}${s.has_levels ? "" : " (levels left out)"}</option>`)}</select></label>
       <label>order <select onChange=${(/** @type {any} */ e) => setQuery({ sort: e.target.value, offset: null })}>
         ${Object.entries(SORTS).filter(([key]) => key === sort || key.startsWith("place") || page.data?.columns.includes(key.split(" ")[0])).map(([key, text]) => html`<option key=${key} value=${key} selected=${key === sort}>${text}</option>`)}</select></label>
       <${Filter} value=${filter} columns=${page.data?.columns ?? []} />
@@ -72,6 +80,17 @@ export function LevelsPage({ run }) {
       ${level ? html`<${LevelDrawer} run=${run} snapshot=${chosen} level=${level} picture=${drawn.get(level.index)} changes=${changes} />` : null}
     </div>
   </main>`;
+}
+
+/** @param {{ kind: string, number: number }} snapshot */
+function nameOf(snapshot) {
+  return `${snapshot.kind} ${snapshot.number}`;
+}
+
+/** An answer, unless levels were left out since the list was made. @template T @param {T} answer @param {boolean} isPresent */
+function present(answer, isPresent) {
+  if (!isPresent) throw new ApiError("the levels of this snapshot were left out", 404);
+  return answer;
 }
 
 /** @param {any} level */

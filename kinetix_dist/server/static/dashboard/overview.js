@@ -27,7 +27,7 @@ export function OverviewPage({ run }) {
   const newest = useRef(changes);
   const timer = useRef(/** @type {ReturnType<typeof setTimeout> | null} */ (null));
   newest.current = changes;
-  if (changes > described) {
+  if (changes > described && !about.isLoading) { // an answer that takes longer than this would never be shown
     timer.current ??= setTimeout(() => {
       timer.current = null;
       setDescribed(newest.current);
@@ -114,7 +114,7 @@ function Evaluations({ run, view, changes }) {
     const at = (/** @type {string} */ field) => x.map((place) => set.points.findLast((/** @type {any} */ p) => p[axis] === place && p.phase !== "random_policy")?.[field] ?? null);
     const baseline = set.points.find((/** @type {any} */ p) => p.phase === "random_policy");
     return [
-      { label: name, values: at("rate"), low: at("low"), high: at("high"), style: 2 * index, points: x.length < 2 },
+      { label: name, values: at("rate"), low: at("low"), high: at("high"), style: 2 * index },
       ...(baseline ? [{ label: `${name}, random actions`, values: x.map(() => baseline.rate), style: 2 * index + 1 }] : []),
     ];
   });
@@ -142,14 +142,22 @@ function Events({ run, changes }) {
     buttons=${html`<input placeholder="filter" value=${filter} onInput=${(/** @type {any} */ e) => setFilter(e.target.value)} aria-label="filter events" />`}>
     ${data.count ? html`<div class="scroll short"><table><tbody>${shown.map((/** @type {any} */ event, /** @type {number} */ k) => {
       const { time, event: kind, update, ...details } = event;
-      return html`<tr key=${k}><td class="soft">${time}</td><td>${update ?? ""}</td><td><b>${kind}</b></td><td>${detailText(details)}</td></tr>`;
+      return html`<tr key=${k}><td class="soft time">${time}</td><td>${update ?? ""}</td><td><b>${kind}</b></td><td>${detailText(details)}</td></tr>`;
     })}</tbody></table></div>` : html`<p class="missing">No events so far (events.jsonl).</p>`}
   </${Panel}>`;
 }
 
 /** @param {Record<string, any>} details */
 function detailText(details) {
-  return Object.entries(details).map(([name, value]) => `${name} ${typeof value === "object" ? JSON.stringify(value) : value}`).join(", ");
+  return Object.entries(details).map(([name, value]) => `${name} ${valueText(value)}`).join(", ");
+}
+
+/** A solve rate with its interval and its count; other objects in brackets. @param {any} value @returns {string} */
+function valueText(value) {
+  if (value === null || typeof value !== "object") return String(value);
+  if (Array.isArray(value)) return JSON.stringify(value);
+  if ("rate" in value && "attempts" in value) return `${percent(value.rate)} (${percent(value.low)} to ${percent(value.high)}) of ${value.attempts}`;
+  return `(${detailText(value)})`;
 }
 
 /** @param {{ config: any, report: any }} props */

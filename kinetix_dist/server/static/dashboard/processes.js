@@ -18,7 +18,7 @@ export function Processes({ run, changes }) {
   return html`<${Panel} title="Processes" help=${help} rows=${rows} name=${`${run} processes`} wide=${true} picture=${false}
     missing=${data.processes.length ? null : "This run has no processes.jsonl: it is of an older version, or has not written a row yet."}>
     <${Notes} notes=${data.problems} />
-    <div class="scroll short"><table><thead><tr><th>process</th><th>host</th><th>pid</th><th>device</th><th>memory</th><th>of the GPU</th><th>idle</th><th>doing</th><th>lost</th></tr></thead>
+    <div class="scroll short"><table><thead><tr><th>process</th><th>host</th><th class="number">pid</th><th>device</th><th class="number">memory</th><th class="number">of the GPU</th><th class="number">idle</th><th>doing</th><th>lost</th></tr></thead>
       <tbody>${data.processes.map((/** @type {any} */ p) => html`<tr key=${p.name} class=${p.is_there ? "" : "soft"}><td>${p.name}${p.is_there ? "" : `, last seen at update ${p.seen_at}`}</td><td>${p.host}</td><td class="number">${p.pid}</td>
         <td>${p.device ?? "-"}</td><td class="number">${short(p.resident_bytes)}B</td><td class="number">${percent(p.gpu_share)}</td><td class="number">${percent(p.idle)}</td><td>${p.doing ?? ""}</td>
         <td class=${p.lost ? "bad" : ""} title=${p.error ?? ""}>${p.lost}${p.error ? ` (${p.error})` : ""}</td></tr>`)}</tbody></table></div>

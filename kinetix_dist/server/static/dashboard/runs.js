@@ -41,9 +41,9 @@ export function RunsPage() {
       <span class="soft">${rows.length} of ${answer.runs.length} runs</span>
     </div>
     ${answer.runs.length ? html`<div class="scroll"><table class="runs">
-      <thead><tr><th></th><th>run</th><th>state</th><th>recipe</th><th>env steps</th><th>update</th><th>steps/s</th>
-        <th title="of the last update, buffer and fresh levels together">training solve rate</th>
-        <th title="of the first set of the last evaluation, with its 95 % interval and episodes">evaluated</th><th>changed</th></tr></thead>
+      <thead><tr><th></th><th>run</th><th>state</th><th>recipe</th><th class="number">env steps</th><th class="number">update</th><th class="number">steps/s</th>
+        <th class="number" title="of the last update, buffer and fresh levels together">training solve rate</th>
+        <th class="number" title="of the first set of the last evaluation, with its 95 % interval and episodes">evaluated</th><th>changed</th></tr></thead>
       <tbody>${rows.map((run) => html`<tr key=${run.id}>
         <td><input type="checkbox" checked=${chosen.includes(run.id)} onChange=${() => choose(run.id)} aria-label=${`compare ${run.id}`} /></td>
         <td><a href=${addressOf(["run", run.id, "overview"])} title=${run.path}>${run.id}</a>
@@ -54,7 +54,7 @@ export function RunsPage() {
         <td class="number">${run.last?.update ?? "-"}</td>
         <td class="number">${short(run.last?.["progress/env_steps_per_second"])}</td>
         <td class="number">${trained(run.last)}</td>
-        <td class="number">${evaluated(run.solve_rate)}</td>
+        <td class="number">${evaluated(run.evaluated)}</td>
         <td>${date(run.modified)}</td></tr>`)}</tbody></table></div>`
       : html`<p class="missing">There are no runs here yet; one that starts appears by itself.</p>`}
   </main>`;
@@ -74,6 +74,6 @@ function trained(last) {
 
 /** @param {any} rates */
 function evaluated(rates) {
-  const [name, rate] = Object.entries(rates?.after ?? {})[0] ?? [];
+  const [name, rate] = Object.entries(rates ?? {})[0] ?? [];
   return rate ? html`<span title=${`${name}, ${rate.attempts} episodes`}>${percent(rate.rate)} (${percent(rate.low)} to ${percent(rate.high)}) of ${rate.attempts}</span>` : "-";
 }

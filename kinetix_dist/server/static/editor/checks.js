@@ -22,6 +22,11 @@ export class Checks {
     this.milliseconds = 0; // that the last answer took
   }
 
+  /** What is known of a level: nothing current where it is not the one that was asked about. @param {any} document */
+  of(document) {
+    return document === this.document ? this.checked : { ...this.checked, isCurrent: false };
+  }
+
   /** @param {any} document */
   ask(document) {
     if (document === this.document) return;

@@ -25,17 +25,26 @@ export function EditorPage() {
   const problem = engine.error ?? about.error;
   if (problem) return html`<main><p class="missing" role="alert">The editor needs the engine: ${problem}</p></main>`;
   if (!engine.data || !about.data) return html`<main><p class="soft" role="status">the engine starts, some seconds ...</p></main>`;
-  return html`<${Workplace} engine=${engine.data} about=${about.data} />`;
+  return html`<${Opening} engine=${engine.data} about=${about.data} />`;
 }
 
-/** @param {{ engine: import("../world/display_list.js").Engine, about: any }} props */
-function Workplace({ engine, about }) {
-  const { editor, play, checks } = useMemo(() => {
-    const made = new Editor(engine);
-    const changed = () => made.changed();
-    return { editor: made, play: new Play(changed), checks: new Checks(changed) };
-  }, [engine]);
-  const [panel, setPanel] = useState("level");
+/** Waits for the first level: one that came later would replace what a person has made by then.
+ * @param {{ engine: import("../world/display_list.js").Engine, about: any }} props */
+function Opening({ engine, about }) {
+  const editor = useMemo(() => new Editor(engine), [engine]);
+  const [opened, setOpened] = useState(/** @type {Opened | null} */ (null));
+  useEffect(() => void begin(editor, about).then(setOpened), [editor]);
+  if (!opened) return html`<main><p class="soft" role="status">the level is opened ...</p></main>`;
+  return html`<${Workplace} editor=${editor} opened=${opened} engine=${engine} about=${about} />`;
+}
+
+/** @param {{ editor: Editor, opened: Opened, engine: import("../world/display_list.js").Engine, about: any }} props */
+function Workplace({ editor, opened, engine, about }) {
+  const { play, checks } = useMemo(() => {
+    const changed = () => editor.changed();
+    return { play: new Play(changed), checks: new Checks(changed) };
+  }, [editor]);
+  const [panel, setPanel] = useState(opened.panel);
   const [policy, setPolicy] = useState(about.plays ?? "keys");
   const [conflict, setConflict] = useState(/** @type {import("./files.js").Conflict | null} */ (null));
   const [draft, setDraft] = useState(findDraft);
@@ -45,16 +54,15 @@ function Workplace({ engine, about }) {
   useListeners(editor.listeners);
   document.title = `${editor.document.name} · editor`;
 
-  const [isToPlay, setToPlay] = useState(false); // the level of `levels play`, once it is here
-  useEffect(() => void begin(editor, about, () => setPanel("gallery")).then((isNamed) => setToPlay(isNamed && Boolean(about.plays))), [editor]);
+  const [isToPlay, setToPlay] = useState(opened.isNamed && Boolean(about.plays)); // that of `levels play`
   useEffect(() => {
     if (!isToPlay || connection !== "connected") return;
     setToPlay(false);
     void start();
   }, [isToPlay, connection]);
   useEffect(() => {
-    if (connection === "connected") checks.ask(editor.history.present.document);
-  }, [editor.history.present.document, connection]);
+    if (connection === "connected") checks.ask(editor.settled);
+  }, [editor.settled, connection]);
   useEffect(() => {
     if (drafted.current === editor.history.present) return undefined;
     drafted.current = editor.history.present;
@@ -136,7 +144,7 @@ function Workplace({ engine, about }) {
         ${play.isOpen || play.problem ? html`<${PlayBar} play=${play}><button onClick=${() => play.close()} title="Space or Escape">✎ edit</button></${PlayBar}>` : html`<p class="note" role="status">${editor.note || TOOLS[editor.tool].help}</p>`}
       </div>
       <aside class="side">
-        <${ProblemsPanel} editor=${editor} checked=${checks.checked} />
+        <${ProblemsPanel} editor=${editor} checked=${checks.of(editor.settled)} />
         <div class="row small" role="tablist">${["level", "gallery", "help"].map((name) => html`<button key=${name} role="tab" aria-pressed=${panel === name} onClick=${() => setPanel(name)}>${name}</button>`)}</div>
         ${panel === "gallery" ? html`<${Gallery} about=${about} engine=${engine} openDesigned=${(/** @type {any} */ entry) => open(async () => editor.open(await levelOf(entry)))} openFile=${(/** @type {string} */ name) => open(() => openFile(editor, name))} />` : null}
         ${panel === "help" ? html`<${Help} />` : null}
@@ -146,25 +154,27 @@ function Workplace({ engine, about }) {
   </main>`;
 }
 
-/** Opens the level that the address or the command line names; whether it was the one of the command line.
- * @param {Editor} editor @param {any} about @param {() => void} showGallery */
-async function begin(editor, about, showGallery) {
+/** @typedef {{ panel: string, isNamed: boolean }} Opened isNamed: it is the level of the command line */
+
+/** Opens the level that the address or the command line names. @param {Editor} editor @param {any} about @returns {Promise<Opened>} */
+async function begin(editor, about) {
   const { query } = readAddress();
   const [level, from] = [query.get("level"), query.get("from")];
-  let isNamed = false;
+  /** @type {Opened} */
+  const opened = { panel: "level", isNamed: false };
   try {
     if (level) editor.open(await readLevel(await unpacked(level)));
     else if (from?.startsWith("runs/")) await openStored(editor, from);
-    else if (about.opens?.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
-    else if (about.opens) await openDesigned(editor, about, about.opens.replace("designed/", ""));
-    else showGallery();
-    isNamed = !level && !from && Boolean(about.opens);
+    else if (about.opens) {
+      if (about.opens.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
+      else await openDesigned(editor, about, about.opens.replace("designed/", ""));
+      opened.isNamed = !from;
+    } else opened.panel = "gallery";
   } catch (error) {
     editor.say(`the level cannot be opened: ${error instanceof Error ? error.message : error}`);
   }
   editor.history.past = []; // there is nothing before the first level
-  editor.changed();
-  return isNamed;
+  return opened;
 }
 
 /** @param {Editor} editor @param {string} name of the file of the command line, which may be new */

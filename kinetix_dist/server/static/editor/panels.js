@@ -1,5 +1,5 @@
 // The panels beside the picture: fields of what is selected and of the level, what there is, what is wrong with it.
-import { html, useEffect, useState } from "../base/html.js";
+import { html, useRef, useState } from "../base/html.js";
 import { COMMANDS } from "./commands.js";
 import { PARTS, parsePath, thingAt, withThing } from "./document.js";
 import { renamed } from "./edits.js";
@@ -13,7 +13,12 @@ const ALIGNMENTS = COMMANDS.filter((command) => /^(Align|Distribute)/.test(comma
 function Typed({ value, parse, show, commit, label, type = "text", step }) {
   const shown = show(value);
   const [text, setText] = useState(shown);
-  useEffect(() => setText(shown), [shown]);
+  const over = useRef(shown);
+  if (over.current !== shown) {
+    // Not in an effect: one comes after the picture, and would take away what was typed meanwhile.
+    over.current = shown;
+    setText(shown);
+  }
   const finish = () => {
     const parsed = parse(text);
     if (parsed === undefined) setText(shown);
@@ -74,8 +79,8 @@ export function SelectionPanel({ editor }) {
   const bodies = [...document.shapes.map((shape) => shape.id), ...(found.part === "joints" ? editor.walls.map((wall) => wall.name) : [])];
   const commit = (/** @type {Field} */ field, /** @type {any} */ value) => {
     if (found.part === "shapes" && field.name === "id") {
-      if (document.shapes.some((shape) => shape.id === value)) return editor.say(`there is a shape ${value} already`);
-      return editor.commit(renamed(document, found.index, value));
+      if (editor.settled.shapes.some((shape) => shape.id === value)) return editor.say(`there is a shape ${value} already`);
+      return editor.commit(renamed(editor.settled, found.index, value));
     }
     // Of the level as it is now: the panel is drawn again a picture later.
     const now = thingAt(editor.settled, path);
@@ -117,7 +122,7 @@ function ManyPanel({ editor }) {
 export function LevelPanel({ editor, facts }) {
   const { document } = editor;
   return html`<section class="panel" data-panel="level"><header><h3>Level</h3></header>
-    <div class="fields">${LEVEL_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${document} commit=${(/** @type {any} */ value) => editor.commit(withValue(document, field, value))} />`)}</div>
+    <div class="fields">${LEVEL_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${document} commit=${(/** @type {any} */ value) => editor.commit(withValue(editor.settled, field, value))} />`)}</div>
     ${facts ? html`<p class="soft">room for ${Object.entries(facts.room).map(([kind, count]) => `${count} ${kind}`).join(", ")} more</p>` : null}
   </section>`;
 }

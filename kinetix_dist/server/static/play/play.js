@@ -51,6 +51,7 @@ export class Play {
     this.outcome = "";
     this.problem = "";
     this.isOpening = false;
+    this.opened = 0; // which opening is the newest: one that was closed, or followed by another, is closed when it comes
     this.isStored = false; // played from the arrays of a run's buffer
     /** @type {Set<string>} */
     this.pressed = new Set();
@@ -61,9 +62,10 @@ export class Play {
     return this.session !== null || this.isOpening;
   }
 
-  /** @param {any} level @param {any} policy @param {{ seed?: number, running?: boolean, env?: any }} [options] */
-  async open(level, policy, { seed = 0, running = true, env } = {}) {
+  /** @param {any} level @param {any} policy @param {{ seed?: number, env?: any }} [options] */
+  async open(level, policy, { seed = 0, env } = {}) {
     await this.close();
+    const own = ++this.opened;
     this.isOpening = true;
     this.isStored = "run" in level;
     this.problem = this.outcome = "";
@@ -71,23 +73,27 @@ export class Play {
     this.changed();
     try {
       const session = await channel.request("play.open", { level, policy, env, seed, running: false });
-      if (!this.isOpening) {
-        await channel.request("play.close", { session: session.session }); // closed before it was open
+      if (own !== this.opened) {
+        await channel.request("play.close", { session: session.session }).catch(() => {}); // it is gone already
         return;
       }
       this.session = session;
       this.frame = null;
       channel.sessions.set(session.session, { frame: (bytes) => this.#show(bytes), end: (message) => this.#end(message) });
+      if (this.pressed.size) this.#sendAction(); // keys that went down while it was prepared
       if (this.speed !== 1) await this.control("speed", { speed: this.speed });
-      await this.control(running ? "run" : "pause");
+      await this.control("run");
     } catch (error) {
+      if (own !== this.opened) return;
       this.problem = error instanceof Error ? error.message : String(error);
     }
+    if (own !== this.opened) return;
     this.isOpening = false;
     this.changed();
   }
 
   async close() {
+    this.opened += 1;
     const session = this.session?.session;
     this.session = this.frame = null;
     this.isRunning = this.isOpening = false;
