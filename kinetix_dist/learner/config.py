@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import optax
 
-from kinetix_dist.learner.state import adam
+from jax2d.scene import Array
+from kinetix_dist.learner.state import LearnerState, adam, init_learner_state
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -94,3 +96,7 @@ class PpoConfig:
 
     def optimizer(self) -> optax.GradientTransformation:
         return adam(self.learning_rate, epsilon=self.adam_eps)
+
+    def initial_state(self, params: Any, key: Array) -> LearnerState:
+        """Of a learner that starts with these parameters; key: typed, see `init_learner_state`."""
+        return init_learner_state(params, self.optimizer(), key, has_average=self.average_updates > 0)

@@ -17,6 +17,7 @@ device: all skip that step together and count it.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -64,6 +65,7 @@ class _Program:
         return has_memory(self.policy)
 
 
+@functools.lru_cache(maxsize=8)
 def make_update(
     policy: nn.Module,
     observation: Observation,
@@ -73,7 +75,8 @@ def make_update(
     *,
     division: Division | None = None,
 ) -> Update:
-    """A compiled update(learner_state, static, trajectory, last_value) -> (learner_state, metrics).
+    """A compiled update(learner_state, static, trajectory, last_value) -> (learner_state, metrics), once a process for
+    equal arguments, which are hashable.
 
     observation, distribution: those of the environment; `policy` takes the one and gives the outputs of the other.
     division: of blocks of virtual shards over the devices, by default of single ones; a divisor of their number.

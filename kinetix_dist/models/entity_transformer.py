@@ -26,6 +26,7 @@ Observations enter in float32: bfloat16 would round positions in a 5 m box to ce
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -37,6 +38,7 @@ from kinetix_dist.models.attention import attend, pack_mask
 from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
 from kinetix_dist.models.gru import apply_towers
+from kinetix_dist.models.kernels.support import uses_mosaic
 from kinetix_dist.models.rows import add_rows, take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
@@ -64,6 +66,7 @@ class EntityTransformer(nn.Module):
     shape_ids: tuple[float, float] | None = None  # of polygons and of circles
     memory_size: int = 0  # see gru.py; 0: none
     gated: bool = True
+    kernels: str = "xla"  # of the gates, see kernels/support.py
 
     @nn.compact
     def __call__(self, obs: EntityObs, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
@@ -145,7 +148,7 @@ class EntityTransformer(nn.Module):
 
     def _gate(self, name: str, x: Array, update: Array) -> Array:
         size = self.encoder_size
-        return gate(
+        return self._gate_function()(
             x,
             update,
             self.param(f"{name}_gate_update_kernel", lecun_normal(), (size, 3 * size)),
@@ -153,6 +156,13 @@ class EntityTransformer(nn.Module):
             self.param(f"{name}_gate_reset_kernel", lecun_normal(), (size, size)),
             self.param(f"{name}_gate_bias", zeros, (size,)),
         )
+
+    def _gate_function(self) -> Callable[..., Array]:
+        if not uses_mosaic(self.kernels, self.encoder_size, jnp.dtype(self.dtype).name):
+            return gate
+        from kinetix_dist.models.kernels.gate import gate as mosaic_gate  # of a jax that has these kernels
+
+        return mosaic_gate
 
     def _message_terms(self, name: str, entities: Array, *, num_ends: int) -> tuple[Array, Array]:
         """Kernels for the tokens at the ends [layers, ends E, E], and the entities' terms, [B, K, E] a layer."""

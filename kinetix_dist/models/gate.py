@@ -42,20 +42,22 @@ def _gate_forward(
 def _gate_backward(residuals: tuple[Array, ...], grad: Array) -> tuple[Array, ...]:
     x, y, r, z, rx, h, kernel_y, kernel_x, kernel_h, bias = residuals
     dtype, width = x.dtype, x.shape[-1]
+    once = jax.lax.optimization_barrier  # stored, where XLA would compute it again in front of each product
     grad_z = grad * (h - x) * z * (1 - z)
-    grad_h = grad * z * (1 - h * h)
+    grad_h = once(grad * z * (1 - h * h))
     grad_rx = grad_h @ kernel_h.astype(dtype).T
     grad_r = grad_rx * x * r * (1 - r)
-    grad_all = jnp.concatenate([grad_r, grad_z, grad_h], axis=-1)  # of the three arguments of the nonlinearities
-    grad_rz = grad_all[..., : 2 * width]
+    grad_all = once(jnp.concatenate([grad_r, grad_z, grad_h], axis=-1))  # of the three arguments of the nonlinearities
     grad_y = grad_all @ kernel_y.astype(dtype).T
-    grad_x = grad * (1 - z) + grad_rx * r + grad_rz @ kernel_x.astype(dtype).T
-    grad_bias = -jnp.sum(grad_z.astype(jnp.float32), axis=range(grad.ndim - 1))
+    # Zeros for h: whole rows of grad_all enter every product, a slice of it would be a copy.
+    kernel_x_padded = jnp.pad(kernel_x.astype(dtype), ((0, 0), (0, width)))
+    grad_x = once(grad * (1 - z) + grad_rx * r + grad_all @ kernel_x_padded.T)
+    grad_bias = -jnp.sum(grad_all[..., width : 2 * width].astype(jnp.float32), axis=range(grad.ndim - 1))
     return (
         grad_x,
         grad_y,
         outer(y, grad_all),
-        outer(x, grad_rz),
+        outer(x, grad_all)[:, : 2 * width],
         outer(rx, grad_h),
         grad_bias.astype(bias.dtype),
     )

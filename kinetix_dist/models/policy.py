@@ -20,6 +20,7 @@ from jax2d.scene import Array
 from kinetix_dist.env.observations import ENTITIES, IMAGE, VECTOR
 from kinetix_dist.models.entity_transformer import NUM_MASKS, EntityTransformer
 from kinetix_dist.models.flat_mlp import FlatMlp
+from kinetix_dist.models.kernels.support import KERNELS
 from kinetix_dist.models.pixel_cnn import SAMPLE_BYTES, PixelCnn
 from kinetix_dist.registry import Registry
 
@@ -42,12 +43,15 @@ class PolicyConfig:
     recurrent: str = "none"  # or "gru": a memory between the embedding and actor and critic
     memory_size: int = 256  # of it
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
+    kernels: str = "xla"  # of the gates: "xla", "mosaic" (Hopper GPUs), or "auto", which takes these where they run
 
     def __post_init__(self) -> None:
         if self.network not in NETWORKS:
             raise ValueError(f"PolicyConfig.network is {self.network!r}; choose one of {', '.join(NETWORKS)}")
         if self.dtype not in DTYPES:
             raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
+        if self.kernels not in KERNELS:
+            raise ValueError(f"PolicyConfig.kernels is {self.kernels!r}; choose one of {', '.join(KERNELS)}")
         if self.recurrent not in RECURRENT:
             raise ValueError(f"PolicyConfig.recurrent is {self.recurrent!r}; choose one of {', '.join(RECURRENT)}")
         sizes = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
@@ -102,6 +106,7 @@ def _transformer(
         num_layers=config.num_layers,
         shape_ids=shape_ids,
         gated=gated,
+        kernels=config.kernels,
         **_common(config, head_sizes),
     )
 

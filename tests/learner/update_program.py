@@ -21,7 +21,7 @@ from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, spread_worlds
-from kinetix_dist.learner.state import LearnerState, init_learner_state
+from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import Update, make_update
 from kinetix_dist.messages import StaticInput
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
@@ -45,8 +45,7 @@ def make_problem(
     observation = OBSERVATIONS["entity"]
     obs = observation.join(static.obs, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
     params = init_params(policy, obs, jax.random.key(0))
-    key, has_average = jax.random.key(7), config.average_updates > 0
-    state = replicate(init_learner_state(params, config.optimizer(), key, has_average=has_average), mesh)
+    state = replicate(config.initial_state(params, jax.random.key(7)), mesh)
     return make_update(policy, observation, ACTIONS, config, mesh), state, (static, trajectory, last_value)
 
 

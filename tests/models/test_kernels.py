@@ -1,0 +1,154 @@
+"""The gate's kernels against the formula in float64, beside XLA's bfloat16; where they are refused.
+
+In the CPU interpreter everything but the products is what runs on a GPU: tiles, halves, rings, barriers, formulas.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bench.learner_traffic import COMPILER_OPTIONS, h200
+from kinetix_dist.models import gate as xla
+from kinetix_dist.models.kernels import support
+from kinetix_dist.models.policy import PolicyConfig
+
+E = support.WIDTH
+has_pallas = pytest.mark.skipif(
+    not jax.__version__.startswith(support.JAX_VERSIONS), reason=f"jax {jax.__version__} has other kernels"
+)
+for_h200 = pytest.mark.skipif(
+    importlib.util.find_spec("jax_cuda13_plugin") is None,
+    reason="compiling for an H200 needs the wheels of jax[cuda13]",
+)
+NAMES = ("out", "x", "y", "kernel_y", "kernel_x", "kernel_h", "bias")
+
+
+def inputs(num_rows: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Arguments of the gate, and the gradient of its result; bfloat16 and float32 numbers as they are."""
+    rng = np.random.default_rng(0)
+
+    def rounded(*shape: int, scale: float = 1.0) -> np.ndarray:
+        return np.asarray(jnp.asarray(scale * rng.standard_normal(shape), jnp.bfloat16).astype(jnp.float32))
+
+    kernels = [rounded(E, n * E, scale=E**-0.5) for n in (3, 2, 1)]
+    return [rounded(num_rows, E), rounded(num_rows, E), *kernels, rounded(E)], rounded(num_rows, E)
+
+
+def in_float64(arguments: list[np.ndarray], grad: np.ndarray) -> list[np.ndarray]:
+    """NAMES: result and gradients, by hand."""
+    x, y, kernel_y, kernel_x, kernel_h, bias = (a.astype(np.float64) for a in arguments)
+    (w_r, w_z, w_h), (u_r, u_z) = np.split(kernel_y, 3, axis=1), np.split(kernel_x, 2, axis=1)
+    r = 1 / (1 + np.exp(-(y @ w_r + x @ u_r)))
+    z = 1 / (1 + np.exp(-(y @ w_z + x @ u_z - bias)))
+    h = np.tanh(y @ w_h + (r * x) @ kernel_h)
+    grad_z = grad * (h - x) * z * (1 - z)
+    grad_h = grad * z * (1 - h * h)
+    grad_rx = grad_h @ kernel_h.T
+    grad_r = grad_rx * x * r * (1 - r)
+    return [
+        (1 - z) * x + z * h,
+        grad * (1 - z) + grad_rx * r + grad_r @ u_r.T + grad_z @ u_z.T,
+        grad_r @ w_r.T + grad_z @ w_z.T + grad_h @ w_h.T,
+        y.T @ np.concatenate([grad_r, grad_z, grad_h], axis=1),
+        x.T @ np.concatenate([grad_r, grad_z], axis=1),
+        (r * x).T @ grad_h,
+        -grad_z.sum(axis=0),
+    ]
+
+
+def result_and_gradients(gate, arguments: list[np.ndarray], grad: np.ndarray) -> list[np.ndarray]:
+    def both(x, y, *parameters):
+        out, back = jax.vjp(gate, x.astype(jnp.bfloat16), y.astype(jnp.bfloat16), *parameters)
+        return out, *back(grad.astype(jnp.bfloat16))
+
+    return [np.asarray(a.astype(jnp.float32)) for a in jax.jit(both)(*map(jnp.asarray, arguments))]
+
+
+def assert_no_worse_than_xla(found: list[np.ndarray], arguments: list[np.ndarray], grad: np.ndarray) -> None:
+    wanted = in_float64(arguments, grad)
+    today = result_and_gradients(xla.gate, arguments, grad)
+    for name, a, b, exact in zip(NAMES, found, today, wanted):
+        error, allowed = (np.linalg.norm(v - exact) / np.linalg.norm(exact) for v in (a, b))
+        assert error <= allowed < 0.01, f"{name}: {error:.2%}, XLA {allowed:.2%}"
+
+
+@has_pallas
+@pytest.mark.parametrize("num_rows", [1, 335, 640])
+def test_kernels_in_the_interpreter_are_no_worse_than_xla_in_bfloat16(num_rows: int, monkeypatch):
+    """335 rows are no whole tiles; with two pairs of blocks some warpgroups have two tiles and some have one."""
+    from kinetix_dist.models.kernels import gate_weights, tiles
+    from kinetix_dist.models.kernels.gate import gate
+
+    monkeypatch.setattr(tiles, "PAIRS", 2)
+    monkeypatch.setattr(gate_weights, "PAIRS", 2)
+    arguments, grad = inputs(num_rows)
+    found = result_and_gradients(lambda *a: gate(*a, True), arguments, grad)
+    assert_no_worse_than_xla(found, arguments, grad)
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("jax_cuda13_plugin") is None,
+    reason="compiling for an H200 needs the wheels of jax[cuda13]",
+)
+@has_pallas
+def test_kernels_compile_for_an_h200():
+    from kinetix_dist.models.kernels.gate import gate
+
+    sharding = jax.sharding.SingleDeviceSharding(h200())
+
+    def of(dtype, *shape: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(shape, dtype, sharding=sharding)
+
+    rows, parameters = of(jnp.bfloat16, 1_000, E), [of(jnp.float32, E, n * E) for n in (3, 2, 1)]
+
+    def both(grad, *arguments):
+        out, back = jax.vjp(gate, *arguments)
+        return out, back(grad)
+
+    lowered = jax.jit(both, out_shardings=sharding).lower(rows, rows, rows, *parameters, of(jnp.float32, E))
+    assert lowered.compile(compiler_options=COMPILER_OPTIONS).as_text().count('"mosaic_gpu') == 3
+
+
+@has_pallas
+@pytest.mark.gpu
+@pytest.mark.parametrize("num_rows", [64, 20_000, 163_840])
+def test_kernels_on_a_gpu_are_no_worse_than_xla_and_the_same_every_time(num_rows: int):
+    if why_not := support.why_no_device():
+        pytest.skip(why_not)
+    from kinetix_dist.models.kernels.gate import gate
+
+    arguments, grad = inputs(num_rows)
+    found = result_and_gradients(gate, arguments, grad)
+    assert_no_worse_than_xla(found, arguments, grad)
+    for _ in range(9):
+        for first, again in zip(found, result_and_gradients(gate, arguments, grad)):
+            np.testing.assert_array_equal(first, again)
+
+
+@pytest.mark.parametrize(
+    ("width", "dtype", "says"),
+    [(64, "bfloat16", "policy.encoder_size is 64"), (E, "float32", "policy.dtype is float32")],
+)
+def test_a_network_that_the_kernels_do_not_fit_is_refused(width: int, dtype: str, says: str):
+    with pytest.raises(support.KernelError, match=says) as refused:
+        support.uses_mosaic("mosaic", width, dtype)
+    assert str(refused.value).endswith("use 'auto' or 'xla'")
+    assert not support.uses_mosaic("auto", width, dtype)
+
+
+def test_a_device_that_the_kernels_are_not_written_for_is_refused():
+    if jax.local_devices()[0].platform == "gpu":
+        pytest.skip("a GPU")
+    with pytest.raises(support.KernelError, match=r"policy.kernels is 'mosaic', but (jax is|the device is a CPU)"):
+        support.uses_mosaic("mosaic", E, "bfloat16")
+    assert not support.uses_mosaic("auto", E, "bfloat16")
+
+
+def test_kernels_that_are_not_known_are_refused():
+    with pytest.raises(ValueError, match=r"PolicyConfig.kernels is 'cuda'; choose one of auto, xla, mosaic"):
+        PolicyConfig(kernels="cuda")
