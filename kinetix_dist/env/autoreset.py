@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.level.select import select_first
 
 
 def select_worlds_last(done: Array, initial: Any, current: Any) -> Any:
@@ -21,8 +22,4 @@ def select_worlds_last(done: Array, initial: Any, current: Any) -> Any:
 
 def select_worlds_first(done: Array, initial: Any, current: Any) -> Any:
     """`initial` where done [W], else `current`; leaves [W, ...]."""
-
-    def select(a: Array, b: Array) -> Array:
-        return jnp.where(done.reshape(done.shape + (1,) * (b.ndim - 1)), a, b)
-
-    return jax.tree.map(select, initial, current)
+    return select_first(done, initial, current)

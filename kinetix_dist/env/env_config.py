@@ -8,6 +8,7 @@ import numpy as np
 
 from jax2d.scene import Capacity
 from jax2d.settings import Settings, preset
+from jax2d.whole_numbers import whole_number
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.level.level import SIZES
@@ -33,14 +34,14 @@ class EnvConfig:
             if getattr(self, name) not in known:
                 raise ValueError(f"EnvConfig.{name} is {getattr(self, name)!r}; choose one of {', '.join(known)}")
         for name in ("frame_skip", "max_steps"):
-            if getattr(self, name) < 1:
+            if whole_number(f"EnvConfig.{name}", getattr(self, name)) < 1:
                 raise ValueError(f"EnvConfig.{name} is {getattr(self, name)}; it must be 1 or more")
         if self.physics.solver_batch_size > 1 or self.physics.published_details:
             raise ValueError(
                 f"EnvConfig.physics has solver_batch_size {self.physics.solver_batch_size}, published_details "
                 f"{self.physics.published_details}; environments are stepped by the kernel: use 1 and ()"
             )
-        if self.effect_groups < 0:
+        if whole_number("EnvConfig.effect_groups", self.effect_groups) < 0:
             raise ValueError(f"EnvConfig.effect_groups is {self.effect_groups}; it must be 0 or more")
         if not (np.isfinite(self.dense_reward_scale) and self.dense_reward_scale >= 0):
             raise ValueError(f"EnvConfig.dense_reward_scale is {self.dense_reward_scale}; it must be 0 or more")

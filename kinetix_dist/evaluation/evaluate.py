@@ -24,6 +24,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.evaluation.policies import Player, Policy, act, first_memory
+from kinetix_dist.evaluation.summary import best_of, worst_share
 from kinetix_dist.level.level import Level
 
 MAX_WORLDS = 4096  # worlds at once: enough to fill a GPU, and under 1 GB of memory at size L
@@ -83,10 +84,28 @@ class SolveRates:
     def high(self) -> float:
         return self.total.high
 
+    @property
+    def attempts_per_level(self) -> int:
+        return self.levels[0].attempts
+
+    @property
+    def worst_tenth(self) -> float:
+        """`summary.worst_share`."""
+        return worst_share([level.solved for level in self.levels], self.attempts_per_level)
+
+    @property
+    def best_of(self) -> dict[int, float]:
+        """`summary.best_of` for k = 1, 2, 4 and so on, and for all attempts."""
+        solved, attempts = [level.solved for level in self.levels], self.attempts_per_level
+        powers = [2**i for i in range(attempts.bit_length()) if 2**i < attempts]
+        return {k: best_of(solved, attempts, k) for k in (*powers, attempts)}
+
     def to_dict(self, *, per_level: bool = True) -> dict[str, Any]:
         """For JSON: {"rate", "attempts", "low", "high", ..., "levels": [{"name", "rate", ...}, ...]}."""
         content = dataclasses.asdict(self.total)
         del content["name"]
+        content["worst_tenth"] = self.worst_tenth
+        content["best_of"] = {str(k): share for k, share in self.best_of.items()}
         if per_level:
             content["levels"] = [dataclasses.asdict(level) for level in self.levels]
         return content

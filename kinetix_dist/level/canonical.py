@@ -22,6 +22,7 @@ from jax2d.fields import Array
 from jax2d.scene import JointKind, Joints
 from jax2d.shapes import polygon_mass_properties
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.select import select_first
 
 SEAM_TOLERANCE_RAD = 1e-4  # a corner at angle 0 is computed at up to some 1e-5 rad to either side of it in float32
 
@@ -41,13 +42,7 @@ def canonical(level: Level) -> Level:
 def in_order(joints: Joints) -> Joints:
     """The same joints [J], end a the lower slot."""
     is_reversed = jnp.asarray(joints.active) & (jnp.asarray(joints.a) > jnp.asarray(joints.b))
-    return jax.tree.map(
-        lambda swapped, as_is: jnp.where(
-            is_reversed.reshape(is_reversed.shape + (1,) * (as_is.ndim - 1)), swapped, as_is
-        ),
-        swap_ends(joints),
-        joints,
-    )
+    return select_first(is_reversed, swap_ends(joints), joints)
 
 
 def canonical_corners(vertices: Array, num_vertices: Array) -> Array:
@@ -73,13 +68,21 @@ def swap_ends(joints: Joints) -> Joints:
     """
     slides = joints.is_kind(JointKind.PRISMATIC)
     return dataclasses.replace(
-        joints,
+        with_opposite_angles(joints),
         a=joints.b,
         b=joints.a,
         anchor_a=joints.anchor_b,
         anchor_b=joints.anchor_a,
-        rest_angle=negative(joints.rest_angle),
         axis_angle=jnp.where(slides, joints.axis_angle - joints.rest_angle + math.pi, joints.axis_angle),
+    )
+
+
+def with_opposite_angles(joints: Joints) -> Joints:
+    """Angles of b against a with the other sign: rest angles, and speeds and limits of what turns."""
+    slides = joints.is_kind(JointKind.PRISMATIC)
+    return dataclasses.replace(
+        joints,
+        rest_angle=negative(joints.rest_angle),
         motor_speed=jnp.where(slides, joints.motor_speed, negative(joints.motor_speed)),
         lower_limit=jnp.where(slides, joints.lower_limit, negative(joints.upper_limit)),
         upper_limit=jnp.where(slides, joints.upper_limit, negative(joints.lower_limit)),

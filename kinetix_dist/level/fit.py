@@ -1,12 +1,16 @@
-"""Sizes: what a level uses, the smallest size it fits, and moving it into a larger capacity."""
+"""Sizes: what a level uses, the smallest size it fits, and moving it into arrays of another capacity."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 
 from jax2d import scene
 from jax2d.fields import Field, make
-from jax2d.scene import Capacity
+from jax2d.scene import Array, Capacity
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.walls import empty_level
 
@@ -75,33 +79,88 @@ def fit_level(level: Level, capacity: Capacity) -> Level:
         raise LevelSizeError(
             f"level has a polygon of {max_vertices} corners; the size has room for {capacity.vertices}"
         )
-    source = {
-        "P": polygons,
-        "C": circles,
-        "n": np.concatenate([polygons, have.polygons + circles]),
-        "J": joints,
-        "T": thrusters,
-        "V": np.minimum(np.arange(capacity.vertices), have.vertices - 1),
+    slots = {"P": polygons, "C": circles, "J": joints, "T": thrusters}
+    return _in_slots(level, have, capacity, slots, np)
+
+
+def pad_levels(levels: Level, capacity: Capacity) -> Level:
+    """A batch of levels, [W, ...], in arrays of a capacity with at least as much room; slot order is kept, new slots
+    are inactive. Works inside jit. Raises `LevelSizeError` where the capacity has less room of a kind."""
+    have = capacity_of(levels)
+    if have == capacity:
+        return levels
+    for kind in ("polygons", "circles", "joints", "thrusters", "vertices"):
+        if getattr(have, kind) > getattr(capacity, kind):
+            raise LevelSizeError(
+                f"levels have room for {getattr(have, kind)} {kind}, the larger capacity for {getattr(capacity, kind)}"
+            )
+    rooms = {"P": have.polygons, "C": have.circles, "J": have.joints, "T": have.thrusters}
+    return _in_slots(levels, have, capacity, {letter: np.arange(room) for letter, room in rooms.items()}, jnp)
+
+
+def size_numbers(levels: Level) -> Array:
+    """[W] int32: of each level of a batch, the number in `SIZES` of the smallest size that it fits, as `smallest_size`.
+
+    A level of arrays that no size has room for counts as the largest size. Works inside jit.
+    """
+    shapes = levels.scene.shapes
+    num_polygons = shapes.num_vertices.shape[-1]
+    used = {
+        "polygons": shapes.active[..., :num_polygons],
+        "circles": shapes.active[..., num_polygons:],
+        "joints": levels.scene.joints.active,
+        "thrusters": levels.scene.thrusters.active,
     }
-    target = {letter: np.arange(len(slots)) for letter, slots in source.items()}
-    target["n"] = np.concatenate([target["P"], capacity.polygons + target["C"]])
+    counts = {kind: jnp.sum(active, axis=-1) for kind, active in used.items()}
+    fits = [
+        jnp.all(jnp.stack([count <= getattr(capacity, kind) for kind, count in counts.items()]), axis=0)
+        for capacity in list(SIZES.values())[:-1]
+    ]
+    return jnp.argmax(jnp.stack([*fits, jnp.ones_like(fits[0])]), axis=0).astype(jnp.int32)
+
+
+def _in_slots(level: Level, have: Capacity, capacity: Capacity, slots: Mapping[str, np.ndarray], arrays: Any) -> Level:
+    """A level (or a batch) of capacity `have` in arrays of `capacity`.
+
+    slots: by letter of P, C, J and T, the old slots that come first there, in this order; nothing is in the others.
+    arrays: the module that moves them, numpy or jax.numpy.
+    """
+    shapes = np.concatenate([slots["P"], have.polygons + slots["C"]])
+    new_shapes = np.concatenate([np.arange(len(slots["P"])), capacity.polygons + np.arange(len(slots["C"]))])
+    new_number = np.zeros(have.shapes, np.int32)  # of shapes left out: nothing active refers to them
+    new_number[shapes] = new_shapes
+    sizes = capacity.sizes
+    taken_from = {letter: _padded(old, sizes[letter]) for letter, old in slots.items()}
+    taken_from["V"] = np.minimum(np.arange(capacity.vertices), have.vertices - 1)
+    taken_from["n"] = np.full(capacity.shapes, _NOTHING)
+    taken_from["n"][new_shapes] = shapes
     blank = empty_level(capacity)
 
-    def placed(field: Field) -> np.ndarray:
+    def placed(field: Field) -> Any:
         """The field with what the level has in its slots, and nothing in the others."""
-        out, values = np.array(field.get(blank)), np.asarray(field.get(level))
-        letters = [(axis, letter) for axis, letter in enumerate(field.dims) if letter in source]
+        values = field.get(level)
+        letters = [(axis, letter) for axis, letter in enumerate(field.dims) if letter in taken_from]
         if not letters:
-            return values
+            return arrays.asarray(values)
         if field.refers_to == "n":
-            new_number = np.zeros(have.shapes, np.int32)  # of shapes left out: nothing active refers to them
-            new_number[source["n"]] = target["n"]
-            values = new_number[values]
-        grid = np.ix_(*(source[letter] for _, letter in letters))
-        out[np.ix_(*(target[letter] for _, letter in letters))] = values[grid]
-        return out
+            values = arrays.asarray(new_number)[values]
+        empty = field.get(blank)
+        is_taken = np.ones(empty.shape, bool)
+        num_leading = np.ndim(values) - len(field.dims)  # of a batch
+        for axis, letter in letters:
+            source = taken_from[letter]
+            values = arrays.take(values, np.maximum(source, 0), axis=num_leading + axis)
+            is_taken &= np.expand_dims(source != _NOTHING, [i for i in range(empty.ndim) if i != axis])
+        return arrays.where(is_taken, values, empty)
 
     return make(Level, placed)
+
+
+_NOTHING = -1  # in place of a slot's number: what is there in an empty level
+
+
+def _padded(old_slots: np.ndarray, length: int) -> np.ndarray:
+    return np.concatenate([old_slots, np.full(length - len(old_slots), _NOTHING, old_slots.dtype)])
 
 
 def _slots(active: np.ndarray, room: int, kind: str) -> np.ndarray:

@@ -26,6 +26,7 @@ _JOINT_FIELDS = (
     "motor_power", "motor_has_joint_limits", "min_rotation", "max_rotation", "motor_binding",
 )  # fmt: skip
 _THRUSTER_FIELDS = ("object_index", "relative_position", "rotation", "power", "thruster_binding")
+_FLAGS = ("is_fixed_joint", "motor_on", "motor_has_joint_limits")
 _PAIRS = ("position", "velocity", "a_relative_pos", "b_relative_pos", "relative_position")
 # What numbers of a level mean: a level of other units would move otherwise here.
 UNITS = {
@@ -68,6 +69,7 @@ def check_kinetix(document: dict[str, Any]) -> None:
         if joint["a_index"] == joint["b_index"]:
             raise LevelFormatError(f"{path}.b_index", "joins a shape to itself", "name another shape")
         _check_choice(joint["motor_binding"], NUM_MOTOR_COLOURS, f"{path}.motor_binding")
+        _check_flag(joint.get("motor_auto", False), f"{path}.motor_auto")
     for path, thruster in _active_rows(state, "thruster", _THRUSTER_FIELDS).values():
         _check_shape(thruster["object_index"], f"{path}.object_index", slots)
         _check_choice(thruster["thruster_binding"], NUM_THRUSTER_COLOURS, f"{path}.thruster_binding")
@@ -86,6 +88,7 @@ def _active_rows(state: dict[str, Any], part: str, fields: tuple[str, ...]) -> d
         path = f"env_state.{part}[{slot}]"
         if not isinstance(row, dict) or "active" not in row:
             raise LevelFormatError(f"{path}.active", "is missing", _EXPORT_AGAIN)
+        _check_flag(row["active"], f"{path}.active")
         if not row["active"]:
             continue
         for field in fields:
@@ -95,10 +98,17 @@ def _active_rows(state: dict[str, Any], part: str, fields: tuple[str, ...]) -> d
                 _check_pair(row[field], f"{path}.{field}")
             elif field == "vertices":
                 raise_first(number_problems(row[field], f"{path}.{field}"))
+            elif field in _FLAGS:
+                _check_flag(row[field], f"{path}.{field}")
             else:
                 _check_number(row[field], f"{path}.{field}")
         rows[slot] = (path, row)
     return rows
+
+
+def _check_flag(value: Any, path: str) -> None:
+    if value not in (True, False):  # also 1 and 0
+        raise LevelFormatError(path, f"is {value!r}", "use true or false")
 
 
 def _check_number(value: Any, path: str) -> None:
@@ -153,8 +163,13 @@ def _check_walls(polygons: dict[int, tuple[str, dict[str, Any]]]) -> None:
 
 def _check_units(document: dict[str, Any]) -> None:
     params = document.get("env_params", {})
+    if not isinstance(params, dict):
+        raise LevelFormatError("env_params", f"is {type(params).__name__}", _EXPORT_AGAIN)
     for name, usual in UNITS.items():
-        if name in params and not math.isclose(params[name], usual, rel_tol=1e-5):
+        if name not in params:
+            continue
+        _check_number(params[name], f"env_params.{name}")
+        if not math.isclose(params[name], usual, rel_tol=1e-5):
             raise LevelFormatError(
                 f"env_params.{name}", f"is {params[name]}", f"levels here are played with {usual:.6g}; scale the level"
             )

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array, JointKind
-from kinetix_dist.level.canonical import canonical, negative
+from kinetix_dist.level.canonical import canonical, negative, with_opposite_angles
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
+from kinetix_dist.level.select import select_first
 from kinetix_dist.level.walls import WALL_NAMES
 
 _LEFT, _RIGHT = WALL_NAMES.index("left_wall"), WALL_NAMES.index("right_wall")
@@ -25,9 +26,6 @@ def mirrored(level: Level) -> Level:
     shapes, joints, thrusters = scene.shapes, scene.joints, scene.thrusters
     is_mirrored = jnp.asarray(shapes.active) & (np.arange(shapes.active.shape[0]) >= NUM_WALLS)
 
-    def where(mask: Array, new: Array, old: Array) -> Array:
-        return jnp.where(jnp.reshape(mask, mask.shape + (1,) * (jnp.ndim(new) - mask.ndim)), new, old)
-
     flip = jax.vmap(_flipped)
     num, slot = jnp.asarray(shapes.num_vertices)[:, None], jnp.arange(shapes.vertices.shape[1])
     backwards = jnp.where(slot < num, num - 1 - slot, 0)  # counter-clockwise again
@@ -36,24 +34,20 @@ def mirrored(level: Level) -> Level:
     exists = jnp.asarray(joints.active)
     ends = [_other_wall(end) for end in (joints.a, joints.b)]
     mirrored_joints = dataclasses.replace(
-        joints,
+        with_opposite_angles(joints),
         a=ends[0],
         b=ends[1],
         anchor_a=flip(joints.anchor_a),
         anchor_b=flip(joints.anchor_b),
-        rest_angle=negative(joints.rest_angle),
         axis_angle=jnp.where(slides, np.pi - joints.axis_angle, joints.axis_angle),
-        motor_speed=jnp.where(slides, joints.motor_speed, negative(joints.motor_speed)),
-        lower_limit=jnp.where(slides, joints.lower_limit, negative(joints.upper_limit)),
-        upper_limit=jnp.where(slides, joints.upper_limit, negative(joints.lower_limit)),
     )
     pushes = jnp.asarray(thrusters.active)
     mirrored_scene = scene.replace(
-        shapes={"vertices": where(is_mirrored[: corners.shape[0]], corners, shapes.vertices)},
-        joints=jax.tree.map(lambda new, old: where(exists, new, old), mirrored_joints, joints),
+        shapes={"vertices": select_first(is_mirrored[: corners.shape[0]], corners, shapes.vertices)},
+        joints=select_first(exists, mirrored_joints, joints),
         thrusters={
-            "position": where(pushes, flip(thrusters.position), thrusters.position),
-            "angle": where(pushes, np.pi - thrusters.angle, thrusters.angle),
+            "position": select_first(pushes, flip(thrusters.position), thrusters.position),
+            "angle": select_first(pushes, np.pi - thrusters.angle, thrusters.angle),
         },
     )
     position = jnp.stack([WORLD_SIZE_M - level.position[:, 0], level.position[:, 1]], axis=-1)
@@ -61,10 +55,10 @@ def mirrored(level: Level) -> Level:
         dataclasses.replace(
             level,
             scene=dataclasses.replace(mirrored_scene, gravity=_flipped(scene.gravity)),
-            position=where(is_mirrored, position, level.position),
-            angle=where(is_mirrored, negative(level.angle), level.angle),
-            velocity=where(is_mirrored, flip(level.velocity), level.velocity),
-            angular_velocity=where(is_mirrored, negative(level.angular_velocity), level.angular_velocity),
+            position=select_first(is_mirrored, position, level.position),
+            angle=select_first(is_mirrored, negative(level.angle), level.angle),
+            velocity=select_first(is_mirrored, flip(level.velocity), level.velocity),
+            angular_velocity=select_first(is_mirrored, negative(level.angular_velocity), level.angular_velocity),
         )
     )
 

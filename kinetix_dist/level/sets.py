@@ -4,8 +4,8 @@
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
 ("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
-walkers, unicycles and arms "locomotion_s" to "locomotion_l"), a set to develop with ("dev_random_s", "dev_designed_s"
-and so on), or a file or directory of level files, ours or of the public package.
+walkers, unicycles and arms "locomotion_s" to "locomotion_l"), a set to develop with ("dev_random_s", "dev_designed_s",
+"frontier_s" and so on), or a file or directory of level files, ours or of the public package.
 
 What is published is measured on held-out and designed sets; what is chosen (settings, recipes, networks) is chosen on
 sets to develop with, which share no random level with them: else what is published would be too good.
@@ -23,11 +23,13 @@ import numpy as np
 from jax2d.scene import Array, stack_worlds
 from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fit import LevelSizeError, capacity_of_size, fit_level, smallest_size
+from kinetix_dist.level.frontier import frontier_levels, frontier_sets
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.kinetix_format import is_kinetix_document, load_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.proof import PROOF_SUFFIX
 from kinetix_dist.level.schema import LevelInfo, load_level
 from kinetix_dist.level.set_files import designed_files, designed_sets
 from kinetix_dist.level.validate import read_document
@@ -37,6 +39,7 @@ HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its o
 HELD_OUT_LEVELS = 256
 DEVELOPMENT_STREAM = 0x444556  # "DEV"
 DEVELOPMENT_LEVELS = 2048
+PUBLIC_SOURCE = "public Kinetix level file"  # what is known of such a level, also after `levels import`
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -64,9 +67,14 @@ RANDOM_SETS = {
     )
     for size in SIZES
 }
-VARIED_SETS = {
-    f"dev_designed_{size}": f"all_designed_{size}" for size in SIZES
-}  # and of which levels they are variants
+# By name, the designed set whose levels they are variants of.
+VARIED_SETS = {f"dev_designed_{size}": f"all_designed_{size}" for size in SIZES}
+
+
+def development_sets() -> tuple[str, ...]:
+    """Names of the sets by which settings may be chosen."""
+    drawn = [name for name, random_set in RANDOM_SETS.items() if random_set.stream == DEVELOPMENT_STREAM]
+    return (*drawn, *VARIED_SETS, *frontier_sets())
 
 
 def load_level_set(
@@ -89,6 +97,8 @@ def load_level_set(
     if name in VARIED_SETS:
         levels, names = _stack(files_of_set(VARIED_SETS[name]), size)
         return variants(jax.random.key(DEVELOPMENT_STREAM), levels, names)
+    if name in (frontier := frontier_sets()):
+        return _in_arrays_of(size, frontier[name].size, *frontier_levels(frontier[name]))
     return _stack(files_of_set(name), size)
 
 
@@ -107,11 +117,22 @@ def read_public_level(path: Path) -> tuple[Level, LevelInfo]:
         size = smallest_size(level)
     except LevelSizeError as error:
         raise LevelSizeError(f"{path}: {error}") from None
-    return level, LevelInfo(name=path.stem, size=size, source="public Kinetix level file")
+    return level, LevelInfo(name=path.stem, size=size, source=PUBLIC_SOURCE)
+
+
+def is_public_level(path: Path) -> bool:
+    """Whether a level file is one of the public package, or was imported from one. Raises as `read_level`."""
+    document = read_document(path)
+    return is_kinetix_document(document) or document.get("source") == PUBLIC_SOURCE
 
 
 def files_of_set(name: str) -> list[Path]:
-    """The level files of a designed set, a designed level, a file or a directory."""
+    """The level files of a designed set, a designed level, a file or a directory.
+
+    Raises ValueError for a set that is drawn and for what is no set, FileNotFoundError for an empty directory.
+    """
+    if name in (*RANDOM_SETS, *VARIED_SETS, *frontier_sets()):
+        raise ValueError(f"{name!r} is drawn when it is used; it has no files; name a designed set or level files")
     sets = designed_sets()
     if name in sets:
         return [levels_root() / file for file in sets[name]["levels"]]
@@ -123,12 +144,18 @@ def files_of_set(name: str) -> list[Path]:
     if path.is_file():
         return [path]
     if path.is_dir():
-        files = sorted(path.glob("*.json")) or sorted(path.glob("*/*.json"))
+        files = level_files(path, "*.json") or level_files(path, "*/*.json")
         if not files:
             raise FileNotFoundError(f"no .json level files in {path}; give a directory of level files")
         return files
-    known = ", ".join([*sets, *VARIED_SETS, *RANDOM_SETS])
+    known = ", ".join([*sets, *VARIED_SETS, *RANDOM_SETS, *frontier_sets()])
     raise ValueError(f"unknown level set {name!r}; sets are {known}, or give a level file or a directory of them")
+
+
+def level_files(directory: Path, pattern: str) -> list[Path]:
+    """Files of a directory that should hold levels: not proofs that lie beside them, and not the schema."""
+    found = sorted(path for path in directory.glob(pattern) if path.is_file())
+    return [path for path in found if path.name != "schema.json" and not path.name.endswith(PROOF_SUFFIX)]
 
 
 def file_of_level(name: str) -> Path:
@@ -150,10 +177,14 @@ def _random_set(
     config = generator(drawn.generator)
     levels = generate_filtered(held_out_key(drawn.size, drawn.stream), num_levels, drawn.size, config, noop_outcome_fn)
     levels = jax.tree.map(np.asarray, levels)
-    names = [f"{drawn.name}_{i}" for i in range(num_levels)]
-    if size is None or size == drawn.size:
+    return _in_arrays_of(size, drawn.size, levels, [f"{drawn.name}_{i}" for i in range(num_levels)])
+
+
+def _in_arrays_of(size: str | None, own_size: str, levels: Level, names: list[str]) -> tuple[Level, list[str]]:
+    """The same levels in arrays of another size."""
+    if size is None or size == own_size:
         return levels, names
-    singles = [jax.tree.map(lambda x, i=i: x[i], levels) for i in range(num_levels)]
+    singles = [jax.tree.map(lambda x, i=i: x[i], levels) for i in range(len(names))]
     return stack_worlds([fit_level(level, capacity_of_size(size)) for level in singles]), names
 
 

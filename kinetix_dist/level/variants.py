@@ -17,14 +17,11 @@ import numpy as np
 from jax2d.scene import Array
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.mirror import mirrored
+from kinetix_dist.level.select import select_first
 
 NUM_VARIANTS = 8  # of a level
-GRAVITY, DENSITY, FRICTION, STRENGTH = (
-    0.05,
-    0.1,
-    0.1,
-    0.05,
-)  # largest changes, as shares; strength: of motors, thrusters
+# Largest changes, as shares; strength: of motors and thrusters.
+GRAVITY, DENSITY, FRICTION, STRENGTH = 0.05, 0.1, 0.1, 0.05
 VELOCITY_M_S = 0.1  # largest, along each axis, that all movable shapes have more at the start
 
 
@@ -38,7 +35,7 @@ def variants(key: Array, levels: Level, names: Sequence[str]) -> tuple[Level, li
         varied = jax.vmap(_varied, in_axes=(0, None))(keys, level)
         image = jax.vmap(mirrored)(varied)
         is_image = np.arange(NUM_VARIANTS) % 2 == 1
-        return jax.tree.map(lambda a, b: jnp.where(is_image.reshape(-1, *[1] * (a.ndim - 1)), b, a), varied, image)
+        return select_first(is_image, image, varied)
 
     drawn = jax.device_get(jax.jit(jax.vmap(of_one))(keys, levels))
     flat = jax.tree.map(lambda x: x.reshape(x.shape[0] * NUM_VARIANTS, *x.shape[2:]), drawn)

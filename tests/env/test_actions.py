@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +14,8 @@ import pytest
 from jax2d.scene import Controls
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionSpace
 from kinetix_dist.env.actions import controls_of
+from tests.helpers import REPOSITORY
+from tests.kinetix_package import VARIABLE
 
 MULTI_DISCRETE, CONTINUOUS, DISCRETE = (ACTION_SPACES[name] for name in ("multi_discrete", "continuous", "discrete"))
 MOTOR_COLOUR = jnp.array([[0, 3, 3]])
@@ -37,12 +43,46 @@ def test_continuous_actions_pass_through() -> None:
 
 @pytest.mark.parametrize(
     ("action", "motor", "thruster"),
-    [(0, [1, 0, 0], [0, 0]), (7, [0, -1, -1], [0, 0]), (8, [0, 0, 0], [0, 0]), (9, [0, 0, 0], [0, 1])],
+    [(0, [-1, 0, 0], [0, 0]), (7, [0, 1, 1], [0, 0]), (8, [0, 0, 0], [0, 0]), (9, [0, 0, 0], [0, 1])],
 )
 def test_a_discrete_action_drives_one_colour(action: int, motor: list[int], thruster: list[int]) -> None:
     result, _ = controls(DISCRETE, action)
     np.testing.assert_array_equal(result.motor, [motor])
     np.testing.assert_array_equal(result.thruster, [thruster])
+
+
+# What `kinetix.environment.utils.convert_discrete_actions` of kinetix-env 3.0.2 makes of actions 0 to 10, for one motor
+# of each colour and one thruster of each; `test_the_numbers_are_those_of_the_package_itself` asks it.
+PACKAGE_DISCRETE = np.array(
+    [
+        [-1, 0, 0, 0, 0, 0],
+        [1, 0, 0, 0, 0, 0],
+        [0, -1, 0, 0, 0, 0],
+        [0, 1, 0, 0, 0, 0],
+        [0, 0, -1, 0, 0, 0],
+        [0, 0, 1, 0, 0, 0],
+        [0, 0, 0, -1, 0, 0],
+        [0, 0, 0, 1, 0, 0],
+        [0, 0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 1, 0],
+        [0, 0, 0, 0, 0, 1],
+    ]
+)
+
+
+def test_discrete_actions_are_numbered_as_in_the_public_package() -> None:
+    motor, thruster = DISCRETE.colour_values(jnp.arange(11), jnp.ones(11, bool))
+    np.testing.assert_array_equal(jnp.concatenate([motor, thruster], axis=1), PACKAGE_DISCRETE)
+
+
+def test_the_numbers_are_those_of_the_package_itself() -> None:
+    if not (python := os.environ.get(VARIABLE)):
+        pytest.skip(f"the public package is not here: set {VARIABLE} to a Python with kinetix-env 3.0.2")
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    program = REPOSITORY / "bench" / "peers" / "kinetix_actions.py"
+    ended = subprocess.run([python, str(program)], env=environment, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    np.testing.assert_array_equal(json.loads(ended.stdout), PACKAGE_DISCRETE)
 
 
 def test_automatic_motors_run_forward_whatever_the_action() -> None:

@@ -13,9 +13,8 @@ import pytest
 from kinetix_dist.config import ConfigError
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.level.generator import generate_level
-from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.recipes import recipe
+from tests.level.random_levels import random_levels
 
 NUM_LEVELS, STEPS = 96, 12
 
@@ -24,9 +23,7 @@ NUM_LEVELS, STEPS = 96, 12
 def played():
     """(bound [W, 6], motion of all bodies by actions [T, W, 6])."""
     env = Environment(EnvConfig(size="s", max_steps=10_000))
-    keys = jax.random.split(jax.random.key(3), NUM_LEVELS)
-    levels = jax.vmap(lambda key: generate_level(key, env.capacity, GeneratorConfig()))(keys)
-    prepared = env.prepare(levels)
+    prepared = env.prepare(random_levels("s", NUM_LEVELS, seed=3))
 
     @jax.jit
     def motion(actions):

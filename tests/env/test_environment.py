@@ -198,6 +198,9 @@ def test_levels_with_what_the_engine_was_made_without_are_refused(env: Environme
         ("size", "xl", "EnvConfig.size is 'xl'; sizes are s, m, l"),
         ("action_space", "buttons", "EnvConfig.action_space is 'buttons'"),
         ("frame_skip", 0, "EnvConfig.frame_skip is 0"),
+        ("frame_skip", 1.5, "EnvConfig.frame_skip is 1.5; it must be a whole number"),
+        ("max_steps", float("nan"), "EnvConfig.max_steps is nan; it must be a whole number"),
+        ("effect_groups", True, "EnvConfig.effect_groups is True; it must be a whole number"),
         ("max_steps", -1, "EnvConfig.max_steps is -1"),
         ("dense_reward_scale", float("nan"), "EnvConfig.dense_reward_scale is nan"),
     ],
@@ -236,6 +239,7 @@ SHARDED = """
 import jax, numpy as np, jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
 from kinetix_dist.env.environment import EnvConfig, Environment
+from kinetix_dist.learner.sharding import on_devices
 from tests.env.test_environment import MEETS, MEETS_RED, PUSHED, RESTS, MAX_STEPS
 from tests.env.worlds import batch
 
@@ -251,9 +255,8 @@ def unroll(levels, actions):
     return jax.lax.scan(advance, env.reset(prepared)[0], actions)[1]
 
 mesh = Mesh(np.array(jax.devices()), ("data",))
-sharded = jax.jit(jax.shard_map(
-    unroll, mesh=mesh, in_specs=(PartitionSpec("data"), PartitionSpec(None, "data")),
-    out_specs=PartitionSpec(None, "data"), check_vma=False))
+sharded = jax.jit(on_devices(
+    unroll, mesh, in_specs=(PartitionSpec("data"), PartitionSpec(None, "data")), out_specs=PartitionSpec(None, "data")))
 two, one = (jax.tree.leaves(f(levels, actions)) for f in (sharded, jax.jit(unroll)))
 for a, b in zip(two, one, strict=True):
     np.testing.assert_array_equal(a, b)

@@ -120,6 +120,7 @@ def test_an_environment_for_fewer_effects_names_what_a_level_lacks() -> None:
 SHARDED = """
 import jax, numpy as np
 from jax.sharding import Mesh, PartitionSpec
+from kinetix_dist.learner.sharding import on_devices
 from tests.env.test_stepper import DRIVEN, FALLING, MEETS, PUSHED, environment
 from tests.env.worlds import batch
 
@@ -137,7 +138,7 @@ def play(env):
 
 worlds, steps = PartitionSpec("data"), PartitionSpec(None, "data")
 mesh = Mesh(np.array(jax.devices()), ("data",))
-sharded = jax.shard_map(play(environment(2)), mesh=mesh, in_specs=(worlds, steps), out_specs=steps, check_vma=False)
+sharded = on_devices(play(environment(2)), mesh, in_specs=(worlds, steps), out_specs=steps)
 two, one = (jax.tree.leaves(jax.jit(f)(levels, actions)) for f in (sharded, play(environment(0))))
 for a, b in zip(two, one, strict=True):
     np.testing.assert_array_equal(a, b)

@@ -100,6 +100,10 @@ def test_bad_calls_of_a_vector_are_refused(levels, envs):
     envs.reset()
     with pytest.raises(ValueError, match="action 3 at"):
         envs.step(np.full((5, 6), 3))
+    with pytest.raises(ValueError, match="actions have type float64; multi_discrete actions are integers"):
+        envs.step(np.full((5, 6), 0.9))
+    with pytest.raises(ValueError, match="give 5 numbers from 0 to"):
+        envs.reset(options={"levels": [0.5, 1, 2, 3, 3]})
     with pytest.raises(ValueError, match="render_mode is 'human'"):
         KinetixEnv(config(), levels, render_mode="human")
 
@@ -128,6 +132,8 @@ def test_a_gymnax_episode_is_that_of_the_environment(levels):
     params = env.default_params
     batch = Environment(config())
     obs, state = env.reset(jax.random.key(5), params)
+    with pytest.raises(ValueError, match="actions have type float32; multi_discrete actions are integers"):
+        env.step(jax.random.key(0), state, jnp.full(6, 0.9), params)
     prepared = state.level
     expected_state, expected = batch.reset(prepared)
     np.testing.assert_allclose(obs, batch.observe(prepared, expected)[0], atol=1e-6)

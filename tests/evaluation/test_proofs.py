@@ -51,7 +51,7 @@ def test_a_replay_is_the_same_bit_for_bit_wherever_the_level_stands_in_the_batch
 
 
 @pytest.mark.parametrize(
-    "size", [pytest.param("s", marks=pytest.mark.slow), pytest.param("m", marks=pytest.mark.slow), "l"]
+    "size", ["s", pytest.param("m", marks=pytest.mark.slow), pytest.param("l", marks=pytest.mark.slow)]
 )
 def test_as_users_run_it_every_proof_takes_exactly_as_many_steps_as_it_says(size: str) -> None:
     """With the flags of XLA and the optimisations that users have, which tests have not."""

@@ -13,19 +13,13 @@ from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import decode_level, encode_level, read_rollouts, record_rollouts
-from kinetix_dist.level.generator import generate_level
-from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.level import Level
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.sinks.mcap import McapSink
+from tests.level.random_levels import random_levels
 
 NUM_LEVELS = 8
 MAX_STEPS = 24
-
-
-def random_levels(size: str, num_levels: int) -> Level:
-    keys = jax.random.split(jax.random.key(0), num_levels)
-    return jax.device_get(jax.jit(jax.vmap(lambda key: generate_level(key, SIZES[size], GeneratorConfig())))(keys))
 
 
 @pytest.fixture(scope="module")

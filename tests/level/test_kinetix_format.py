@@ -208,6 +208,12 @@ def edited(*path: object, value: object = None, remove: bool = False) -> dict:
             edited("env_params", "base_motor_power", value=450.0),
             r"^env_params\.base_motor_power: is 450\.0; .* with 900",
         ),
+        (edited("env_state", "circle", 0, "active", value=[1, 2]), r"active: is \[1, 2\]; use true or false"),
+        (edited("env_state", "joint", 0, "motor_on", value="no"), r"motor_on: is 'no'; use true or false"),
+        (edited("env_state", "joint", 0, "motor_auto", value=None), r"motor_auto: is None; use true or false"),
+        (edited("env_params", "dt", value="1/60"), r"^env_params\.dt: is '1/60'; give a number"),
+        (edited("env_params", "dt", value=float("nan")), r"^env_params\.dt: is nan; give a finite number"),
+        (edited("env_params", value=None), r"^env_params: is NoneType; this file is of another version"),
     ],
 )
 def test_a_public_file_that_cannot_be_read_says_where_and_why(document: dict, says: str) -> None:

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.level.generator import generate_level
-from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import WORLD_SIZE_M
 from kinetix_dist.level.mirror import mirrored
 from kinetix_dist.level.sets import load_level_set
+from tests.level.random_levels import random_levels
 
 NUM_LEVELS, STEPS = 64, 12
 
@@ -21,8 +20,7 @@ NUM_LEVELS, STEPS = 64, 12
 def levels():
     """Random ones and the designed ones: with sliders, limits, joints at walls and velocities of their own."""
     env = Environment(EnvConfig(size="m", max_steps=10_000))
-    keys = jax.random.split(jax.random.key(5), NUM_LEVELS)
-    drawn = jax.vmap(lambda key: generate_level(key, env.capacity, GeneratorConfig()))(keys)
+    drawn = random_levels("m", NUM_LEVELS, seed=5)
     designed, _ = load_level_set("all_designed_m", "m")
     both = jax.tree.map(lambda *xs: jnp.concatenate([jnp.asarray(x) for x in xs]), drawn, designed)
     return env, both, jax.jit(jax.vmap(mirrored))(both)

@@ -44,7 +44,7 @@ def test_the_distribution_is_that_of_the_public_package(size: str) -> None:
 
 
 def test_our_own_distribution_differs_in_what_the_rules_of_the_package_change() -> None:
-    rows = rows_of("l", GENERATORS["default"], 2000)
+    rows = rows_of("m", GENERATORS["default"], 2000)
     for name in (
         "fixed joints 0",
         "joint of polygon and circle",
@@ -66,13 +66,13 @@ def test_wide_margins_keep_circles_from_the_walls(details: tuple[str, ...], clos
 
 
 def test_statistics_are_read_as_they_were_described() -> None:
-    found = statistics(levels_of("s", GENERATORS["default"], 200))
+    found = statistics(levels_of("m", GENERATORS["default"], 2000))
     again = read(json.loads(json.dumps(describe(found))))
     assert all(row.deviation < 0.5 for row in compare(found, again))
 
 
 def test_statistics_of_other_names_are_refused() -> None:
-    found = statistics(levels_of("s", GENERATORS["default"], 200))
+    found = statistics(levels_of("m", GENERATORS["default"], 2000))
     with pytest.raises(ValueError, match="only one of the two has radius"):
         compare(found, {name: value for name, value in read(describe(found)).items() if name != "radius"})
 

@@ -49,7 +49,7 @@ class Categorical:
         log_probs = _log_probabilities(outputs)
         log_prob = _log_prob(log_probs, actions, bound)
         # Absent choices: probability 0 times a finite log-probability is 0.
-        return log_prob, -sum_heads(sum(jnp.exp(lp) * lp for lp in log_probs), bound)
+        return log_prob, -_sum_heads(sum(jnp.exp(lp) * lp for lp in log_probs), bound)
 
     def mode(self, outputs: tuple[Array, ...]) -> Array:
         """The most likely actions [..., heads] int32."""
@@ -89,7 +89,7 @@ class OneCategorical:
 
 
 def _log_prob(log_probs: list[Array], actions: Array, bound: Array | None) -> Array:
-    return sum_heads(sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs)), bound)
+    return _sum_heads(sum(jnp.where(actions == choice, lp, 0.0) for choice, lp in enumerate(log_probs)), bound)
 
 
 def _log_probabilities(logits: tuple[Array, ...]) -> list[Array]:
@@ -115,7 +115,7 @@ def _log_probabilities(logits: tuple[Array, ...]) -> list[Array]:
     return [choice - log_total for choice in choices]
 
 
-def sum_heads(x: Array, bound: Array | None) -> Array:
+def _sum_heads(x: Array, bound: Array | None) -> Array:
     """[..., heads] -> [...], over those that are bound (bool, as large); None: over all, in order."""
     if bound is not None:
         x = jnp.where(bound, x, 0.0)

@@ -1,5 +1,7 @@
-"""Discrete actions: one of 11 a world, [W] int32: a motor colour forward (0-3) or backward (4-7), nothing (8), a
-thruster colour (9, 10)."""
+"""Discrete actions: one of 11 a world, [W] int32, with the numbers of the public package (kinetix-env 3.0.2).
+
+2 c and 2 c + 1 drive motor colour c backward and forward, 8 nothing, 9 and 10 a thruster colour.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +35,6 @@ class Discrete(ActionSpace):
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         choice = jnp.where(allowed, actions, NOOP)[:, None]
         colours = jnp.arange(NUM_MOTOR_COLOURS)
-        motor = (choice == colours).astype(jnp.float32) - (choice == colours + NUM_MOTOR_COLOURS)
+        motor = (choice == 2 * colours + 1).astype(jnp.float32) - (choice == 2 * colours)
         thruster = choice == jnp.arange(NUM_THRUSTER_COLOURS) + NOOP + 1
         return motor, thruster.astype(jnp.float32)

@@ -85,9 +85,11 @@ class KinetixVectorEnv(VectorEnv):
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         prepared, state = self._episode
-        actions = np.asarray(actions, self.env.action_space.dtype)
-        self.env.action_space.check(actions, self.num_envs)
-        state, obs, reward, done, info = self._advance(prepared, state, jnp.asarray(actions))
+        actions = np.asarray(actions)
+        self.env.action_space.check(actions, self.num_envs)  # before the cast, which would cut 0.9 to 0
+        state, obs, reward, done, info = self._advance(
+            prepared, state, jnp.asarray(actions, self.env.action_space.dtype)
+        )
         done, info = np.asarray(done), _info_arrays(info)
         infos: dict[str, Any] = {}
         if done.any():
@@ -197,7 +199,8 @@ def _info_arrays(info: StepInfo) -> dict[str, np.ndarray]:
 
 def _level_numbers(numbers: Sequence[int] | np.ndarray, num_envs: int, num_levels: int) -> np.ndarray:
     found = np.asarray(numbers)
-    if found.shape != (num_envs,) or not ((found >= 0) & (found < num_levels)).all():
+    is_integer = np.issubdtype(found.dtype, np.integer)
+    if not is_integer or found.shape != (num_envs,) or not ((found >= 0) & (found < num_levels)).all():
         raise ValueError(f"levels are {numbers!r}; give {num_envs} numbers from 0 to {num_levels - 1}, one a world")
     return found.astype(np.int32)
 

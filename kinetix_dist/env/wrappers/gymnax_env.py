@@ -85,8 +85,9 @@ class GymnaxEnv(environment.Environment):
     def step_env(
         self, key: Array, state: GymnaxState, action: Array, params: GymnaxParams
     ) -> tuple[Any, GymnaxState, Array, Array, dict[str, Array]]:
-        actions = jnp.asarray(action, self.env.action_space.dtype)[None]
-        self.env.action_space.check(actions, 1)
+        actions = jnp.asarray(action)[None]
+        self.env.action_space.check(actions, 1)  # before the cast, which would cut 0.9 to 0
+        actions = actions.astype(self.env.action_space.dtype)
         episode, obs, reward, done, info = self.env.transition(state.level, state.episode, actions)
         timed_out = info.timed_out[0]
         poses = self._poses(state.level, episode)

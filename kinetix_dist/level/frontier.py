@@ -1,0 +1,88 @@
+"""Random levels at the frontier of what is known to be possible: hard by chance, not impossible.
+
+    levels, names = frontier_levels(frontier_sets()["frontier_s"])
+
+Of levels drawn from a stream of their own, those that random actions rarely solve and some stored policy sometimes
+does. A set without levels that nobody or everybody solves tells two policies apart with fewer attempts.
+levels/frontier.json has the indices into the stream and what was seen when they were chosen; `bench.frontier_sets`
+writes it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax2d.scene import Array
+from kinetix_dist.level.fit import capacity_of_size
+from kinetix_dist.level.generator import generate_level
+from kinetix_dist.level.generator_config import generator
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.paths import levels_root
+
+FRONTIER_STREAM = 0x46524F4E  # "FRON": a key of its own
+FILE_NAME = "frontier.json"
+MAX_RANDOM_RATE = 0.2  # of random actions on a level: below it
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FrontierSet:
+    """The levels of one size, and how they were chosen."""
+
+    size: str
+    indices: tuple[int, ...]  # into the stream of the size
+    random_solved: tuple[int, ...]  # attempts of random actions that solved each level
+    attempts: int  # of random actions, and of each policy at most, on a level
+    policies: tuple[str, ...]
+    num_drawn: int  # levels looked at
+
+    @property
+    def name(self) -> str:
+        return f"frontier_{self.size}"
+
+
+def frontier_sets() -> dict[str, FrontierSet]:
+    """By name; those that the level data has."""
+    file = levels_root() / FILE_NAME
+    return {made.name: made for made in read_frontier_sets(file).values()} if file.is_file() else {}
+
+
+def read_frontier_sets(file: Path) -> dict[str, FrontierSet]:
+    """By size. Raises OSError and ValueError."""
+    sets = {}
+    for size, content in json.loads(file.read_text()).items():
+        fields = {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
+        sets[size] = FrontierSet(size=size, **fields)
+    return sets
+
+
+def frontier_text(sets: Mapping[str, FrontierSet]) -> str:
+    """What `read_frontier_sets` reads."""
+    content = {size: {k: v for k, v in dataclasses.asdict(made).items() if k != "size"} for size, made in sets.items()}
+    return json.dumps(content) + "\n"
+
+
+def frontier_levels(given: FrontierSet) -> tuple[Level, list[str]]:
+    """A batch of the levels in arrays of their size (numpy), and their names."""
+    levels = jax.tree.map(np.asarray, stream_levels(given.size, given.indices))
+    return levels, [f"{given.name}_{index}" for index in given.indices]
+
+
+def stream_levels(size: str, indices: Sequence[int]) -> Level:
+    """[len(indices), ...] levels of the stream of a size; each depends on its own index alone."""
+    key = jax.random.fold_in(jax.random.key(FRONTIER_STREAM), list(SIZES).index(size))
+    return _levels_of(key, jnp.asarray(indices, jnp.uint32), size)
+
+
+@functools.partial(jax.jit, static_argnames="size")
+def _levels_of(key: Array, indices: Array, size: str) -> Level:
+    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, indices)
+    config = generator("default")
+    return jax.vmap(lambda one: generate_level(one, capacity_of_size(size), config))(keys)
