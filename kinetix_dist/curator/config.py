@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.size_mixture import check_weights
 
 # Of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`.
-OWN_SECTIONS = ("plr", "accel", "paired")
+OWN_SECTIONS = ("plr", "accel", "paired", "slices")
 PRIORITISATIONS = ("rank", "top_k")
 ANTAGONIST_RETURNS = ("mean", "max")
 
@@ -81,10 +83,47 @@ class PairedConfig:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class SlicesConfig:
+    """How "sfl_slices" renews its buffer: `num_candidates` and `refresh_every` are of a slice there."""
+
+    slice_size: int = 256  # levels of the buffer that a refresh replaces
+    num_harvested: int = 0  # candidates of a refresh, at most, that are fresh levels which training solved
+    attempts: tuple[int, ...] = (2, 8, 24)  # episodes of a candidate after each round of scoring, all from all rounds
+    keep_one_of: tuple[int, ...] = (3, 2)  # the best of so many candidates of a scoring batch play the next round
+    window: int = 16  # plays in training, the last ones, by which a level leaves
+    leave_above: float = 0.9  # solve rate in the window above which a level leaves: mastered
+    leave_below: float = 0.05  # and below which it does: out of reach
+
+    def __post_init__(self) -> None:
+        for name, least in (("slice_size", 1), ("num_harvested", 0), ("window", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"SlicesConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+        if not self.attempts or any(after <= before for before, after in itertools.pairwise([0, *self.attempts])):
+            raise ValueError(f"SlicesConfig.attempts is {self.attempts}; give numbers that rise from 1 or more")
+        if len(self.keep_one_of) != len(self.attempts) - 1 or any(number < 1 for number in self.keep_one_of):
+            raise ValueError(
+                f"SlicesConfig.keep_one_of is {self.keep_one_of} with attempts {self.attempts}; give a number of 1 or "
+                "more between each two of them"
+            )
+        if not 0.0 <= self.leave_below < self.leave_above <= 1.0:
+            raise ValueError(
+                f"SlicesConfig has leave_below {self.leave_below}, leave_above {self.leave_above}; they must rise, "
+                "from 0 to 1"
+            )
+
+    def kept(self, num_candidates: int) -> tuple[int, ...]:
+        """Candidates of a scoring batch that play each round, all of them first."""
+        kept = [num_candidates]
+        for one_of in self.keep_one_of:
+            kept.append(kept[-1] // one_of)
+        return tuple(kept)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
 
-    name: str = "sfl"  # "sfl", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
+    name: str = "sfl"  # "sfl", "sfl_slices", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
     num_candidates: int = 12288  # N, fresh levels scored in a refresh
     scoring_steps: int = 512  # L, environment steps played on each candidate
@@ -93,12 +132,15 @@ class CurriculumConfig:
     adopt_after: int = 4  # updates from the request of a refresh to its adoption, while scoring is free
     buffer_size: int = 1024  # K, levels kept
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
+    sizes: tuple[tuple[str, float], ...] = ()  # weights of sizes among levels drawn; (): all are of env.size
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)
     paired: PairedConfig = dataclasses.field(default_factory=PairedConfig)
+    slices: SlicesConfig = dataclasses.field(default_factory=SlicesConfig)
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
 
     def __post_init__(self) -> None:
+        check_weights("CurriculumConfig.sizes", self.sizes)
         for name in ("num_candidates", "scoring_steps", "scoring_batch", "refresh_every", "adopt_after", "buffer_size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"CurriculumConfig.{name} is {getattr(self, name)}; it must be 1 or more")
@@ -106,10 +148,6 @@ class CurriculumConfig:
             raise ValueError(
                 f"CurriculumConfig.num_candidates {self.num_candidates} is not a multiple of scoring_batch "
                 f"{self.scoring_batch}; change one of them"
-            )
-        if self.buffer_size > self.num_candidates:
-            raise ValueError(
-                f"CurriculumConfig.buffer_size {self.buffer_size} is larger than num_candidates {self.num_candidates}"
             )
         if self.adopt_after > self.refresh_every:
             raise ValueError(

@@ -3,6 +3,7 @@
 | name | levels of an update |
 |---|---|
 | `sfl` | a share from a buffer of learnable levels, the rest fresh from the generator |
+| `sfl_slices` | the same; a refresh renews part of the buffer, and levels leave by what training made of them |
 | `plr` | a share from a buffer of levels of high score, by rank and staleness, the rest fresh |
 | `robust_plr` | the same; fresh levels give no gradient |
 | `accel` | the same; part of what is fresh there are levels of the buffer with random changes |
@@ -22,10 +23,13 @@ from kinetix_dist.curator.paired import Paired
 from kinetix_dist.curator.plr import Plr
 from kinetix_dist.curator.robust_plr import RobustPlr
 from kinetix_dist.curator.sfl import Sfl
+from kinetix_dist.curator.sfl_slices import SflSlices
+from kinetix_dist.level.size_mixture import counts_of
 from kinetix_dist.registry import Registry
 
 CURRICULA: Registry[type[Curriculum]] = Registry("curriculum")
 CURRICULA.register("sfl", Sfl)
+CURRICULA.register("sfl_slices", SflSlices)
 CURRICULA.register("plr", Plr)
 CURRICULA.register("robust_plr", RobustPlr)
 CURRICULA.register("accel", Accel)
@@ -43,4 +47,11 @@ def curriculum_class(config: CurriculumConfig, worlds_per_group: int) -> type[Cu
             f"{', '.join(repr(name) for name in CURRICULA if CURRICULA[name].takes_levels)} and for no other"
         )
     kind.check(config, worlds_per_group)
+    if config.sizes:
+        if not kind.draws_levels:
+            raise ValueError(
+                f"CurriculumConfig.sizes is given, but curriculum {config.name!r} draws no random levels; leave it out"
+            )
+        if num_fresh := kind.num_fresh(config, worlds_per_group):
+            _ = counts_of(config.sizes, num_fresh)  # raises where a size would have no level in a group
     return kind

@@ -4,7 +4,8 @@
     who plays them       policy, params = players(policy, params, state)        that of the run, unless it says so
     where it was played  outcome.summary = summarise(trajectory, last values)               if it `observes`
     after update u       state = observe(state, proposal, outcome)                          if it `observes`
-    now and then         refreshed = refresh(params, policy version, key)                   if it `refreshes`
+    now and then         given = refresh_input(state)                                       if it `refreshes_from_state`
+                         refreshed = refresh(params, policy version, key, given)            if it `refreshes`
                          refreshed = join(refresh_part(..., part, num_parts) of each part)  if it `shares_refresh`
                          state = adopt(state, refreshed)
 
@@ -57,6 +58,7 @@ class CurriculumTools:
     config: CurriculumConfig
     capacity: Capacity
     worlds_per_group: int
+    max_steps: int  # environment steps in which every episode has ended
     solves_itself: Callable[[Level], Array]  # [W, ...] -> [W] bool, solved without any action
     play: Callable[[Any, Level, Array, int], LevelOutcome]  # (params, levels, key, steps): episodes of the policy
     load_levels: Callable[[str], Level]  # of a level set or a path, in the run's size
@@ -72,6 +74,7 @@ class CurriculumTools:
             capacity=self.capacity,
             generator=self.config.generator,
             solves_itself=self.solves_itself,
+            sizes=self.config.sizes,
         )
 
     def edit(self, keys: Array, levels: Level) -> Level:
@@ -85,12 +88,14 @@ class CurriculumTools:
 
 
 class Curriculum(abc.ABC):
-    """See the module docstring. Built in each process that proposes, observes or refreshes."""
+    """See the module docstring. Built in each process that proposes, observes or refreshes, once for equal settings."""
 
     observes: bool = False  # sees outcomes after each update
     refreshes: bool = False  # has a curator
+    refreshes_from_state: bool = False  # a refresh is given more than the policy: it has `refresh_input`
     shares_refresh: bool = False  # several curators can work it out: it has `refresh_part` and `join`
     takes_levels: bool = False  # needs `curriculum.levels`
+    draws_levels: bool = True  # from the generator, of the sizes of `curriculum.sizes`
     needs_whole_episodes: bool = False  # an episode ends in every world of an update: `num_steps` >= `max_steps`
     sources: tuple[str, ...] = ("all",)  # where levels come from that are counted together in outcomes.jsonl
     sections: tuple[str, ...] = ()  # of `CurriculumConfig` that are its own: the hash of other runs leaves them out
@@ -108,6 +113,12 @@ class Curriculum(abc.ABC):
         """Worlds of a group that the policy learns from, the first ones; the others are played and observed only."""
         del config
         return worlds_per_group
+
+    @classmethod
+    def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
+        """Levels that a group draws from the generator in an update."""
+        del config
+        return worlds_per_group if cls.draws_levels else 0
 
     @property
     def num_places(self) -> int:
@@ -153,14 +164,23 @@ class Curriculum(abc.ABC):
         """The next state. proposal, outcome: of all worlds of an update, [W, ...], in the order of the groups."""
         raise NotImplementedError
 
-    def refresh(self, params: Any, policy_version: int, key: Array) -> Any:
-        """What the curator works out with the policy's parameters: a pytree for `adopt`. Not inside jit."""
+    def refresh_input(self, state: Any) -> Any:
+        """What a refresh asked for now works from: a pytree of arrays, as numpy, that shapes the same as that of
+        `init()`; None where state is None. Checkpoints hold it while the refresh is in flight."""
         raise NotImplementedError
 
-    def refresh_part(self, params: Any, policy_version: int, key: Array, part: int, num_parts: int) -> Any:
+    def refresh(self, params: Any, policy_version: int, key: Array, given: Any = None) -> Any:
+        """What the curator works out with the policy's parameters: a pytree for `adopt`. Not inside jit.
+
+        given: of `refresh_input` when it was asked for; None without such."""
+        raise NotImplementedError
+
+    def refresh_part(
+        self, params: Any, policy_version: int, key: Array, part: int, num_parts: int, given: Any = None
+    ) -> Any:
         """What curator `part` of `num_parts` works out: a pytree for `join`. Not inside jit."""
         del part, num_parts
-        return self.refresh(params, policy_version, key)
+        return self.refresh(params, policy_version, key, given)
 
     def join(self, parts: Sequence[Any]) -> Any:
         """What `adopt` is given, of all parts in order, as numpy. It must not depend on how many these are."""

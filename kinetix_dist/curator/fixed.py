@@ -1,4 +1,8 @@
-"""Fixed levels: a given set, spread evenly over the worlds."""
+"""Fixed levels: a given set, spread evenly over the worlds.
+
+The levels are the state of the curriculum, not constants of the compiled programs: one program plays any levels of the
+same number and size, one after another (`finetune --each`).
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,14 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
+from kinetix_dist.level.level import Level
 
 
 class Fixed(Curriculum):
-    """World i plays level i modulo their number. No state."""
+    """World i plays level i modulo their number. State: the levels, [L, ...]."""
 
     takes_levels = True
+    draws_levels = False
     sources = ()  # all levels are counted one by one
 
     def __init__(self, tools: CurriculumTools) -> None:
@@ -26,9 +32,12 @@ class Fixed(Curriculum):
         """Levels of the set."""
         return int(self._levels.position.shape[0])
 
+    def init(self) -> Level:
+        return self._levels
+
     def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
-        del state, group_keys
+        del group_keys
         size = self.tools.worlds_per_group
         world = (groups[:, None] * size + jnp.arange(size)).reshape(-1)
-        index = world % self.num_places
-        return Proposal(levels=jax.tree.map(lambda x: jnp.asarray(x)[index], self._levels), source=index)
+        index = world % state.position.shape[0]
+        return Proposal(levels=jax.tree.map(lambda x: jnp.asarray(x)[index], state), source=index)

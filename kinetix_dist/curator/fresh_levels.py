@@ -2,20 +2,23 @@
 
 Levels are drawn in groups, each from a key of its own: a group draws twice as many as it needs, plays them without
 acting and keeps the first that did not solve themselves. Groups are what is spread over devices, so the levels do not
-depend on how many there are.
+depend on how many there are. Where sizes are mixed, a group has each size's share of them, the smallest size first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 
 import jax
+import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist.level.filters import OVERSAMPLING, keep_unsolved
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.size_mixture import Weights, counts_of, generate_mixture
 
 
 def fresh_levels(
@@ -25,16 +28,38 @@ def fresh_levels(
     capacity: Capacity,
     generator: GeneratorConfig,
     solves_itself: Callable[[Level], Array],
+    sizes: Weights = (),
 ) -> Level:
     """[groups * levels_per_group] levels, group by group.
 
     group_keys: [groups] PRNG keys, consumed. solves_itself: batch of levels -> [W] bool. A group in which more than
-    half of the draws solve themselves is filled up with such levels, in the order drawn.
+    half of the draws solve themselves is filled up with such levels, in the order drawn. sizes: `curriculum.sizes`;
+    none: all levels are of the size that `capacity` is.
     """
     num_groups, num_drawn = group_keys.shape[0], OVERSAMPLING * levels_per_group
-    drawn = jax.vmap(lambda key: generate_levels(key, num_drawn, capacity, generator))(group_keys)
+    kept_counts = [number for _, number in counts_of(sizes, levels_per_group)] if sizes else [levels_per_group]
+
+    def draw(key: Array) -> Level:
+        if not sizes:
+            return generate_levels(key, num_drawn, capacity, generator)
+        counts = tuple((size, OVERSAMPLING * number) for size, number in counts_of(sizes, levels_per_group))
+        return generate_mixture(key, counts, capacity, generator)
+
+    drawn = jax.vmap(draw)(group_keys)
     # All groups are played together: one large batch instead of a few small ones.
     flat = jax.tree.map(lambda x: x.reshape(num_groups * num_drawn, *x.shape[2:]), drawn)
     is_trivial = solves_itself(flat).reshape(num_groups, num_drawn)
-    kept = jax.vmap(lambda levels, trivial: keep_unsolved(levels, trivial, levels_per_group))(drawn, is_trivial)
+    kept = jax.vmap(lambda levels, trivial: _keep_by_size(levels, trivial, kept_counts))(drawn, is_trivial)
     return jax.tree.map(lambda x: x.reshape(num_groups * levels_per_group, *x.shape[2:]), kept)
+
+
+def _keep_by_size(levels: Level, is_trivial: Array, counts: Sequence[int]) -> Level:
+    """Of the levels of a group, drawn size by size: as many of each as in `counts`."""
+
+    def keep(start: int, number: int) -> Level:
+        drawn = slice(start, start + OVERSAMPLING * number)
+        return keep_unsolved(jax.tree.map(lambda x: x[drawn], levels), is_trivial[drawn], number)
+
+    starts = itertools.accumulate((OVERSAMPLING * number for number in counts), initial=0)
+    parts = [keep(start, number) for start, number in zip(starts, counts, strict=False)]
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *xs: jnp.concatenate(xs), *parts)

@@ -55,9 +55,11 @@ def scored(
     features: np.ndarray,
     size: int,
     policy_version: int,
+    min_finished: int = 0,
 ) -> Scored:
-    """Of n candidates, for a buffer of `size`. pick: the levels of some of them, by their places in `candidate`."""
-    places = _best_first(candidate, num_solved, num_finished)[:size]
+    """Of n candidates, for a buffer of `size`. pick: the levels of some of them, by their places in `candidate`.
+    min_finished: episodes that a candidate needs to be kept."""
+    places = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
     return Scored(
         candidate=np.asarray(candidate, np.int32),
         num_solved=np.asarray(num_solved, np.int32),
@@ -69,8 +71,9 @@ def scored(
     )
 
 
-def keep_best(parts: Sequence[Scored], size: int) -> LevelBuffer:
-    """The `size` candidates of highest learnability; ties prefer the higher solve rate, then the lower number.
+def keep_best(parts: Sequence[Scored], size: int, min_finished: int = 0) -> LevelBuffer:
+    """The `size` candidates of highest learnability, of those with `min_finished` episodes; ties prefer the higher
+    solve rate, then the lower number.
 
     The order is total and worked out on the host, so that the buffer is the same to the bit however candidates were
     shared out. Raises ValueError where there are fewer than `size`.
@@ -79,12 +82,12 @@ def keep_best(parts: Sequence[Scored], size: int) -> LevelBuffer:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("candidate", "num_solved", "num_finished", "best")
     )
-    if size > len(candidate):
-        raise ValueError(f"a buffer of {size} levels cannot be filled from {len(candidate)} candidates")
+    if size > (num_eligible := int((num_finished >= min_finished).sum())):
+        raise ValueError(f"a buffer of {size} levels cannot be filled from {num_eligible} candidates")
     order = np.argsort(candidate)
     candidate, num_solved, num_finished = candidate[order], num_solved[order], num_finished[order]
     score = learnability(num_solved.astype(np.float32), num_finished.astype(np.float32))
-    kept = _best_first(candidate, num_solved, num_finished)[:size]
+    kept = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
     place_of = {number: place for place, number in enumerate(best.tolist())}  # among the levels that were sent
     places = [place_of[number] for number in candidate[kept].tolist()]
     return LevelBuffer(
@@ -99,9 +102,12 @@ def keep_best(parts: Sequence[Scored], size: int) -> LevelBuffer:
     )
 
 
-def _best_first(candidate: np.ndarray, num_solved: np.ndarray, num_finished: np.ndarray) -> np.ndarray:
+def _best_first(
+    candidate: np.ndarray, num_solved: np.ndarray, num_finished: np.ndarray, min_finished: int
+) -> np.ndarray:
     solved, finished = num_solved.astype(np.float32), num_finished.astype(np.float32)
-    return np.lexsort((candidate, -solve_rate(solved, finished), -learnability(solved, finished)))
+    order = np.lexsort((candidate, -solve_rate(solved, finished), -learnability(solved, finished)))
+    return order[num_finished[order] >= min_finished]
 
 
 def draw(key: Array, buffer: LevelBuffer, num_levels: int) -> tuple[Level, Array]:
@@ -110,9 +116,9 @@ def draw(key: Array, buffer: LevelBuffer, num_levels: int) -> tuple[Level, Array
     return jax.tree.map(lambda x: x[index], buffer.levels), index
 
 
-def refresh_log(parts: Sequence[Scored], size: int) -> dict[str, np.ndarray]:
+def refresh_log(parts: Sequence[Scored], size: int, min_finished: int = 0) -> dict[str, np.ndarray]:
     """What a refresh_*.npz says of the levels kept and of all candidates, see docs/run_data.md."""
-    buffer = keep_best(parts, size)
+    buffer = keep_best(parts, size, min_finished)
     order = np.argsort(np.concatenate([part.candidate for part in parts]))
     all_features = np.concatenate([part.features for part in parts])[order]
     counts = {

@@ -75,6 +75,7 @@ class Paired(Curriculum):
     sections = ("paired",)
     sources = ("protagonist", "antagonist")  # who plays: levels all come from the teacher
     needs_whole_episodes = True
+    draws_levels = False
 
     def __init__(self, tools: CurriculumTools) -> None:
         super().__init__(tools)

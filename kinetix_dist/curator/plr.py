@@ -89,7 +89,6 @@ class Plr(Curriculum):
 
     @classmethod
     def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
-        """Levels that a group draws from the generator."""
         return worlds_per_group - num_from_buffer(config, worlds_per_group)
 
     def new_levels(self, group_keys: Array, replayed: Level, fresh: Level) -> Level:

@@ -25,6 +25,7 @@ from kinetix_dist.curator.config import PlrConfig
 from kinetix_dist.curator.replay_scores import UNKNOWN
 from kinetix_dist.level.features import FEATURES, features_of_arrays
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.select import select_first
 from kinetix_dist.telemetry.curriculum_log import LEVELS
 
 NEVER = -1  # `born` of a place that holds no level yet
@@ -115,8 +116,7 @@ def taken_in(
     takes = score[best] > buffer.score[place]
 
     def put(old: Array, new: Array) -> Array:
-        chosen = jnp.where(takes.reshape(-1, *[1] * (old.ndim - 1)), new, old[place])
-        return old.at[place].set(chosen, unique_indices=True)
+        return old.at[place].set(select_first(takes, new, old[place]), unique_indices=True)
 
     now = jnp.full(num_places, buffer.num_updates)
     return dataclasses.replace(

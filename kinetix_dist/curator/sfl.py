@@ -31,8 +31,9 @@ from kinetix_dist.curator.level_buffer import (
     scored,
 )
 from kinetix_dist.level.features import level_features
-from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.size_mixture import counts_of
+from kinetix_dist.level.walls import empty_level
 
 
 @jax.tree_util.register_dataclass
@@ -62,6 +63,17 @@ class Sfl(Curriculum):
     @classmethod
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
         num_from_buffer(config, worlds_per_group)
+        if config.buffer_size > config.num_candidates:
+            raise ValueError(
+                f"CurriculumConfig.buffer_size {config.buffer_size} is larger than num_candidates "
+                f"{config.num_candidates}"
+            )
+        if config.sizes:
+            counts_of(config.sizes, config.scoring_batch)
+
+    @classmethod
+    def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
+        return worlds_per_group - num_from_buffer(config, worlds_per_group)
 
     @property
     def num_places(self) -> int:
@@ -69,7 +81,7 @@ class Sfl(Curriculum):
 
     def init(self) -> LevelBuffer:
         config = self.tools.config
-        level = generate_level(jax.random.key(0), self.tools.capacity, config.generator)
+        level = empty_level(self.tools.capacity)  # for shapes: the first refresh comes before the first levels
         levels = jax.tree.map(lambda x: jnp.broadcast_to(x, (config.buffer_size, *jnp.shape(x))), level)
         count, number = jnp.zeros(config.buffer_size, jnp.int32), jnp.float32(0)
         return LevelBuffer(
@@ -90,7 +102,7 @@ class Sfl(Curriculum):
             raise ValueError("a curriculum with a buffer was asked for levels before it was filled")
         size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
         num_buffered = num_from_buffer(self.tools.config, size)
-        num_fresh = size - num_buffered
+        num_fresh = self.num_fresh(self.tools.config, size)
         split = jax.vmap(jax.random.split)(group_keys)
         parts, sources = [], []
         if num_buffered:
@@ -102,8 +114,11 @@ class Sfl(Curriculum):
             sources.append(jnp.full((num_groups, num_fresh), self.sources.index("fresh")))
         return Proposal(levels=join_by_group(*parts), source=join_by_group(*sources))
 
-    def refresh_part(self, params: Any, policy_version: int, key: Array, part: int, num_parts: int) -> Scored:
+    def refresh_part(
+        self, params: Any, policy_version: int, key: Array, part: int, num_parts: int, given: Any = None
+    ) -> Scored:
         """Every `num_parts`-th batch of the candidates, scored by `params`."""
+        del given
         config = self.tools.config
         batches = range(part, config.num_candidates // config.scoring_batch, num_parts)
         devices = self.tools.devices[: len(batches)]

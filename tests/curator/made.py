@@ -31,7 +31,7 @@ def curriculum_of(
         raise AssertionError(f"this curriculum was to do without: {arguments}")
 
     functions = dict.fromkeys(("solves_itself", "play", "load_levels", "advantages", "agents"), unused) | given
-    made = tools(config=config, capacity=capacity, worlds_per_group=worlds_per_group, **functions)  # type: ignore[arg-type]
+    made = tools(config=config, capacity=capacity, worlds_per_group=worlds_per_group, max_steps=256, **functions)  # type: ignore[arg-type]
     return curriculum_class(config, worlds_per_group)(made)
 
 
@@ -43,6 +43,7 @@ def played(levels: jax.Array, key: jax.Array, num_episodes: int) -> LevelOutcome
         none,
         num_finished=none.num_finished + num_episodes,
         num_solved=solved.sum(0, dtype=jnp.int32),
+        first_solved=solved[0].astype(jnp.int32),
         summary=ValueSummary(
             mean_value=levels, max_return=solved.any(0) * 1.0, positive_value_loss=levels, l1_value_loss=levels
         ),

@@ -78,7 +78,8 @@ def test_levels_that_solve_themselves_are_left_out_while_there_are_others():
 
 def test_fixed_levels_are_spread_evenly_over_worlds():
     levels = generate_levels(jax.random.key(1), 3, CAPACITY, CurriculumConfig().generator)
-    played = _propose(CurriculumConfig(name="fixed", levels="some"), range(GROUPS), fixed_levels=levels)
+    config = CurriculumConfig(name="fixed", levels="some")
+    played = _propose(config, range(GROUPS), buffer=levels, fixed_levels=levels)
     np.testing.assert_array_equal(played.position, np.asarray(levels.position)[np.arange(GROUPS * PER_GROUP) % 3])
 
 
