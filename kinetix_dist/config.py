@@ -8,12 +8,13 @@ same hash.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jax2d.settings import preset
@@ -24,7 +25,10 @@ from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
+from kinetix_dist.level.level import SIZES
+from kinetix_dist.level.size_mixture import sizes_drawn
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
+from kinetix_dist.phases import PhaseConfig, Schedule
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
@@ -75,13 +79,28 @@ class EvaluationConfig:
     attempts: int = 1  # first episodes of each level
     min_attempts: int = 100  # of a set; the levels of a smaller one are tried more often
     every: int = 0  # updates between evaluations during training; 0: only before and after
+    every_seconds: float = 0.0  # the same in seconds of training after its warm-up; 0: by updates
 
     def __post_init__(self) -> None:
-        for name, least in (("attempts", 1), ("min_attempts", 0), ("every", 0)):
+        for name, least in (("attempts", 1), ("min_attempts", 0), ("every", 0), ("every_seconds", 0)):
             if getattr(self, name) < least:
                 raise ConfigError(f"EvaluationConfig.{name} is {getattr(self, name)}; it must be {least} or more")
         if not self.sets:
             raise ConfigError("EvaluationConfig.sets is empty; name at least one level set")
+        if self.every and self.every_seconds:
+            raise ConfigError(
+                f"EvaluationConfig has every {self.every} and every_seconds {self.every_seconds:g}; "
+                "set one of them to 0"
+            )
+
+    @property
+    def is_during_training(self) -> bool:
+        """And not only before and after."""
+        return self.every > 0 or self.every_seconds > 0
+
+    def attempts_of(self, num_levels: int) -> int:
+        """Of each level of a set of so many; small sets are tried more often, since few attempts say little."""
+        return max(self.attempts, math.ceil(self.min_attempts / num_levels))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -126,6 +145,8 @@ class RunConfig:
     name: str = "run"  # directory below runs/ when --run is not given
     seed: int = 0
     start_from: str = ""  # checkpoint or pretrained policy whose parameters training starts from; "": from the seed
+    start_optimizer: bool = False  # take the state of its optimiser, too
+    start_other_engine: bool = False  # also where it learned with other settings of the engine than this run
     total_env_steps: int = 0  # training ends at the first update that reaches it; 0: no such end
     max_seconds: float = 0.0  # training ends at the first update after so much training time; 0: no such end
     placement: str = "colocated"  # "local" (no ray), "colocated" or "split"
@@ -180,6 +201,10 @@ class RunConfig:
                 f"RunConfig.num_cpu_rollout_actors is {self.num_cpu_rollout_actors}, of num_rollout_actors "
                 f"{self.num_rollout_actors} in all; lower the one or raise the other"
             )
+        if self.start_optimizer and not self.start_from:
+            raise ConfigError(
+                "RunConfig.start_optimizer is True, but start_from names no checkpoint; give one (--from), or leave it"
+            )
         if self.metrics_port > LAST_PORT:
             raise ConfigError(f"RunConfig.metrics_port is {self.metrics_port}; it must be {LAST_PORT} or less")
         if not self.total_env_steps and not self.max_seconds:
@@ -203,9 +228,18 @@ class TrainConfig:
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
     recording: RecordingConfig = dataclasses.field(default_factory=RecordingConfig)
     curriculum_log: CurriculumLogConfig = dataclasses.field(default_factory=CurriculumLogConfig)
+    phases: tuple[PhaseConfig, ...] = ()  # from a step on, other settings; the sections above hold until the first
     run: RunConfig
 
     def __post_init__(self) -> None:
+        order = list(SIZES)
+        if too_large := [
+            size for size in sizes_drawn(self.curriculum.sizes) if order.index(size) > order.index(self.env.size)
+        ]:
+            raise ConfigError(
+                f"curriculum.sizes has {too_large[-1]!r}, which does not fit env.size {self.env.size!r}, the size of "
+                f"the arrays; set env.size to {too_large[-1]!r}"
+            )
         if ACTION_SPACES[self.env.action_space].distribution is None:
             trainable = [name for name in ACTION_SPACES if ACTION_SPACES[name].distribution is not None]
             raise ConfigError(
@@ -247,6 +281,22 @@ class TrainConfig:
                 f"{self.run.num_rollout_actors} rollout actors cannot share {self.rollout.num_groups} world groups: "
                 "some would have none; lower run.num_rollout_actors or raise rollout.num_groups"
             )
+        if self.phases:
+            self.check_batch()
+            _ = self.schedule  # raises for phases that cannot run
+
+    def check_batch(self) -> None:
+        """Raises ValueError, with the numbers, where what is played in an update cannot be divided as asked."""
+        self.ppo.check_batch(
+            num_steps=self.rollout.num_steps,
+            num_worlds=self.num_trained_envs,
+            whole_worlds=self.policy.recurrent != "none",
+        )
+
+    @functools.cached_property
+    def schedule(self) -> Schedule:
+        """Which configuration holds in which update. Raises ValueError, one line, for phases that cannot run."""
+        return Schedule(self)
 
     @property
     def has_curator(self) -> bool:
@@ -256,7 +306,7 @@ class TrainConfig:
     @property
     def evaluates_beside(self) -> bool:
         """Whether an evaluator works beside training."""
-        return self.run.placement != "local" and (self.evaluation.every > 0 or self.recording.every > 0)
+        return self.run.placement != "local" and (self.evaluation.is_during_training or self.recording.every > 0)
 
     @property
     def num_blocks(self) -> int:
@@ -297,13 +347,26 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:
             del kept["curriculum"][section]
+    if not config.curriculum.sizes:  # hashes are those of versions without mixtures and phases
+        del kept["curriculum"]["sizes"]
+    if config.phases:
+        kept["phases"] = [
+            {name: value for name, value in phase.items() if value is not None} for phase in sections["phases"]
+        ]
     start = {"start_from": config.run.start_from} if config.run.start_from else {}
+    if config.run.start_optimizer:
+        start["start_optimizer"] = True
     return kept | {"run": {"seed": config.run.seed, "policy_lag": config.run.policy_lag} | start}
 
 
 def differences(ours: TrainConfig, theirs: TrainConfig) -> list[str]:
     """Fields that change the numbers and differ, as "ppo.epochs 8 instead of 4"."""
-    left, right = _flat(numbers_of(ours)), _flat(numbers_of(theirs))
+    return differing(numbers_of(ours), numbers_of(theirs))
+
+
+def differing(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
+    """The same of nested dictionaries of plain values."""
+    left, right = flat(ours), flat(theirs)
     return [
         f"{name} {left.get(name)!r} instead of {right.get(name)!r}"
         for name in sorted(left | right)
@@ -326,7 +389,13 @@ def from_dict(data: Mapping[str, Any]) -> TrainConfig:
             "start a new run (`kinetix-dist eval` still plays the old policy)"
         )
     import_plugins(data.get("run", {}).get("plugins", ()))
-    return _build(TrainConfig, data, "")
+    return build(TrainConfig, data)
+
+
+def with_phases(config: TrainConfig, phases: Sequence[Mapping[str, Any]]) -> TrainConfig:
+    """The config with these phases, given as plain values, in place of its own. Raises ValueError, one line."""
+    built = tuple(build(PhaseConfig, phase, f"phases.{number}") for number, phase in enumerate(phases))
+    return dataclasses.replace(config, phases=built)
 
 
 def from_dict_for_playing(data: Mapping[str, Any]) -> TrainConfig:
@@ -343,7 +412,9 @@ def _old_preset(data: Mapping[str, Any]) -> str | None:
     return env.get("preset") if isinstance(env, Mapping) and "physics" not in env else None
 
 
-def _build(kind: Any, data: Any, where: str) -> Any:
+def build(kind: Any, data: Any, where: str = "") -> Any:
+    """A value of a field of type `kind`, a config dataclass say, from types of JSON or TOML. Raises ConfigError for a
+    field that is unknown, missing or of another type; `where` is its name."""
     if dataclasses.is_dataclass(kind):
         if not isinstance(data, Mapping):
             raise ConfigError(f"config field {where or 'top level'} is {data!r}; an object is needed")
@@ -353,15 +424,24 @@ def _build(kind: Any, data: Any, where: str) -> Any:
             raise ConfigError(
                 f"config field {_join(where, unknown[0])} is unknown; fields are {', '.join(sorted(names))}"
             )
-        return kind(**{name: _build(hints[name], value, _join(where, name)) for name, value in data.items()})
+        needed = [
+            field.name
+            for field in dataclasses.fields(kind)
+            if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        ]
+        if missing := [name for name in needed if name not in data]:
+            raise ConfigError(f"config field {_join(where, missing[0])} is missing")
+        return kind(**{name: build(hints[name], value, _join(where, name)) for name, value in data.items()})
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is tuple:
+        if not isinstance(data, list | tuple):
+            raise ConfigError(f"config field {where} is {data!r}; a list is needed")
         inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else Any
-        return tuple(_build(inner, value, where) for value in data)
+        return tuple(build(inner, value, where) for value in data)
     if origin in (typing.Union, types.UnionType):
         if data is None:
             return None
-        return _build(next(option for option in arguments if option is not types.NoneType), data, where)
+        return build(next(option for option in arguments if option is not types.NoneType), data, where)
     if kind is float and isinstance(data, int) and not isinstance(data, bool):
         return float(data)
     if kind in (int, float, str, bool) and type(data) is not kind:
@@ -373,8 +453,9 @@ def _join(where: str, name: str) -> str:
     return f"{where}.{name}" if where else name
 
 
-def _flat(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    flat = {}
+def flat(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """Fields of nested sections by their full names: {"ppo.epochs": 8, ...}."""
+    fields = {}
     for name, value in data.items():
-        flat |= _flat(value, _join(where, name)) if isinstance(value, Mapping) else {_join(where, name): value}
-    return flat
+        fields |= flat(value, _join(where, name)) if isinstance(value, Mapping) else {_join(where, name): value}
+    return fields

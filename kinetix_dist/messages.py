@@ -60,6 +60,8 @@ class LevelOutcome:
     num_finished: Array  # [W] int32
     num_solved: Array  # [W] int32, green touched blue
     num_failed: Array  # [W] int32, green touched red
+    # [W] int32, 1 where the first of them was solved. Later ones are biased: those that end early are there more often.
+    first_solved: Array
     return_sum: Array  # [W] float32, undiscounted returns
     length_sum: Array  # [W] int32, environment steps
     physics: PhysicsCounts  # [W] of all steps, of unfinished episodes too

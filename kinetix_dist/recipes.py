@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import functools
 from collections.abc import Callable
@@ -17,7 +18,9 @@ from kinetix_dist.config import (
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.config import AnnealConfig, PpoConfig
+from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 
@@ -36,6 +39,7 @@ def quickstart() -> TrainConfig:
             learning_rate=1.5e-3,
             max_grad_norm=0.5,
             discount=0.98,
+            mask_unbound_heads=True,
         ),
         curriculum=CurriculumConfig(
             num_candidates=512, scoring_batch=256, scoring_steps=192, refresh_every=16, adopt_after=2, buffer_size=128
@@ -130,9 +134,48 @@ def _paper(curriculum: str, size: str) -> TrainConfig:
     )
 
 
+def _pretrain(size: str) -> TrainConfig:
+    """Every sample used once, from eight times as many worlds, and what is known to pay (docs/training.md)."""
+    paper = _paper("sfl", size)
+    return dataclasses.replace(
+        paper,
+        policy=PolicyConfig(network="transformer_lean", dtype="bfloat16"),
+        ppo=PpoConfig(
+            epochs=1,
+            minibatches=256,
+            clip=0.2,
+            learning_rate=2e-4,
+            entropy_coefficient=0.003,
+            max_grad_norm=1.0,
+            mask_unbound_heads=True,
+        ),
+        curriculum=CurriculumConfig(buffer_size=4096, num_candidates=16_384, refresh_every=16),
+        rollout=RolloutConfig(num_envs=16_384),
+        evaluation=dataclasses.replace(paper.evaluation, every=25),
+        recording=RecordingConfig(every=200),
+        run=dataclasses.replace(paper.run, name=f"pretrain_{size}", total_env_steps=4_000_000_000, checkpoint_every=25),
+    )
+
+
+def pretrain_all() -> TrainConfig:
+    """Levels of M first, then of all sizes at once, as `pretrain_l` otherwise: what is learned on M is learned faster
+    and helps on L. Arrays are those of L from the beginning. Neither the step nor the weights have been tuned."""
+    base = _pretrain("l")
+    sets = (*(f"random_{size}" for size in SIZES), *(f"designed_{size}" for size in SIZES))
+    return dataclasses.replace(
+        base,
+        curriculum=dataclasses.replace(base.curriculum, sizes=(("m", 1.0),)),
+        phases=(PhaseConfig(start=1_000_000_000, sizes=(("s", 0.2), ("m", 0.5), ("l", 0.3))),),
+        evaluation=dataclasses.replace(base.evaluation, sets=sets),
+        run=dataclasses.replace(base.run, name="pretrain_all"),
+    )
+
+
 RECIPES: dict[str, Callable[[], TrainConfig]] = {
     **{function.__name__: function for function in (quickstart, single_level)},
     **{f"{name}_{size}": functools.partial(_paper, name, size) for name in _CURRICULA for size in "sml"},
+    **{f"pretrain_{size}": functools.partial(_pretrain, size) for size in "sml"},
+    "pretrain_all": pretrain_all,
     "tiny": tiny,
 }
 

@@ -23,6 +23,8 @@ EVENTS: dict[str, str] = {
     "evaluated": "an evaluation during training is there: of which update, its solve rates, and the seconds it took",
     "recorded": "rollouts were recorded: of which update, how many, and into which file",
     "evaluation_left_out": "an evaluation or a recording was due while four waited for the evaluator",
+    # Phases
+    "phase_began": "a phase of `phases` began: its number, at which update and environment step, and what it changes",
     # Curriculum
     "buffer_adopted": "a refresh of the curriculum is used from an update on",
     "buffer_late": "the curator was lost or silent when a refresh was due: the old buffer stays in use until it comes",

@@ -1,6 +1,6 @@
 """Every metric the system writes: its name, its unit and what it means. Sinks refuse a name that is not here.
 
-`<set>` in a name stands for the name of a level set ("evaluation/random_s/solve_rate").
+`<set>` in a name stands for the name of a level set ("evaluation/random_s/solve_rate"), `<size>` for that of a size.
 """
 
 from __future__ import annotations
@@ -50,6 +50,12 @@ _ALL = (
     Metric(
         "progress/seconds", "s", "time spent since the start of the run, earlier sessions of a resumed run included"
     ),
+    Metric("progress/phase", "number", "of the phase that the update was in (`phases`); 0 before the first"),
+    Metric(
+        "progress/warmup_seconds",
+        "s",
+        "of that, until the first update of each session was done: programs are compiled, or read from the cache",
+    ),
     Metric(
         "progress/env_steps_per_second", "env steps/s", "training speed since the previous update, everything included"
     ),
@@ -67,6 +73,12 @@ _ALL = (
     Metric("train/failed_rate", "share", "of those episodes, how many ended because green touched red"),
     Metric("train/mean_return", "reward", "mean return of those episodes, undiscounted, dense reward included"),
     Metric("train/mean_reward", "reward", "mean reward of an environment step"),
+    Metric(
+        "train/solve_rate_<size>",
+        "share",
+        "where sizes are mixed: of the episodes on levels whose smallest fitting size it is, how many were solved",
+    ),
+    Metric("train/level_share_<size>", "share", "of the worlds of this update, how many had such a level"),
     # Physics, over all worlds of the update's rollout
     Metric("physics/unstable", PER_MILLION, "times that a world was not finite and was reset, with reward 0"),
     Metric("physics/unstable_worlds", "worlds", "the same as a number, in this update"),
@@ -90,6 +102,17 @@ _ALL = (
     Metric("curriculum/learnable_share", "share", "of the candidates scored, how many had a score above zero"),
     Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, kept or not"),
     Metric("curriculum/buffer_age", "updates", "updates done since the policy version that scored the buffer"),
+    Metric(
+        "curriculum/learnability_now",
+        "p(1-p)",
+        "of the levels that sfl_slices plays, from pairs of plays of the last update; nan without such a pair",
+    ),
+    Metric("curriculum/learnability_now_error", "p(1-p)", "its standard error, over levels"),
+    Metric("curriculum/in_use_share", "share", "of the levels in the buffer of sfl_slices, those that have not left"),
+    Metric("curriculum/mastered_share", "share", "of the levels replaced so far, those that left as mastered"),
+    Metric("curriculum/out_of_reach_share", "share", "of the levels replaced so far, those that were hardly solved"),
+    Metric("curriculum/level_age", "updates", "since the levels in the buffer were chosen, mean"),
+    Metric("curriculum/plays_per_level", "plays", "of a level in training since it was chosen, mean"),
     Metric("curriculum/buffer_is_stale", "0 or 1", "1 when a refresh was lost and the previous buffer is still in use"),
     Metric("curriculum/filled_share", "share", "of the places of the replay buffer, how many hold a level"),
     Metric(
@@ -228,7 +251,10 @@ RED: dict[str, tuple[str, str]] = {
     "runtime/dropped_steps": ("growing", "rollout actors are lost again and again: see process_lost in events.jsonl"),
     "runtime/restarts": ("growing", "processes are lost: process_lost in events.jsonl says which and where"),
     "runtime/recovery_seconds": ("above 60", "programs are compiled again: is run.compile_cache on a disk that stays?"),
-    "runtime/compile_seconds": ("growing after the first updates", "shapes change: report it; see run.compile_cache"),
+    "runtime/compile_seconds": (
+        "growing after the first updates, where no phase begins",
+        "shapes change: report it; see run.compile_cache",
+    ),
     "runtime/idle_<role>": (
         "above 0.5 for worker, learner or rollout",
         "they wait for others: in split, give the slower side more devices; else see time/*",
@@ -264,6 +290,7 @@ def describe(name: str) -> Metric:
     if name in METRICS:
         return METRICS[name]
     pattern = re.sub(r"^evaluation/.+/", "evaluation/<set>/", name)  # a set may be a path
+    pattern = re.sub(r"^(train/(?:solve_rate|level_share))_[a-z]+$", r"\1_<size>", pattern)
     if pattern in METRICS:
         return METRICS[pattern]
     raise UnknownMetricError(

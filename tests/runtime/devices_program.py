@@ -2,8 +2,8 @@
 
     JAX_NUM_CPU_DEVICES=7 python tests/runtime/devices_program.py OUT.npz most_failed 1 7
 
-The curriculum is one that sees all worlds of an update: that of a user, or "paired". Saved for each number of devices:
-levels and actions of the first update, its sums, and a checkpoint and the metrics after the second.
+The curriculum is one that sees all worlds of an update: that of a user, "paired" or "sfl_slices". Saved for each
+number of devices: levels and actions of the first update, its sums, and a checkpoint and the metrics after the second.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.config import CurriculumConfig, PairedConfig
+from kinetix_dist.curator.config import CurriculumConfig, PairedConfig, SlicesConfig
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.worker import Worker
@@ -27,6 +27,13 @@ PLUGINS = ("tests.runtime.fake_curriculum",)
 CURRICULA = {
     "most_failed": CurriculumConfig(name="most_failed", levels="designed_s"),
     "paired": CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=16, epochs=2)),
+    "sfl_slices": CurriculumConfig(
+        name="sfl_slices",
+        num_candidates=16,
+        scoring_batch=8,
+        buffer_size=8,
+        slices=SlicesConfig(slice_size=4, num_harvested=8, attempts=(2, 4), keep_one_of=(2,), window=2),
+    ),
 }
 
 
@@ -46,7 +53,9 @@ def config(curriculum: str) -> TrainConfig:
 def play_and_learn(curriculum: str, num_devices: int) -> dict[str, np.ndarray]:
     worker = Worker(config(curriculum), data_mesh(jax.devices()[:num_devices]))
     worker.start(None)
-    rollout = worker._rollout
+    if worker._curriculum.refreshes:
+        worker.adopt(worker._curriculum.refresh_part(worker._learner.params, 0, jax.random.key(0), 0, 1))
+    rollout = worker._playing.rollout(worker._config)
     batch, (proposal, _), sums = rollout.play(worker._learner.params, worker._state.placed, 0)
 
     def once(x: jax.Array, axis: int = 0) -> np.ndarray:

@@ -64,6 +64,11 @@ class Raylets:
             assert time.monotonic() < deadline, log.read_text(errors="replace")[-2000:]
             time.sleep(0.1)
 
+    @property
+    def pids(self) -> list[int]:
+        """Of the commands; what they started are their children."""
+        return [process.pid for process in self._processes]
+
     def stop_last(self) -> None:
         """SIGKILL for a node and all that it started: as if its machine were gone."""
         process = self._processes.pop()

@@ -1,8 +1,12 @@
 """A console that stops reading (a pipe to a program that hangs) costs its lines, never training."""
 
+import fcntl
 import os
+import subprocess
+import sys
 import time
 
+import pytest
 from rich.console import Console
 
 from kinetix_dist.runtime.driver.reporting import RunReporter
@@ -10,6 +14,8 @@ from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.telemetry.json_lines import read_lines
 from kinetix_dist.telemetry.sinks.background import CLOSE_S, PATIENCE_S, QUEUE_ROWS
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
+from tests.helpers import REPOSITORY, python_path
+from tests.runtime.conftest import tiny_options
 
 NUM_NOTES = 2 * QUEUE_ROWS
 SLACK_S = 5.0  # for a machine that is busy with other tests
@@ -59,3 +65,27 @@ def test_a_pipe_whose_reader_has_ended_does_not_end_the_run(tmp_path):
     run.close()
     (failing,) = _events(run, "sink_failing")
     assert (failing["sink"], failing["error"]) == ("console", "nobody reads the console any more")
+
+
+@pytest.mark.parametrize(
+    "resumes", [pytest.param(False, id="a run", marks=pytest.mark.slow), pytest.param(True, id="a refusal")]
+)
+def test_a_command_ends_whose_last_lines_nobody_takes(tmp_path, resumes):
+    """A pipe of one page, which the first line takes: neither the report, nor a line on stderr, has room."""
+    run = tmp_path / "run"
+    what = ["--run", str(run), *tiny_options(2)] if not resumes else ["--run", str(tmp_path / "none"), "--resume"]
+    reads, writes = os.pipe()
+    fcntl.fcntl(writes, fcntl.F_SETPIPE_SZ, 4096)
+    os.write(writes, b"x" * (4096 if resumes else 2048))
+    command = [sys.executable, "-m", "kinetix_dist.cli.main", "train", *what]
+    environment = {**os.environ, "PYTHONPATH": python_path()}
+    process = subprocess.Popen(command, env=environment, cwd=REPOSITORY, stdout=writes, stderr=writes)
+    os.close(writes)
+    try:
+        assert process.wait(timeout=300) == (2 if resumes else 0)
+        assert resumes or (run / "report.json").is_file()
+        said = os.read(reads, 1 << 16).decode()
+        assert "train on" not in said
+    finally:
+        process.kill()
+        os.close(reads)

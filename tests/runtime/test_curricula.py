@@ -7,16 +7,18 @@ import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.checkpoint import list_checkpoints, newest_good
-from kinetix_dist.curator.config import CurriculumConfig, PairedConfig, PlrConfig
+from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, newest_good
+from kinetix_dist.curator.config import CurriculumConfig, PairedConfig, PlrConfig, SlicesConfig
 from kinetix_dist.curator.teacher_levels import teacher_levels
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained
 from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.telemetry.curriculum_log import list_snapshots, read_snapshot
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
 
 SAVED_AT, NUM_UPDATES = 3, 5
@@ -26,14 +28,26 @@ CURRICULA = {
     "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=12),
     "accel": CurriculumConfig(name="accel", buffer_size=12),
     "paired": CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=16, epochs=2)),
+    # A refresh is in flight at the checkpoint: asked for after update 2, adopted after 4.
+    "sfl_slices": CurriculumConfig(
+        name="sfl_slices",
+        num_candidates=8,
+        scoring_batch=2,
+        buffer_size=8,
+        refresh_every=2,
+        adopt_after=2,
+        slices=SlicesConfig(slice_size=2, num_harvested=2, attempts=(2, 4), keep_one_of=(2,), window=2),
+    ),
 }
 STUDENTS = ("learner/params/", "curriculum/antagonist/params/")
-IN_MAKE_TEST = "plr"  # it keeps as much as any; its learner is compiled for other tests too
+# One that keeps as much as any, whose learner is compiled for other tests too; and the one with a curator.
+IN_MAKE_TEST = ("plr", "sfl_slices")
 
 
 def _config(name, **run):
     config = tiny_config(num_updates=NUM_UPDATES, **run)
-    env = dataclasses.replace(config.env, max_steps=5)  # so that episodes end within an update of 8 steps
+    # So that episodes end within an update of 8 steps; in "sfl_slices" some are solved by then, of 2.7 s.
+    env = dataclasses.replace(config.env, max_steps=5, frame_skip=32 if name == "sfl_slices" else 2)
     return dataclasses.replace(config, env=env, curriculum=CURRICULA[name])
 
 
@@ -42,8 +56,9 @@ def _train(config, path, *, resume):
     run = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
     run.write_json(run.config_path, {})
     reporter = QuietReporter()
-    trainer = SplitTrainer(config, LocalBackend(), plan(config, num_gpus=0))
-    controller = Controller(config, run, trainer, None, reporter)
+    backend, placement = LocalBackend(), plan(config, num_gpus=0)
+    curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
+    controller = Controller(config, run, SplitTrainer(config, backend, placement), curator, reporter)
     controller.restore(resume=resume)
     controller.train()
     run.close()
@@ -51,11 +66,13 @@ def _train(config, path, *, resume):
 
 
 def _what_was_learned(row):
-    return {name: value for name, value in row.items() if name.startswith(("train/", "learner/", "curriculum/"))}
+    learned = {name: value for name, value in row.items() if name.startswith(("train/", "learner/", "curriculum/"))}
+    learned.pop("curriculum/scoring_seconds", None)
+    return learned
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == IN_MAKE_TEST else pytest.mark.slow) for name in CURRICULA]
+    "name", [pytest.param(name, marks=[] if name in IN_MAKE_TEST else pytest.mark.slow) for name in CURRICULA]
 )
 def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_path):
     """In the split placement: what was in flight at the checkpoint is played again from the state that proposed it."""
@@ -72,6 +89,12 @@ def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_pat
     after = final_arrays(tmp_path / "cut")
     if name in ("plr", "robust_plr", "accel"):
         assert (after["curriculum/born"] > 0).any()  # of updates after the first
+    if name == "sfl_slices":
+        assert load_checkpoint(saved).arrays["pending_input/count"] >= 2  # a batch of them
+        assert set(after["curriculum/policy_version"]) == {0, 2} and (after["curriculum/num_plays"] > 0).any()
+        snapshots = [read_snapshot(path) for _, _, path in list_snapshots(tmp_path / "cut" / "curriculum")]
+        levels = {(snapshot.kind, snapshot.number): len(snapshot.arrays["level_id"]) for snapshot in snapshots}
+        assert levels == {("refresh", 0): 8, ("refresh", 2): 2, ("buffer", 3): 8, ("buffer", 5): 8}
     if name == "paired":
         assert after["curriculum/teacher/num_updates"] == after["curriculum/antagonist/num_updates"] == NUM_UPDATES
         checkpoint = newest_good(tmp_path / "cut" / "checkpoints")[0]

@@ -7,17 +7,31 @@ import json
 import shutil
 import subprocess
 import threading
+import time
 
 import pytest
 
 from kinetix_dist.runtime.processes.placement import count_gpus
 from tests.runtime.runs import assert_same_bits, final_arrays
-from tests.runtime.train_process import STEPS_PER_UPDATE, TINY, events, finish, kill_newest, rows, start, wait_for
+from tests.runtime.train_process import (
+    LIMIT_S,
+    STEPS_PER_UPDATE,
+    TINY,
+    events,
+    finish,
+    kill_newest,
+    rows,
+    start,
+    wait_for,
+)
 
 pytestmark = pytest.mark.gpu
 
 NUM_UPDATES = 120
 COLOCATED = [*TINY, "--run.placement", "colocated", "--run.num_workers", "1", "--run.checkpoint_every", "10"]
+# Machines with GPUs are lent for minutes: these two tests end within so many seconds one beside the other, and say
+# with `-s` how far they are.
+KILLED_UPDATES, KILLED_LIMIT_S, SPLIT_LIMIT_S = 60, 130, 100
 WHOLE = [*COLOCATED, "--run.total_env_steps", str(NUM_UPDATES * STEPS_PER_UPDATE)]
 
 
@@ -96,15 +110,34 @@ def test_a_run_that_was_ended_half_way_and_resumed_equals_an_unbroken_one_bit_fo
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(unbroken[0]))
 
 
+class Steps:
+    """Of a test that has to end in time: prints when each is done, and says what is left of `limit_s`."""
+
+    def __init__(self, limit_s):
+        self._began = time.monotonic()
+        self._limit_s = limit_s
+
+    @property
+    def left_s(self):
+        return max(self._began + self._limit_s - time.monotonic(), 1.0)
+
+    def done(self, what):
+        print(f"{time.monotonic() - self._began:6.1f} s  {what}", flush=True)
+
+
 def test_a_killed_curator_and_a_killed_worker_cost_time_and_change_no_bit(device, tmp_path):
     """Of a run that is told from which updates buffers were used: training does not wait for a curator that died."""
-    run = tmp_path / "run"
-    process = start(run, *WHOLE, device=device)
-    wait_for(lambda: len(rows(run)) >= 5, process, "5 updates")
-    kill_newest(run, "curator 0")
-    wait_for(lambda: len(rows(run)) >= 25, process, "25 updates")
-    kill_newest(run, "worker 0")
-    finish(process)
+    run, steps = tmp_path / "run", Steps(KILLED_LIMIT_S if device == "gpu" else LIMIT_S)
+    few = [*COLOCATED, "--run.total_env_steps", str(KILLED_UPDATES * STEPS_PER_UPDATE)]
+    process = start(run, *few, device=device)
+    for number, killed in ((5, "curator"), (25, "worker")):
+        wait_for(lambda n=number: len(rows(run)) >= n, process, f"update {number}", limit_s=steps.left_s)
+        kill_newest(run, f"{killed} 0")
+        steps.done(f"{number} updates, {killed} killed")
+    wait_for(lambda: events(run, "recovered", role="worker"), process, "a recovery", limit_s=steps.left_s)
+    steps.done("recovered")
+    finish(process, limit_s=steps.left_s)
+    steps.done("the run ended")
     assert len(events(run, "process_started", process="worker 0")) == 2
     (recovered,) = events(run, "recovered", role="worker")
     assert recovered["seconds"] > 0
@@ -115,16 +148,24 @@ def test_a_killed_curator_and_a_killed_worker_cost_time_and_change_no_bit(device
     told = tmp_path / "told"
     told.mkdir()
     shutil.copy(run / "adoptions.json", told)
-    finish(start(told, *WHOLE, device=device))
+    finish(start(told, *few, device=device), limit_s=steps.left_s)
+    steps.done("the same run without losses ended")
     assert_same_bits(final_arrays(run), final_arrays(told))
+    steps.done(f"the same bits; recoveries {[row['seconds'] for row in events(run, 'recovered')]} s")
 
 
 def test_split_placement_runs_on_two_gpus_with_lag_one(device, tmp_path):
     if device == "gpu" and count_gpus() < 2:
         pytest.skip(f"split placement needs 2 GPUs; there is {count_gpus()}")
-    run = tmp_path / "run"
-    steps = str(12 * STEPS_PER_UPDATE)
-    finish(start(run, *TINY, "--run.placement", "split", "--run.total_env_steps", steps, device=device))
+    run, steps = tmp_path / "run", Steps(SPLIT_LIMIT_S if device == "gpu" else LIMIT_S)
+    total = str(12 * STEPS_PER_UPDATE)
+    process = start(run, *TINY, "--run.placement", "split", "--run.total_env_steps", total, device=device)
+    wait_for(lambda: len(events(run, "process_started")) == 3, process, "3 processes", limit_s=steps.left_s)
+    steps.done("3 processes")
+    wait_for(lambda: rows(run), process, "an update", limit_s=steps.left_s)
+    steps.done("an update")
+    finish(process, limit_s=steps.left_s)
+    steps.done("the run ended")
     assert [row["runtime/policy_lag"] for row in rows(run)] == [0] + 11 * [1]
     processes = json.loads((run / "report.json").read_text())["processes"]
     assert [process["process"] for process in processes] == ["learner 0", "rollout 0", "curator 0"]

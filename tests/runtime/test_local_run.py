@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
+from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
@@ -66,6 +68,17 @@ def test_two_updates_have_finite_losses_and_change_the_policy(tmp_path):
     assert any(not np.array_equal(before[name], after[name]) for name in params)
 
 
+def test_a_run_of_equal_settings_compiles_nothing_in_a_process_that_had_one(eight_updates, tmp_path):
+    """Longer, saved at other times, and also after it was cut."""
+    count_compile_seconds()
+    before = compile_seconds()
+    _run_local(tiny_config(num_updates=3, checkpoint_every=3), tmp_path / "run")
+    _run_local(tiny_config(num_updates=5), tmp_path / "run", resume=True)
+    assert compile_seconds() == before
+    jax.jit(lambda x: x + before)(1.0)
+    assert compile_seconds() > before  # it counts
+
+
 def test_shares_of_time_add_up_to_one(eight_updates):
     _, rows = eight_updates
     assert len(rows) == 8
@@ -74,7 +87,7 @@ def test_shares_of_time_add_up_to_one(eight_updates):
 
 
 def test_a_run_killed_by_sigkill_and_resumed_equals_an_unbroken_one_bit_for_bit(tmp_path):
-    num_updates = 100
+    num_updates = 16  # of which it is killed after the sixth
     options = ["--run.total_env_steps", str(tiny_config(num_updates=num_updates).run.total_env_steps)]
     options += ["--evaluation.sets", "s/kick", "--evaluation.min_attempts", "4"]
     command = [sys.executable, "-m", "kinetix_dist.cli.main", "train"]

@@ -12,6 +12,7 @@ import time
 import psutil
 import pytest
 
+from kinetix_dist.runtime.processes.watchdog import is_alive
 from kinetix_dist.telemetry.names import ROLES
 from tests.runtime.runs import assert_same_bits, final_arrays
 from tests.runtime.train_process import STEPS_PER_UPDATE, TINY, events, rows, start
@@ -43,14 +44,7 @@ def _living(run, driver):
     """Processes of the run by process id. Descendants of the driver alone: a number may be another's by now."""
     names = {row["pid"]: row["process"] for row in events(run, "process_started")}
     below = psutil.Process(driver.pid).children(recursive=True)
-    return {child.pid: names[child.pid] for child in below if child.pid in names and _lives(child)}
-
-
-def _lives(process):
-    try:
-        return process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
+    return {child.pid: names[child.pid] for child in below if child.pid in names and is_alive(child)}
 
 
 def _kill_at_random(run, driver, number):
@@ -110,7 +104,7 @@ def test_a_run_whose_processes_are_killed_at_random_ends_as_an_unbroken_one(tmp_
     assert "Traceback" not in output + errors
     assert len(killed) >= NUM_KILLS
     assert [row["update"] for row in rows(run)] == list(range(1, NUM_UPDATES + 1))
-    assert not [process for process in seen if process.is_running() and _lives(process)]
+    assert not [process for process in seen if is_alive(process)]
     # The same without a loss, told only from which updates on buffers were used.
     whole = tmp_path / "whole"
     whole.mkdir()

@@ -213,7 +213,7 @@ class BusyProcess(LocalBackend):
     def spawn_beside(self, plan, build, *arguments):
         return self
 
-    def call_stamped(self, method, weights, policy_version, part, num_parts, probe):
+    def call_stamped(self, method, weights, policy_version, part, num_parts, probe, given):
         number = len(self.asked)
         self.asked.append(policy_version)
         return LaterTicket({"seconds": 1.0, "probe": {}}, lambda: self.done > number), LocalTicket(policy_version)
@@ -223,11 +223,11 @@ def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
     process = BusyProcess()
     curator = CuratorClient(tiny_config(num_updates=1), process, [ProcessPlan(role="curator", index=0)])
     for version in (0, 3, 6, 9):
-        curator.request(LocalTicket(None), version, None)
+        curator.request(LocalTicket(None), version, None, None)
         assert curator.take(patience_s=-1.0) is None
         curator.cancel()
     assert process.asked == [0]
-    curator.request(LocalTicket(None), 12, None)
+    curator.request(LocalTicket(None), 12, None, None)
     process.done = 1
     curator.watch()
     assert process.asked == [0, 12]

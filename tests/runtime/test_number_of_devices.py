@@ -15,7 +15,10 @@ from tests.runtime.runs import tiny_config
 PROGRAM = REPOSITORY / "tests" / "runtime" / "devices_program.py"
 
 
-@pytest.fixture(scope="module", params=["most_failed", pytest.param("paired", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module",
+    params=["most_failed", *(pytest.param(name, marks=pytest.mark.slow) for name in ("paired", "sfl_slices"))],
+)
 def by_count(request, tmp_path_factory):
     """Arrays by number of devices, of one process that has seven."""
     out = tmp_path_factory.mktemp("devices") / "out.npz"

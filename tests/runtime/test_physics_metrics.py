@@ -68,7 +68,7 @@ def _sums(effects, weights):
     policy = make_policy(config.policy, env.action_distribution.head_sizes)
     curriculum = make_curriculum(config, env, policy, data_mesh())
     core = RolloutCore(config, env, policy, curriculum, data_mesh(), groups=range(config.rollout.num_groups))
-    return jax.device_get(core.play(weights, None, 0)[-1])["physics"]
+    return jax.device_get(core.play(weights, curriculum.init(), 0)[-1])["physics"]
 
 
 def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted(worker):

@@ -1,5 +1,6 @@
 """Ray's token is for its user alone, and a cluster that is not there or refuses ours is said in one line."""
 
+import inspect
 import os
 import signal
 import socket
@@ -7,12 +8,14 @@ import subprocess
 import sys
 
 import pytest
+import ray
 from ray._private import utils
 
 from kinetix_dist.cli.main import main
+from kinetix_dist.runtime.processes.failures import RayFailedError
 from kinetix_dist.runtime.processes.placement import PlacementError
 from kinetix_dist.runtime.processes.ray_access import secure_token, use_token
-from kinetix_dist.runtime.processes.ray_backend import _own_signals
+from kinetix_dist.runtime.processes.ray_private import own_signals, without_services
 from tests.helpers import REPOSITORY, python_path
 
 TINY_ON_RAY = ["train", "--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.placement", "colocated"]
@@ -47,7 +50,7 @@ def test_a_token_that_others_could_read_is_closed_and_kept(home, monkeypatch):
 def test_ray_leaves_signals_to_whoever_had_them():
     """It would end a run that is told to stop while it starts with a status of Ray's own."""
     before = signal.getsignal(signal.SIGTERM)
-    with _own_signals():
+    with own_signals():
         utils.set_sigterm_handler(lambda number, frame: None)
         assert signal.getsignal(signal.SIGTERM) is before
 
@@ -120,3 +123,11 @@ def test_a_wrong_and_a_missing_token_are_refused_in_one_line(home):
             assert "c" * 64 not in done.stderr and "Traceback" not in done.stderr
     finally:
         head.communicate()  # its stdin ends, and Ray with it
+
+
+def test_a_ray_that_did_not_start_in_its_time_is_one_line_that_says_what_to_do():
+    said = "timed out during startup"
+    assert said in inspect.getsource(ray._private.node), "Ray says it in other words now"
+    with pytest.raises(RayFailedError, match=rf"^Ray did not start .*{said}.* --run\.placement local"):
+        with without_services():
+            raise Exception(f"The current node {said}.")

@@ -23,6 +23,7 @@ from kinetix_dist.runtime.processes.placement import Placement, PlacementError, 
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.telemetry.names import check_metrics
+from tests.helpers import PATIENCE_S
 from tests.runtime.cores_for_tests import (
     build_compiler,
     build_from_missing_levels,
@@ -44,9 +45,9 @@ def backend():
     ray.shutdown()
 
 
-def _plan_of_slots():
-    """Three workers and a curator; their memory is not shared out, since there is no GPU to ask."""
-    placement = plan(without_evaluator(recipe("sfl_s")), num_gpus=3)
+def _plan_of_slots(num_gpus=3):
+    """A worker a GPU and a curator; their memory is not shared out, since there is no GPU to ask."""
+    placement = plan(without_evaluator(recipe("sfl_s")), num_gpus=num_gpus)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
 
@@ -56,12 +57,12 @@ def _devices(handles, backend):
 
 
 def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_restart(backend):
-    placement = _plan_of_slots()
+    placement = _plan_of_slots(num_gpus=2)  # of three
     backend.reserve(placement)
     workers = [backend.spawn([process], build_told)[0] for process in placement.of("worker")]
     curator = backend.spawn(placement.of("curator"), build_told)[0]
     first = _devices(workers, backend)
-    assert sorted(first) == ["0", "1", "2"]
+    assert len(set(first)) == 2 and set(first) < {"0", "1", "2"}
     assert _devices([curator], backend) == first[:1]
     backend.kill(workers)
     again = [backend.spawn([process], build_told)[0] for process in reversed(placement.of("worker"))][::-1]
@@ -214,7 +215,7 @@ def _stored_mib():
     return int(re.search(r"Plasma memory usage (\d+) MiB", summary)[1])
 
 
-def _wait_for(condition, seconds=20.0):
+def _wait_for(condition, seconds=PATIENCE_S):
     deadline = time.monotonic() + seconds
     while not condition():
         gc.collect()  # errors hold what they were raised over, in cycles

@@ -74,21 +74,21 @@ def test_where_going_back_does_not_help_the_run_ends(tmp_path):
 
 
 def test_counting():
-    skipped = SkippedUpdates(steps_per_update=4, limit=2)
-    assert [skipped.add(steps) for steps in (0, 4, 1, 4)] == [False, True, False, True]
-    assert [skipped.is_new_kind(steps) for steps in (0, 4, 1, 1)] == [False, False, True, False]
+    skipped = SkippedUpdates(limit=2)
+    assert [skipped.add(steps, num_steps=4) for steps in (0, 4, 1, 4)] == [False, True, False, True]
+    assert [skipped.is_new_kind(steps, num_steps=4) for steps in (0, 4, 1, 1)] == [False, False, True, False]
     assert not skipped.must_go_back(4)
     skipped.check_end()
-    skipped.add(4)
+    skipped.add(4, num_steps=4)
     assert skipped.must_go_back(5)  # for 4 and 5
     for number in (3, 4):  # from the checkpoint of 2: these are well, the next ones are not
-        skipped.add(0)
+        skipped.add(0, num_steps=4)
         assert not skipped.must_go_back(number)
-    skipped.add(4)
-    skipped.add(4)
+    skipped.add(4, num_steps=4)
+    skipped.add(4, num_steps=4)
     assert skipped.must_go_back(6)  # later ones than before: another fault
-    skipped.add(4)
-    skipped.add(4)
+    skipped.add(4, num_steps=4)
+    skipped.add(4, num_steps=4)
     with pytest.raises(NotFiniteError, match="updates 5 to 6 were skipped, also after going back"):
         skipped.must_go_back(6)
 

@@ -19,7 +19,7 @@ from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 from tests.runtime.conftest import NUM_UPDATES, STEPS
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
 from tests.runtime.train_process import TINY, events, rows, start, wait_for
@@ -101,9 +101,19 @@ with StopSignals() as stop:
 """
 
 
+def test_while_its_processes_on_ray_start_a_run_ends_at_once(tmp_path):
+    """Ray's wait, in which the signal comes then, hands on an error of its own."""
+    run = tmp_path / "run"
+    process = start(run, *TINY, *FOR_EVER, "--run.placement", "colocated")
+    wait_for(lambda: events(run, "process_started", process="worker 0"), process, "its worker")
+    status, seconds, line = _stopped(process, signal.SIGTERM)
+    assert (status, seconds < LIMIT_S) == (EXIT_STOPPED, True)
+    assert line == f"kinetix-dist: stopped by SIGTERM outside of updates; go on with --run {run} --resume"
+
+
 def test_a_signal_while_an_object_is_collected_is_not_swallowed():
     """Python prints what is raised there and goes on."""
-    done = subprocess.run([sys.executable, "-c", SWALLOWED], cwd=REPOSITORY, capture_output=True, timeout=20)
+    done = subprocess.run([sys.executable, "-c", SWALLOWED], cwd=REPOSITORY, capture_output=True, timeout=PATIENCE_S)
     assert (done.stdout, done.stderr) == (b"asked SIGTERM\n", b"")
 
 
@@ -142,18 +152,18 @@ def test_a_second_signal_ends_at_once():
         time.sleep(0.3)
         assert process.poll() is None  # it waits for the update
         process.send_signal(second)
-        _, errors = process.communicate(timeout=5)
+        _, errors = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 128 + second and b"second signal" in errors
 
 
 def test_an_update_that_does_not_end_is_given_up_and_waiting_is_left_at_once():
     process = _slow(0.5, "update")
     process.send_signal(signal.SIGTERM)
-    _, errors = process.communicate(timeout=5)
+    _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == EXIT_STOPPED and b"not done 0.5 s after SIGTERM" in errors
     process = _slow(50, "between")
     process.send_signal(signal.SIGTERM)
-    output, _ = process.communicate(timeout=5)
+    output, _ = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, output) == (0, b"asked SIGTERM\n")
 
 
@@ -218,12 +228,12 @@ def test_the_slurm_script_waits_for_the_run_and_ends_with_its_status(tmp_path):
     )
     said = tmp_path / "said"
     try:
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + PATIENCE_S
         while not (said.exists() and said.read_text() == "training"):
             assert time.monotonic() < deadline and job.poll() is None
             time.sleep(0.02)
         job.send_signal(signal.SIGTERM)  # to the script alone, as --signal=B: does
-        assert job.wait(timeout=30) == EXIT_STOPPED
+        assert job.wait(timeout=PATIENCE_S) == EXIT_STOPPED
         assert said.read_text() == "saved train --recipe tiny"
     finally:
         os.killpg(job.pid, signal.SIGKILL)  # what the scheduler does with job steps that are left

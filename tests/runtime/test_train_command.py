@@ -18,6 +18,7 @@ from kinetix_dist.config import differences, from_dict, from_dict_for_playing, t
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level.generator_config import generator
+from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
@@ -145,6 +146,110 @@ def test_every_field_can_be_given_on_the_command_line():
     assert args.config.evaluation.sets == ("random_s", "s/kick")
     assert args.config.curriculum.generator.triangle_chance == 0.5
     assert json.dumps(to_dict(args.config))
+
+
+# Phases and mixtures of sizes
+
+
+PHASES = """
+[[phases]]
+start = 1000
+clip = 0.1
+
+[[phases]]
+start = 5000
+num_envs = 64
+sizes = { s = 0.5, m = 0.5 }
+"""
+MIXED = ["--recipe", "tiny", "--env.size", "m", "--rollout.num_envs", "32", "--curriculum.sizes", "m", "1"]
+
+
+def test_phases_of_a_file_go_with_fields_of_the_command_line(tmp_path):
+    (tmp_path / "phases.toml").write_text(PHASES)
+    config = parse([*MIXED, "--phases", str(tmp_path / "phases.toml")]).config
+    sizes = (("s", 0.5), ("m", 0.5))
+    assert config.phases == (PhaseConfig(start=1000, clip=0.1), PhaseConfig(start=5000, num_envs=64, sizes=sizes))
+    assert config.curriculum.sizes == (("m", 1.0),)
+    as_json = {"phases": to_dict(config)["phases"]}
+    (tmp_path / "phases.json").write_text(json.dumps(as_json))
+    assert parse([*MIXED, "--phases", str(tmp_path / "phases.json")]).config == config
+
+
+def test_a_phase_of_a_recipe_can_be_overridden():
+    config = parse(["--recipe", "pretrain_all", "--phases.0.start", "5", "--phases.0.clip", "0.1"]).config
+    assert config.phases == (dataclasses.replace(recipe("pretrain_all").phases[0], start=5, clip=0.1),)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "[[phases]]\nstart = 9\nsize = 'l'",
+            "phase 1 sets 'size', which no phase can change; it has start and can set",
+        ),
+        ("[[phases]]\nclip = 0.1", "phase 1 has no start"),
+        ("[[phases]]\nstart = 1.5\nclip = 0.1", "config field phases.0.start is 1.5; int is needed"),
+        ("[[phases]]\nstart = 900\nnum_envs = 18", "phases.toml: phase 1: RolloutConfig.num_envs 18 is not a multiple"),
+        ("[[phases]]\nstart = 900\nsizes = { xl = 1 }", "CurriculumConfig.sizes has 'xl'; sizes are s, m, l"),
+        ("[[phases]\n", "phases.toml cannot be read as TOML"),
+        ("start = 3", "phases.toml holds no phases; write a table [[phases]] for each"),
+    ],
+)
+def test_phases_of_a_file_that_cannot_run(capsys, tmp_path, text, message):
+    (tmp_path / "phases.toml").write_text(text)
+    assert message in _refusal(capsys, "--recipe", "tiny", "--phases", tmp_path / "phases.toml")
+
+
+def test_a_file_of_phases_that_is_not_there(capsys):
+    assert "nowhere.toml" in _refusal(capsys, "--recipe", "tiny", "--phases", "nowhere.toml")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        ("s -1 m 2", "CurriculumConfig.sizes gives 's' the weight -1.0; weights must be 0 or more"),
+        ("s 0 m 0", "CurriculumConfig.sizes gives all sizes the weight 0"),
+        ("xl 1", "CurriculumConfig.sizes has 'xl'; sizes are s, m, l"),
+        ("m 1 l 1", "curriculum.sizes has 'l', which does not fit env.size 'm', the size of the arrays"),
+        ("s 1 m 99", "none would be of size 's'; raise its weight, or draw more levels together"),
+    ],
+)
+def test_a_mixture_of_sizes_that_means_nothing(capsys, sizes, message):
+    assert message in _refusal(capsys, "--recipe", "tiny", "--env.size", "m", "--curriculum.sizes", *sizes.split())
+
+
+# Starting from a policy
+
+
+def test_a_checkpoint_of_other_settings_of_the_engine_is_refused(capsys, tmp_path):
+    """The pretrained one learned with softer joints than today's."""
+    line = _refusal(capsys, "--recipe", "sfl_s", "--run.device", "cpu", *FROM_SFL_S, "--run", tmp_path / "run")
+    assert "learned with other settings of the engine: joint_hertz 60.0 instead of 88.0" in line
+    assert "--run.start_other_engine True" in line
+
+
+def test_a_checkpoint_without_an_optimiser_is_refused_where_that_is_asked_for(capsys, tmp_path):
+    asked = [
+        "--run.start_other_engine",
+        "True",
+        "--run.start_optimizer",
+        "True",
+        "--run.device",
+        "cpu",
+        "--policy.dtype",
+        "float32",
+    ]
+    line = _refusal(capsys, "--recipe", "sfl_s", *asked, *FROM_SFL_S, "--run", tmp_path / "run")
+    assert "pretrained/sfl_s holds the parameters of a policy and no optimiser" in line
+    assert "start_from names no checkpoint; give one (--from)" in _refusal(capsys, "--run.start_optimizer", "True")
+
+
+def test_a_resumed_run_goes_on_from_its_own_checkpoints(capsys, tmp_path):
+    line = _refusal(capsys, "--resume", "--run", tmp_path / "run", *FROM_SFL_S)
+    assert "--from is for a new run" in line
+
+
+FROM_SFL_S = ["--from", "sfl_s", "--run.placement", "local"]
 
 
 # Physics

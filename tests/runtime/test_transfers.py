@@ -51,7 +51,7 @@ def test_a_learner_fetches_only_parts_that_hold_its_worlds():
     config, mesh = split_config(num_rollout_actors=4), data_mesh(jax.devices()[:1])
     staging = Staging(config, mesh, Division(config.num_blocks, 1))
     half = config.rollout.num_envs // 2
-    staging._rows = np.arange(half, 2 * half)
+    staging._own_rows = lambda config: np.arange(half, 2 * half)
     size, copied = config.rollout.worlds_per_group, []
     for part in range(4):
         copied.append(staging.add(0, part, 4, LocalTicket((_batch(part * size, (part + 1) * size), None))))

@@ -44,23 +44,35 @@ def start(run: Path, *options: str, device: str = "cpu", new_session: bool = Fal
     )
 
 
-def finish(process: subprocess.Popen[str]) -> str:
+def finish(process: subprocess.Popen[str], *, limit_s: float = LIMIT_S) -> str:
     """Waits for the end; what was said on stderr. Fails unless the exit status is 0."""
     try:
-        _, errors = process.communicate(timeout=LIMIT_S)
+        _, errors = process.communicate(timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        raise AssertionError(f"the run did not end in {limit_s:.0f} s; it said last: {_last_words(process)}") from None
     finally:
         process.kill()
     assert process.returncode == 0, errors
     return errors
 
 
-def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], what: str) -> None:
+def wait_for(
+    condition: Callable[[], bool], process: subprocess.Popen[str], what: str, *, limit_s: float = LIMIT_S
+) -> None:
     """Until the condition holds; fails when the process ends or takes too long before."""
-    deadline = time.monotonic() + LIMIT_S
+    deadline = time.monotonic() + limit_s
     while not condition():
         assert process.poll() is None, f"the run ended before {what}: {process.communicate()[1]}"
-        assert time.monotonic() < deadline, f"{what} did not come in {LIMIT_S:.0f} s"
+        if time.monotonic() > deadline:
+            raise AssertionError(f"{what} did not come in {limit_s:.0f} s; the run said last: {_last_words(process)}")
         time.sleep(0.02)
+
+
+def _last_words(process: subprocess.Popen[str]) -> str:
+    """Of a run that is ended for it."""
+    process.kill()
+    said, errors = process.communicate()
+    return f"{said[-300:]} {errors[-1000:]}"
 
 
 def rows(run: Path) -> list[dict[str, Any]]:

@@ -9,12 +9,12 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from kinetix_dist.telemetry.names import UnknownMetricError
 from kinetix_dist.telemetry.sinks.prometheus import PortTakenError, PrometheusSink
-from tests.helpers import free_port
+from tests.helpers import PATIENCE_S, free_port
 
 
 def scrape(port: int) -> dict[tuple[str, str], float]:
     """Values by name and level set."""
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=PATIENCE_S) as answer:
         text = answer.read().decode()
     families = text_string_to_metric_families(text)
     return {(s.name, s.labels.get("set", "")): s.value for family in families for s in family.samples}

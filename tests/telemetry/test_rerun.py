@@ -21,6 +21,7 @@ from jax2d.palette import ROLE_PALETTE
 from jax2d.scene import JointKind
 from kinetix_dist.level.roles import Role
 from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
+from tests.helpers import PATIENCE_S
 from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout, level
 
 
@@ -117,7 +118,7 @@ def test_a_running_viewer_is_shown_the_rollout(tmp_path: Path) -> None:
         time.sleep(0.5)  # for the last of it
     finally:
         os.killpg(listener.pid, signal.SIGTERM)  # not SIGINT: what a shell starts in the background may ignore it
-        listener.wait(timeout=10)
+        listener.wait(timeout=PATIENCE_S)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an interrupted file has no footer
         translation = column(received, f"/world/shape_{GREY_TRIANGLE:02d}", "translation")
@@ -140,7 +141,7 @@ def test_a_missing_folder_is_an_error_and_not_a_warning(tmp_path: Path) -> None:
 def test_rerun_paints_filled_shapes_in_the_colours_of_their_roles(rrd: Path, tmp_path: Path) -> None:
     picture = tmp_path / "a.png"
     command = [sys.executable, "-m", "rerun", str(rrd), "--headless", "--screenshot-to", str(picture)]
-    subprocess.run([*command, "--window-size", "1400x800", "--port", "auto"], check=True, timeout=60)
+    subprocess.run([*command, "--window-size", "1400x800", "--port", "auto"], check=True, timeout=PATIENCE_S)
     with Image.open(picture) as image:
         pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
     filled = {

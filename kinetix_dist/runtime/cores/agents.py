@@ -18,7 +18,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.observations import Moving, Observation
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.state import LearnerState, init_learner_state
+from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import Update, make_update
 from kinetix_dist.level.level import Level
 from kinetix_dist.messages import StaticInput, Trajectory
@@ -94,8 +94,7 @@ class PpoAgent:
 
     def init(self) -> LearnerState:
         zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), self._obs)
-        params, ppo = init_params(self._policy, zeros, self._keys[0]), self._ppo
-        return init_learner_state(params, ppo.optimizer(), self._keys[1], has_average=ppo.average_updates > 0)
+        return self._ppo.initial_state(init_params(self._policy, zeros, self._keys[0]), self._keys[1])
 
     def learn(
         self, state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array

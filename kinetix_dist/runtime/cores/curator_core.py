@@ -7,11 +7,10 @@ from typing import Any
 
 import jax
 
+from kinetix_dist.checkpoint import flatten_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import data_mesh
-from kinetix_dist.models.policy import make_policy
-from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.playing import Playing
 from kinetix_dist.runtime.cores.streams import CURATE, PROBE, stream
 
 
@@ -19,23 +18,29 @@ class CuratorCore:
     """Refreshes with given parameters. The same (parameters, version) give the same answer, bit for bit."""
 
     def __init__(self, config: TrainConfig) -> None:
-        env = make_environment(config)
-        policy = make_policy(config.policy, env.action_distribution.head_sizes)
-        self._seed = config.run.seed
-        self._curriculum = make_curriculum(config, env, policy, data_mesh())
+        self._config = config
+        self._playing = Playing(config, data_mesh())
+        self._playing.curriculum(config)  # what cannot be loaded is found before anything is asked for
 
     def refresh(
-        self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None
+        self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
     ) -> tuple[dict[str, Any], Any]:
         """({"seconds": how long it took, "probe": what became of `probe`}, this part of what the curriculum joins and
-        adopts, as numpy). probe: levels of the buffer in use, played again with a key of their own; None: no such."""
+        adopts, as numpy). probe: levels of the buffer in use, played again with a key of their own; None: no such.
+        given: of `Curriculum.refresh_input`, or the same arrays in nested dictionaries, as a checkpoint gives them."""
         began = time.monotonic()
         params = jax.device_put(params)
-        key = jax.random.fold_in(stream(self._seed, CURATE), policy_version)
-        refreshed = self._curriculum.refresh_part(params, policy_version, key, part, num_parts)
+        config = self._config
+        # For the phase in which it is to be adopted, so that the first buffer of a phase has the levels of that phase.
+        curriculum = self._playing.curriculum(config.schedule.at(config.curriculum.adopted_at(policy_version)).config)
+        key = jax.random.fold_in(stream(config.run.seed, CURATE), policy_version)
+        if given is not None:
+            template = jax.eval_shape(lambda: curriculum.refresh_input(curriculum.init()))
+            given = unflatten_arrays(template, flatten_arrays(given))
+        refreshed = curriculum.refresh_part(params, policy_version, key, part, num_parts, given)
         refreshed = jax.device_get(refreshed)
         played = {}
         if probe is not None:
-            probe_key = jax.random.fold_in(stream(self._seed, PROBE), policy_version)
-            played = self._curriculum.play_probe(params, probe, probe_key)
+            probe_key = jax.random.fold_in(stream(config.run.seed, PROBE), policy_version)
+            played = curriculum.play_probe(params, probe, probe_key)
         return {"seconds": time.monotonic() - began, "probe": played}, refreshed

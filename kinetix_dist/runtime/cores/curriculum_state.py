@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -23,12 +24,20 @@ from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.messages import LevelOutcome, Trajectory
 from kinetix_dist.runtime.cores.agents import PpoAgents
+from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
 from kinetix_dist.runtime.cores.stored import CURRICULUM
 
 
 def make_curriculum(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> Curriculum:
-    """The curriculum of a run with what it is built from. mesh: on which what it trains of its own learns."""
+    """The curriculum of a run with what it is built from. mesh: on which what it trains of its own learns.
 
+    It holds no state, and is the same for runs of equal settings. One that is given levels reads them each time.
+    """
+    arguments = settings_of_programs(config), env, policy, mesh, config.curriculum_class
+    return _built(*arguments) if config.curriculum.levels else _kept(*arguments)
+
+
+def _built(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, kind: type[Curriculum]) -> Curriculum:
     def play(params: Any, levels: Level, key: Array, num_steps: int) -> LevelOutcome:
         return score(policy, params, env, env.prepare(levels), key, num_steps)
 
@@ -39,24 +48,32 @@ def make_curriculum(config: TrainConfig, env: Environment, policy: Any, mesh: Me
         config=config.curriculum,
         capacity=env.capacity,
         worlds_per_group=config.rollout.worlds_per_group,
+        max_steps=config.env.max_steps,
         solves_itself=lambda levels: noop_solved(env, levels),
         play=play,
         load_levels=lambda name: load_level_set(name, config.env.size)[0],
         advantages=advantages,
         agents=PpoAgents(config, env, policy, mesh),
     )
-    return config.curriculum_class(tools)
+    return kind(tools)
+
+
+_kept = functools.lru_cache(maxsize=MAX_KEPT)(_built)
 
 
 class CurriculumState:
     """The state of a curriculum, replicated over the devices of a mesh."""
 
     def __init__(self, curriculum: Curriculum, mesh: Mesh) -> None:
-        self._curriculum = curriculum
         self._mesh = mesh
-        self._observe = jax.jit(self._observe_replicated, static_argnums=3, out_shardings=replicated(mesh))
+        self.set_curriculum(curriculum)
         self.placed: Any = None  # on the devices
         self._values: Any = None  # the same as numpy
+
+    def set_curriculum(self, curriculum: Curriculum) -> None:
+        """Whose state this is from now on: one with states of the same layout."""
+        self._curriculum = curriculum
+        self._observe = _observe_program(curriculum, self._mesh)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         """From a checkpoint's arrays or afresh."""
@@ -66,7 +83,7 @@ class CurriculumState:
         elif self._curriculum.refreshes:
             self._place(None)  # the first refresh comes before the first levels
         else:
-            self._place(jax.device_get(self._curriculum.init()))
+            self._place(jax.device_get(jax.jit(self._curriculum.init)()))  # one program, not hundreds of small ones
 
     def restored(self, arrays: Mapping[str, np.ndarray]) -> Any:
         """A state from arrays of a checkpoint, as numpy."""
@@ -94,20 +111,25 @@ class CurriculumState:
     def _place(self, values: Any) -> None:
         self._values, self.placed = values, replicate(values, self._mesh)
 
-    def _observe_replicated(
-        self, state: Any, proposal: Proposal, outcome: LevelOutcome, division: Division | None
-    ) -> Any:
+
+@functools.lru_cache(maxsize=MAX_KEPT)
+def _observe_program(curriculum: Curriculum, mesh: Mesh) -> Callable[..., Any]:
+    """(state, proposal, outcome, division) -> the next state."""
+
+    def observe(state: Any, proposal: Proposal, outcome: LevelOutcome, division: Division | None) -> Any:
         # Every device sees all worlds and works out the same: no result depends on how many devices there are.
-        seen = jax.lax.with_sharding_constraint((proposal, outcome), replicated(self._mesh))
+        seen = jax.lax.with_sharding_constraint((proposal, outcome), replicated(mesh))
         if division is not None and not division.is_even:
             seen = jax.tree.map(lambda x: x[division.gathered(x.shape[0])], seen)
-        after = self._curriculum.observe(state, *seen)
+        after = curriculum.observe(state, *seen)
         if _layout(after) != _layout(state):
             raise ValueError(
-                f"observe of curriculum {self._curriculum.tools.config.name!r} returned other parts, shapes or "
+                f"observe of curriculum {curriculum.tools.config.name!r} returned other parts, shapes or "
                 f"types: {_layout(after)} instead of {_layout(state)}"
             )
         return after
+
+    return jax.jit(observe, static_argnums=3, out_shardings=replicated(mesh))
 
 
 def _layout(state: Any) -> Any:

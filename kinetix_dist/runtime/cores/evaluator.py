@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import jax
@@ -39,14 +38,14 @@ class Evaluator:
         The levels, attempts and keys are the same every time, so that before and after are paired.
         """
         sets = self._load()
-        repeated = [_repeat(levels, self._attempts(names)) for levels, names in sets.values()]
+        repeated = [_repeat(levels, self._config.attempts_of(len(names))) for levels, names in sets.values()]
         batch = jax.tree.map(lambda *xs: np.concatenate(xs), *repeated)
         random = Player(RandomPolicy(self._env.action_space))
         player = random if params is None else Player(self._network, jax.device_put(params))
         rates = evaluate(self._env, player, batch, attempts=1, key=self._key())
         result, start = {}, 0
         for name, (_, level_names) in sets.items():
-            a_level = self._attempts(level_names)
+            a_level = self._config.attempts_of(len(level_names))
             attempts = len(level_names) * a_level
             tried = [attempt.solved for attempt in rates.levels[start : start + attempts]]
             by_level = [sum(tried[first : first + a_level]) for first in range(0, attempts, a_level)]
@@ -82,10 +81,6 @@ class Evaluator:
         unsolved = sorted((rollout for rollout in played if not rollout.solved), key=lambda r: not r.failed)
         num_solved = min(len(solved), max(num_rollouts // 2, num_rollouts - len(unsolved)))
         return solved[:num_solved] + unsolved[: num_rollouts - num_solved]
-
-    def _attempts(self, names: list[str]) -> int:
-        """Of each level of a set; small sets are tried more often, since few attempts say little."""
-        return max(self._config.attempts, math.ceil(self._config.min_attempts / len(names)))
 
     def _load(self) -> dict[str, tuple[Level, list[str]]]:
         if self._sets is None:

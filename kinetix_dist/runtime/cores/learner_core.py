@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -15,14 +16,15 @@ from jax2d.scene import Array
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values, replicate
-from kinetix_dist.learner.state import LearnerState, init_learner_state
+from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import make_update
-from kinetix_dist.models.gru import has_memory
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.agents import some_observation
-from kinetix_dist.runtime.cores.stored import LEARNER, START
+from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
+from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START
 from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
 
 
@@ -30,16 +32,13 @@ class LearnerCore:
     """Parameters and optimiser, replicated over a mesh, and the update of them."""
 
     def __init__(self, config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> None:
-        config.ppo.check_batch(
-            num_steps=config.rollout.num_steps, num_worlds=config.num_trained_envs, whole_worlds=has_memory(policy)
-        )
+        config.check_batch()
         self._config = config
-        self._mesh = mesh
+        self._env, self._policy, self._mesh = env, policy, mesh
         self.division = Division(config.num_blocks, mesh.devices.size)
-        self._update = make_update(
-            policy, env.observation, env.action_distribution, config.ppo, mesh, division=self.division
-        )
-        self._init = jax.jit(lambda: _initial_state(config, env, policy))
+        self._ppo: PpoConfig | None = None
+        self.set_ppo(config.ppo)
+        self._init = _init_program(settings_of_programs(config), env, policy)
         self.state: LearnerState | None = None
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
@@ -49,11 +48,22 @@ class LearnerCore:
             state = unflatten_arrays(jax.eval_shape(self._init), select_arrays(arrays, LEARNER))
         else:
             state = local_values(self._init())
-            if given:  # the optimiser of a new run is all zeros, whatever the parameters
-                params = unflatten_arrays(state.params, given)
+            if given:  # counters, key and what the guard has left are those of a new run
+                params = unflatten_arrays(state.params, select_arrays(given, PARAMS))
                 average = None if state.average is None else params
                 state = dataclasses.replace(state, params=params, average=average)
+            if optimizer := select_arrays(given, OPTIMIZER):  # else all zeros, whatever the parameters
+                state = dataclasses.replace(state, opt_state=unflatten_arrays(state.opt_state, optimizer))
         self.state = replicate(state, self._mesh)
+
+    def set_ppo(self, ppo: PpoConfig) -> None:
+        """What updates are made with from now on; an update of other settings is compiled when it is first made."""
+        if ppo == self._ppo:
+            return
+        self._ppo = ppo
+        self._update = make_update(
+            self._policy, self._env.observation, self._env.action_distribution, ppo, self._mesh, division=self.division
+        )
 
     @property
     def params(self) -> Any:
@@ -71,13 +81,15 @@ class LearnerCore:
         return metrics
 
 
+@functools.lru_cache(maxsize=MAX_KEPT)
+def _init_program(config: TrainConfig, env: Environment, policy: Any) -> Callable[[], LearnerState]:
+    return jax.jit(lambda: _initial_state(config, env, policy))
+
+
 def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
     """Parameters drawn from the seed; the observation of any level gives the shapes."""
     key = stream(config.run.seed, INIT)
     obs = jax.eval_shape(lambda: some_observation(config, env))
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), obs)
     params = init_params(policy, zeros, key)
-    ppo = config.ppo
-    return init_learner_state(
-        params, ppo.optimizer(), stream(config.run.seed, SHUFFLE), has_average=ppo.average_updates > 0
-    )
+    return config.ppo.initial_state(params, stream(config.run.seed, SHUFFLE))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +17,14 @@ from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
+from kinetix_dist.level.fit import size_numbers
+from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
+from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
 from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, stream
 
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
+SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
 EPISODES = "episodes"  # in the sums of an update: those of each source and place of `Proposal.source`
 
 
@@ -118,12 +123,36 @@ class RolloutCore:
         is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.places)
         sums = _sums(played.outcome, played.trajectory.rewards, is_counted)
         if config.curriculum_log.outcomes_every:
-            sums[EPISODES] = _episodes_by_source(played.outcome, proposal.source, is_counted, self._num_counted)
+            source = proposal.source if proposal.source is not None else jnp.zeros(is_counted.shape, jnp.int32)
+            sums[EPISODES] = _episodes_by(source, played.outcome, is_counted, self._num_counted)
+        if config.curriculum.sizes:
+            size = size_numbers(proposal.levels)
+            sums[SIZES_PLAYED] = {
+                **_episodes_by(size, played.outcome, is_counted, len(SIZES)),
+                "worlds": _totals_by(size, is_counted.astype(jnp.int32), len(SIZES)),
+            }
         return batch, seen, sums
 
     def _summarised(self, played: Played) -> LevelOutcome:
         summary = self._curriculum.summarise(played.trajectory, played.last_value)
         return dataclasses.replace(played.outcome, summary=summary)
+
+
+def rollout_core(
+    config: TrainConfig,
+    env: Environment,
+    policy: Any,
+    curriculum: Curriculum,
+    mesh: Mesh,
+    *,
+    groups: range,
+    division: Division | None = None,
+) -> RolloutCore:
+    """A `RolloutCore`, the same for runs of equal settings and the same parts: it holds no state but its program."""
+    return _kept(settings_of_programs(config), env, policy, curriculum, mesh, groups=groups, division=division)
+
+
+_kept = functools.lru_cache(maxsize=MAX_KEPT)(RolloutCore)
 
 
 def by_part(parts: Array, size: int) -> Array:
@@ -159,13 +188,12 @@ def _sums(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str,
     return jax.lax.psum(local, DATA_AXIS)
 
 
-def _episodes_by_source(
-    outcome: LevelOutcome, source: Array | None, is_counted: Array, num_counted: int
-) -> dict[str, Array]:
-    """Solved and finished episodes over the worlds of all devices, each once: [num_counted] int32."""
-    source = jnp.zeros(is_counted.shape, jnp.int32) if source is None else source
+def _episodes_by(group: Array, outcome: LevelOutcome, is_counted: Array, num_groups: int) -> dict[str, Array]:
+    """Solved and finished episodes by the group of a world, over all devices, each world once: [num_groups] int32."""
+    counts = {"solved": outcome.num_solved, "finished": outcome.num_finished}
+    return {name: _totals_by(group, jnp.where(is_counted, count, 0), num_groups) for name, count in counts.items()}
 
-    def total(count: Array) -> Array:
-        return jnp.zeros(num_counted, jnp.int32).at[source].add(jnp.where(is_counted, count, 0))
 
-    return jax.lax.psum({"solved": total(outcome.num_solved), "finished": total(outcome.num_finished)}, DATA_AXIS)
+def _totals_by(group: Array, count: Array, num_groups: int) -> Array:
+    """Over the worlds of all devices: [num_groups] int32."""
+    return jax.lax.psum(jnp.zeros(num_groups, jnp.int32).at[group].add(count), DATA_AXIS)

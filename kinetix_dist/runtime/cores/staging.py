@@ -37,8 +37,8 @@ class Staging:
     def __init__(self, config: TrainConfig, mesh: Mesh, division: Division) -> None:
         self._config = config
         self._mesh = mesh
+        self._division = division
         self._observes = config.curriculum_class.observes
-        self._rows = own_rows(mesh, division, config.num_trained_envs)  # numbers of the worlds in the places here
         self._coming: dict[int, _Coming] = {}
         self._ready: dict[int, tuple[Batch, Any]] = {}
 
@@ -46,14 +46,16 @@ class Staging:
         """Part `part` of batch `update`. Returns {copy: (bytes, seconds)}."""
         copies = Copies()
         coming = self._coming.setdefault(update, _Coming())
-        places, rows = self._here(part, num_parts)
+        worlds = self._config.schedule.at(update).config
+        own = self._own_rows(worlds)
+        places, rows = _here(own, worlds, part, num_parts)
         if places.size or self._observes:
             with copies.timed("store_get") as copied:
                 batch, seen = content.fetch()
                 copied += [batch, seen]
             if places.size:
                 with copies.timed("host_layout") as copied:
-                    copied += coming.put(batch, places, rows, len(self._rows))
+                    copied += coming.put(batch, places, rows, len(own))
             coming.seen[part] = seen
         coming.num_parts += 1
         if coming.num_parts == num_parts:
@@ -67,13 +69,9 @@ class Staging:
         """(batch on the devices, in the places of the division; what the curriculum observes, replicated, or None)."""
         return self._ready.pop(update)
 
-    def _here(self, part: int, num_parts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of a part: which of its worlds lie here, as (places of this process, rows of the part)."""
-        worlds_a_group = self._config.num_trained_envs // self._config.rollout.num_groups
-        groups = self._config.groups_of_part(part, num_parts)
-        first = groups.start * worlds_a_group
-        places = np.flatnonzero((self._rows >= first) & (self._rows < groups.stop * worlds_a_group))
-        return places, self._rows[places] - first
+    def _own_rows(self, config: TrainConfig) -> np.ndarray:
+        """Numbers of the worlds in the places of this process."""
+        return own_rows(self._mesh, self._division, config.num_trained_envs)
 
     def _in_order(self, coming: _Coming) -> tuple[Batch, Any]:
         """As numpy."""
@@ -89,6 +87,15 @@ class Staging:
             shard_worlds(last_value, self._mesh),
         )
         return jax.block_until_ready((placed, replicate(seen, self._mesh)))
+
+
+def _here(own: np.ndarray, config: TrainConfig, part: int, num_parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of a part: which of its worlds are among `own`, as (places there, rows of the part)."""
+    worlds_a_group = config.num_trained_envs // config.rollout.num_groups
+    groups = config.groups_of_part(part, num_parts)
+    first = groups.start * worlds_a_group
+    places = np.flatnonzero((own >= first) & (own < groups.stop * worlds_a_group))
+    return places, own[places] - first
 
 
 class _Coming:

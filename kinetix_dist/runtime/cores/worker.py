@@ -12,15 +12,15 @@ from jax.sharding import Mesh
 
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values
-from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.copies import Copies
-from kinetix_dist.runtime.cores.curriculum_state import CurriculumState, make_curriculum
+from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
-from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.memory import check_memory
-from kinetix_dist.runtime.cores.rollout_core import EPISODES, RolloutCore
+from kinetix_dist.runtime.cores.playing import Playing
+from kinetix_dist.runtime.cores.rollout_core import EPISODES
 from kinetix_dist.runtime.cores.staging import Staging, Stored
 from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
@@ -31,14 +31,15 @@ class LearnerWorker:
     """Parameters, optimiser, evaluation; learns from batches that others played."""
 
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
-        check_memory(config, mesh.devices.size)
+        for phase in config.schedule.phases:
+            check_memory(phase.config, mesh.devices.size)
         self._config = config
         self._mesh = mesh
-        self._env = make_environment(config)
-        self._policy = make_policy(config.policy, self._env.action_distribution.head_sizes)
-        self._learner = LearnerCore(config, self._env, self._policy, mesh)
-        self._evaluator = Evaluator(config, self._env, self._policy)
-        self._curriculum = make_curriculum(config, self._env, self._policy, mesh)
+        self._playing = Playing(config, mesh, division=Division(config.num_blocks, mesh.devices.size))
+        env, policy = self._playing.environment(config), self._playing.policy
+        self._learner = LearnerCore(config, env, policy, mesh)
+        self._evaluator = Evaluator(config, env, policy)
+        self._curriculum = self._playing.curriculum(config)
         self._state = CurriculumState(self._curriculum, mesh)
         self._staging = Staging(config, mesh, self._learner.division)
 
@@ -63,6 +64,10 @@ class LearnerWorker:
         """As numpy: levels of the buffer in use, which the next refresh plays again; None where there is no buffer."""
         return self._curriculum.probe(self._state.values, num_levels)
 
+    def refresh_input(self) -> Any:
+        """As numpy: what the next refresh works from, see `Curriculum.refresh_input`."""
+        return jax.device_get(self._curriculum.refresh_input(self._state.values))
+
     def state_from(self, arrays: Mapping[str, np.ndarray]) -> Any:
         """A state of the curriculum from arrays of a checkpoint; not the one in use."""
         return self._state.restored(arrays)
@@ -81,6 +86,7 @@ class LearnerWorker:
         (stamp, new weights). stamp: "metrics", "seconds" and "copies". Weights come from the first process alone.
         """
         began = time.monotonic()
+        self._enter_phase_of(num_updates)
         batch, seen = self._staging.take(num_updates)
         metrics = self._learner.learn(*batch)
         if seen is not None:
@@ -111,6 +117,15 @@ class LearnerWorker:
         devices = {"platform": device.platform, "kind": device.device_kind, "count": int(self._mesh.devices.size)}
         return {"device": devices, "compile_seconds": round(compile_seconds(), 1)}
 
+    def _enter_phase_of(self, num_updates: int) -> TrainConfig:
+        """Before update `num_updates`: makes what its phase changes, if that is another one. Returns its config."""
+        config = self._config.schedule.at(num_updates).config
+        self._learner.set_ppo(config.ppo)
+        if (curriculum := self._playing.curriculum(config)) is not self._curriculum:
+            self._curriculum = curriculum
+            self._state.set_curriculum(curriculum)
+        return config
+
     def _metrics(
         self, num_updates: int, sums: Mapping[str, Any], learner_metrics: Mapping[str, Any]
     ) -> dict[str, float]:
@@ -121,22 +136,16 @@ class LearnerWorker:
 class Worker(LearnerWorker):
     """Worlds on the devices of a learner shard: batches never leave them."""
 
-    def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
-        super().__init__(config, mesh)
-        groups, division = range(config.rollout.num_groups), self._learner.division
-        self._rollout = RolloutCore(
-            config, self._env, self._policy, self._curriculum, mesh, groups=groups, division=division
-        )
-
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         """(metrics, seconds of "rollout" and "learn", episodes by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()
-        batch, seen, sums = self._rollout.play(self._learner.params, self._state.placed, num_updates)
+        rollout = self._playing.rollout(self._enter_phase_of(num_updates))
+        batch, seen, sums = rollout.play(self._learner.params, self._state.placed, num_updates)
         sums = local_values(sums)  # waits for the rollout
         played = time.monotonic()
         learner_metrics = local_values(self._learner.learn(*batch))
         if seen is not None:
-            self._state.observe(*seen, division=self._rollout.division)
+            self._state.observe(*seen, division=rollout.division)
             jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)

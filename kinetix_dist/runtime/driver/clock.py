@@ -63,6 +63,13 @@ class RoleClock:
         self._lap = dict.fromkeys(ROLES, 0.0)
 
 
+def is_over(run: RunConfig, *, env_steps: int, training_seconds: float) -> bool:
+    """Whether a run has come to its configured end."""
+    if run.total_env_steps and env_steps >= run.total_env_steps:
+        return True
+    return bool(run.max_seconds) and training_seconds >= run.max_seconds
+
+
 def seconds_left(run: RunConfig, *, env_steps: int, training_seconds: float) -> float:
     """Until the end of training, at the speed so far. env_steps, training_seconds: since the start of the run."""
     ends = []

@@ -55,6 +55,9 @@ class ColocatedTrainer:
     def probe(self, num_levels: int) -> Ticket:
         return self._handles[0].call("probe", num_levels)
 
+    def refresh_input(self) -> Ticket:
+        return self._handles[0].call("refresh_input")
+
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         answers = self._all("run_update", num_updates)
         metrics, _, episodes = answers[0]

@@ -28,12 +28,12 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
-from kinetix_dist.runtime.driver.clock import RoleClock, seconds_left
+from kinetix_dist.runtime.driver.clock import RoleClock, is_over, seconds_left
 from kinetix_dist.runtime.driver.evaluations import (
     Evaluated,
     Evaluations,
@@ -50,7 +50,7 @@ from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY, RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.saving import Saver
 from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
-from kinetix_dist.runtime.driver.starting import starting_arrays
+from kinetix_dist.runtime.driver.starting import LINEAGE, starting_point
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.losses import Loss, Losses
@@ -88,6 +88,8 @@ class Controller:
         self.stop = stop or StopSignals()
         self.num_updates = 0
         self.seconds_before = 0.0  # training time of earlier sessions
+        self._warmup_before = 0.0  # s of it, see `warmup_seconds`
+        self._warmup: float | None = None  # s of this session; None: its first update is not done
         self.training_seconds_at_end = 0.0
         self.backend = trainer.backend
         self._on_rollouts = on_rollouts
@@ -107,9 +109,9 @@ class Controller:
         self._update_seconds = 0.0  # of the last update
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
         self._topology: dict[str, Any] = {}
-        self._skipped = SkippedUpdates(
-            steps_per_update=config.ppo.epochs * config.ppo.minibatches, limit=config.run.max_skipped_updates
-        )
+        self._lineage: Sequence[Mapping[str, Any]] = ()
+        self._skipped = SkippedUpdates(limit=config.run.max_skipped_updates)
+        self._schedule = config.schedule
 
     def restore(self, *, resume: bool) -> None:
         """Starts the trainer: from the newest good checkpoint if the run goes on, else afresh.
@@ -121,6 +123,7 @@ class Controller:
         checkpoint = newest_checkpoint(self.run, self.config, self.reporter) if resume else None
         if checkpoint is not None:
             self.seconds_before = checkpoint.description["training_seconds"]
+            self._warmup_before = checkpoint.description.get("warmup_seconds", 0.0)  # earlier versions did not count it
         try:
             with self._section("start"):
                 self._start_from(checkpoint)
@@ -160,11 +163,21 @@ class Controller:
 
     @property
     def env_steps(self) -> int:
-        return self.num_updates * self.config.rollout.steps_per_update
+        return self._schedule.env_steps(self.num_updates)
 
     @property
     def training_seconds(self) -> float:
         return self.seconds_before + self.clock.elapsed
+
+    @property
+    def warmup_seconds(self) -> float:
+        """Of the training time: until the first update of each session was done, for which programs are compiled."""
+        return self._warmup_before + (self.clock.elapsed if self._warmup is None else self._warmup)
+
+    @property
+    def lineage(self) -> list[Mapping[str, Any]]:
+        """Checkpoints that the run comes from, the oldest first."""
+        return list(self._lineage)
 
     @property
     def physics(self) -> dict[str, int]:
@@ -219,6 +232,7 @@ class Controller:
 
     def _one_update(self) -> None:
         self._losses.update = self.num_updates
+        self._begin_phase()
         self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
         began = time.monotonic()
         with self._section("update"):
@@ -228,13 +242,17 @@ class Controller:
         buffer = self._refreshes.buffer_of(self.num_updates)
         self._data.played(self.num_updates + 1, episodes, num_finished=metrics["train/episodes"], buffer=buffer)
         self.num_updates += 1
+        if self._warmup is None:
+            self._warmup = self.clock.elapsed
         self._losses.update = self.num_updates
         self._note_recovery()
         self.reporter.phase("training")
         if self.stop.requested is not None:
             self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
             return
-        for evaluated in self._evaluations.after_update(self.num_updates, self.clock, is_last=self._is_over()):
+        seconds = self.training_seconds - self.warmup_seconds
+        told = self._evaluations.after_update(self.num_updates, seconds, self.clock, is_last=self._is_over())
+        for evaluated in told:
             metrics |= evaluation_metrics(evaluated.rates, evaluated.update)
             self._tell_of(evaluated)
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
@@ -242,6 +260,23 @@ class Controller:
         is_well = self._skipped.in_a_row == 0
         if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._save()
+
+    def _begin_phase(self) -> None:
+        """Where this update, or the batch that is played meanwhile, is the first of a phase: programs are compiled."""
+        ahead = self._schedule.at(self.num_updates + self.trainer.policy_lag)
+        if ahead.number and self.num_updates + self.trainer.policy_lag == ahead.first_update:
+            self.backend.sections.forget()
+        phase = self._schedule.at(self.num_updates)
+        if not phase.number or self.num_updates != phase.first_update:
+            return
+        self.backend.sections.forget()
+        about = {"phase": phase.number, "update": self.num_updates, "env_steps": self.env_steps}
+        self.run.event("phase_began", **about, changed=phase.changed)
+        changes = ", ".join(f"{name} {value}" for name, value in phase.changed.items())
+        self.reporter.note(
+            f"phase {phase.number} begins after {self.num_updates} updates, {self.env_steps:,} env steps: {changes}; "
+            "what it changes is compiled now (runtime/compile_seconds)"
+        )
 
     def _tell_of(self, evaluated: Evaluated) -> None:
         update, rates = evaluated.update, evaluated.rates
@@ -251,13 +286,18 @@ class Controller:
 
     def _report(self, metrics: dict[str, float]) -> None:
         self._saver.collect()
-        self._watch_skipped(metrics["learner/skipped_steps"])
+        phase = self._schedule.at(self.num_updates - 1)
+        num_steps = phase.config.ppo.epochs * phase.config.ppo.minibatches
+        self._watch_skipped(metrics["learner/skipped_steps"], num_steps=num_steps)
         span, shares = self.clock.lap()
+        steps_per_update = phase.config.rollout.steps_per_update
         metrics = metrics | {
             "progress/updates": self.num_updates,
             "progress/env_steps": self.env_steps,
             "progress/seconds": self.training_seconds,
-            "progress/env_steps_per_second": self.config.rollout.steps_per_update / max(span, 1e-9),
+            "progress/warmup_seconds": self.warmup_seconds,
+            **({"progress/phase": float(phase.number)} if self.config.phases else {}),
+            "progress/env_steps_per_second": steps_per_update / max(span, 1e-9),
             "runtime/dropped_steps": self.trainer.dropped_steps,
             **self._losses.metrics(),
             **self._refreshes.metrics(),
@@ -271,15 +311,15 @@ class Controller:
         left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
         self._data.processes(self.num_updates, self.backend.processes())
         self.reporter.metrics(self.num_updates, metrics, left)
-        physics_steps = self.config.rollout.steps_per_update * self.config.env.frame_skip
+        physics_steps = steps_per_update * self.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):
             self.run.event("physics_warning", counter=kind, count=count, update=self.num_updates)
             self.reporter.note(warning)
 
-    def _watch_skipped(self, skipped_steps: float) -> None:
-        if self._skipped.is_new_kind(skipped_steps):
+    def _watch_skipped(self, skipped_steps: float, *, num_steps: int) -> None:
+        if self._skipped.is_new_kind(skipped_steps, num_steps=num_steps):
             self.run.event("steps_skipped", update=self.num_updates, steps=int(skipped_steps))
-        if self._skipped.add(skipped_steps):
+        if self._skipped.add(skipped_steps, num_steps=num_steps):
             self.run.event("update_skipped", update=self.num_updates, in_a_row=self._skipped.in_a_row)
             if self._skipped.in_a_row == 1:
                 self.reporter.note(f"update {self.num_updates} was skipped: no gradient was finite")
@@ -296,10 +336,7 @@ class Controller:
         self.reporter.note(f"the updates before {left_at} were skipped: back to the checkpoint of {self.num_updates}")
 
     def _is_over(self) -> bool:
-        run = self.config.run
-        if run.total_env_steps and self.env_steps >= run.total_env_steps:
-            return True
-        return bool(run.max_seconds) and self.training_seconds >= run.max_seconds
+        return is_over(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
 
     # Checkpoints and recovery
 
@@ -314,11 +351,13 @@ class Controller:
                 "config_hash": self.config.hash,
                 "env_steps": self.env_steps,
                 "training_seconds": self.training_seconds,
+                "warmup_seconds": self.warmup_seconds,
                 **self._refreshes.description(),
                 **self._evaluations.description(),
                 **self._data.description(),
                 "versions": versions(),
                 "topology": self._topology,
+                LINEAGE: self._lineage,
             }
             self._saver.save(self.num_updates, arrays, description)
 
@@ -364,7 +403,9 @@ class Controller:
     def _start_from(self, checkpoint: Checkpoint | None) -> None:
         if checkpoint is None:
             self.num_updates = 0
-            self.trainer.start(0, starting_arrays(self.config))
+            start = starting_point(self.config)
+            self._lineage = start.lineage
+            self.trainer.start(0, start.arrays)
             self._topology = self.trainer.topology()
             self._data.start({}, {}, num_updates=0)
             self._refreshes.start({}, {})
@@ -372,6 +413,7 @@ class Controller:
             return
         description = checkpoint.description
         self.num_updates = self._saver.saved_at = description["num_updates"]
+        self._lineage = description.get(LINEAGE, ())
         self.trainer.start(self.num_updates, checkpoint.arrays)
         self._topology = self.trainer.topology()
         differs = what_differs(description, self._topology)

@@ -38,12 +38,15 @@ class CuratorClient:
         ]
         self.cancel()
 
-    def request(self, weights: Any, policy_version: int, probe: Any) -> None:
-        stored = weights if hasattr(weights, "fetch") else self._backend.put(weights)
+    def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
+        stored, given = self._stored(weights), None if given is None else self._stored(given)
         for process in self.processes:
             # The last one has no more batches to score than the others.
-            process.request(stored, policy_version, probe if process is self.processes[-1] else None)
+            process.request(stored, policy_version, probe if process is self.processes[-1] else None, given)
         self._missing, self._parts = set(self.processes), {}
+
+    def _stored(self, content: Any) -> Ticket:
+        return content if hasattr(content, "fetch") else self._backend.put(content)
 
     def watch(self) -> None:
         for process in self.processes:

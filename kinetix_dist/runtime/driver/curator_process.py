@@ -26,15 +26,15 @@ class CuratorProcess(ProcessBeside):
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan, *, part: int, num_parts: int) -> None:
         super().__init__(config, backend, plan)
         self._part, self._num_parts = part, num_parts
-        # Of the refresh that is wanted: weights, version, levels to play again or None.
-        self._asked: tuple[Ticket, int, Any] | None = None
+        # Of the refresh that is wanted: weights, version, levels to play again or None, what it works from or None.
+        self._asked: tuple[Ticket, int, Any, Any] | None = None
         self._is_wanted = False  # whether what the process is at is the refresh that is wanted
         self.is_late = False  # it was lost or waited for in vain, and has not answered since
 
-    def request(self, weights: Ticket, policy_version: int, probe: Any) -> None:
+    def request(self, weights: Ticket, policy_version: int, probe: Any, given: Any) -> None:
         """Starts a refresh; does not wait where there is a process to do it."""
         self.cancel()
-        self._asked = (weights, policy_version, probe)
+        self._asked = (weights, policy_version, probe, given)
         if self._call is None:
             self._ask()
         else:
@@ -102,9 +102,9 @@ class CuratorProcess(ProcessBeside):
 
     def _ask(self) -> None:
         assert self._asked is not None
-        weights, policy_version, probe = self._asked
+        weights, policy_version, probe, given = self._asked
         part = (self._part, self._num_parts)
-        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version, *part, probe)
+        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version, *part, probe, given)
         self._is_wanted = True
 
     def _replace(self, error: WorkerLostError) -> None:
@@ -118,9 +118,10 @@ class CuratorProcess(ProcessBeside):
         self.stop()
         if self._asked is None:  # the next request starts it
             return
-        weights, policy_version, probe = self._asked
-        put, again = self._backend.put, resolve(probe)
+        weights, policy_version, *others = self._asked
+        put, again = self._backend.put, [resolve(other) for other in others]
         # Their first copies may be gone.
-        self._asked = put(resolve(weights)), policy_version, None if again is None else put(again)
+        probe, given = (None if other is None else put(other) for other in again)
+        self._asked = put(resolve(weights)), policy_version, probe, given
         self._backend.sections.begin_again()
         self._ask()

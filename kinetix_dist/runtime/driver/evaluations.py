@@ -32,6 +32,7 @@ MAX_WAITING = 4
 POLL_S = 0.02
 EVALUATING = "evaluating"  # arrays of a checkpoint: weights of what was asked for
 EVALUATE, RECORD = "evaluate", "record"
+LOOKED_UNTIL = "evaluations_looked_until"  # in a checkpoint: s of training after its warm-up, see `Due`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,24 +67,28 @@ class Evaluations(ProcessBeside):
         self._trainer = trainer
         self._on_event = on_event
         self._on_rollouts = on_rollouts
+        self._due = Due(config)
         self._jobs: list[_Job] = []  # the first one is what the process is at
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """As a checkpoint has it; afresh where both are empty."""
         self._call = None  # what the process is at is not waited for any more
+        self._due.start(description)
         asked = description.get("evaluations_in_flight", [])
         weights = [nested(select_arrays(arrays, f"{EVALUATING}/{index}")) for index in range(len(asked))]
         put = self._backend.put
         self._jobs = [_Job(kind, update, put(tree)) for (kind, update), tree in zip(asked, weights, strict=True)]
 
-    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> list[Evaluated]:
-        """Asks for what is due. One evaluation that has come since, if any; after the last update waits for all."""
+    def after_update(self, num_updates: int, seconds: float, clock: RoleClock, *, is_last: bool) -> list[Evaluated]:
+        """Asks for what is due. One evaluation that has come since, if any; after the last update waits for all.
+
+        seconds: of training after its warm-up."""
         with self._backend.sections.section("evaluate"), clock.role("evaluate"):
-            self._ask_for_due(num_updates)
+            self._ask_for_due(num_updates, seconds)
             return self._collected(must_wait=is_last)
 
-    def _ask_for_due(self, num_updates: int) -> None:
-        due = due_after(self._config, num_updates)
+    def _ask_for_due(self, num_updates: int, seconds: float) -> None:
+        due = self._due.after(num_updates, seconds)
         if not due:
             return
         weights = self._backend.put(resolve(self._trainer.weights()))  # a copy of its own: the trainer may be lost
@@ -108,7 +113,7 @@ class Evaluations(ProcessBeside):
 
     def description(self) -> dict[str, Any]:
         """For a checkpoint."""
-        return {"evaluations_in_flight": [[job.kind, job.update] for job in self._jobs]}
+        return {"evaluations_in_flight": [[job.kind, job.update] for job in self._jobs], **self._due.description()}
 
     def in_flight(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
@@ -158,35 +163,59 @@ class EvaluationsHere:
         evaluate: Callable[..., Mapping[str, Mapping[str, Any]]],
         record: Callable[[int], None],
     ) -> None:
-        self._config = config
+        self._num_rollouts = config.recording.num_rollouts
         self._evaluate = evaluate
         self._record = record
+        self._due = Due(config)
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Nothing is ever in flight."""
+        del arrays
+        self._due.start(description)
 
-    def after_update(self, num_updates: int, clock: RoleClock, *, is_last: bool) -> list[Evaluated]:
+    def after_update(self, num_updates: int, seconds: float, clock: RoleClock, *, is_last: bool) -> list[Evaluated]:
         del clock, is_last
-        due, evaluated = due_after(self._config, num_updates), []
+        due, evaluated = self._due.after(num_updates, seconds), []
         if EVALUATE in due:
             began = time.monotonic()
             rates = self._evaluate(use_policy=True)
             evaluated.append(Evaluated(update=num_updates, rates=rates, seconds=time.monotonic() - began))
         if RECORD in due:
-            self._record(self._config.recording.num_rollouts)
+            self._record(self._num_rollouts)
         return evaluated
 
     def description(self) -> dict[str, Any]:
-        return {}
+        return self._due.description()
 
     def in_flight(self) -> dict[str, np.ndarray]:
         return {}
 
 
-def due_after(config: TrainConfig, num_updates: int) -> list[str]:
-    """What of EVALUATE and RECORD is due after so many updates."""
-    every = {EVALUATE: config.evaluation.every, RECORD: config.recording.every}
-    return [kind for kind in every if every[kind] and num_updates % every[kind] == 0]
+class Due:
+    """What of EVALUATE and RECORD is due after an update. What was due by time at an update that was saved without
+    looking, since the run was stopped in it, is due at the next."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        self._every = {EVALUATE: config.evaluation.every, RECORD: config.recording.every}
+        self._every_seconds = config.evaluation.every_seconds
+        self._seconds: float | None = None  # up to where it was looked
+
+    def start(self, description: Mapping[str, Any]) -> None:
+        """As a checkpoint has it; afresh where it has nothing."""
+        self._seconds = description.get(LOOKED_UNTIL)
+
+    def description(self) -> dict[str, Any]:
+        """For a checkpoint."""
+        return {LOOKED_UNTIL: self._seconds}
+
+    def after(self, num_updates: int, seconds: float) -> list[str]:
+        """Of so many updates; seconds: of training after its warm-up. Evaluations by time are due at the first update
+        at or after each multiple of every_seconds."""
+        due = [kind for kind, every in self._every.items() if every and num_updates % every == 0]
+        every, before, self._seconds = self._every_seconds, self._seconds, seconds
+        if every and before is not None and seconds // every > before // every:
+            due.insert(0, EVALUATE)
+        return due
 
 
 def evaluation_metrics(rates: Mapping[str, Mapping[str, Any]], num_updates: int) -> dict[str, float]:

@@ -22,7 +22,8 @@ from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import StopSignals
 from kinetix_dist.runtime.driver.weight_sync import nested, resolve
 
-PENDING = "pending"  # arrays of a checkpoint: weights of the refresh that was in flight
+# Arrays of a checkpoint: weights of the refresh that was in flight, and what it works from beside them.
+PENDING, PENDING_INPUT = "pending", "pending_input"
 # s that a curator at work may be silent, since its process can be short of a core; or an update, where that is longer
 MIN_PATIENCE_S = 3.0
 
@@ -43,6 +44,7 @@ class Refreshes:
         data: RunData,
     ) -> None:
         self._config = config.curriculum
+        self._has_input = config.curriculum_class.refreshes_from_state
         self._num_probed = config.curriculum_log.probe_levels
         self._data = data
         self._run = run
@@ -53,7 +55,8 @@ class Refreshes:
         self._stop = stop
         self._section = trainer.backend.sections.section
         self._adoptions = Adoptions(run)
-        self._pending: tuple[int, Any] | None = None  # refresh in flight: policy version, weights
+        # Refresh in flight: policy version, weights, what it works from or None.
+        self._pending: tuple[int, Any, Any] | None = None
         self._is_stale = False
         self._scoring_seconds: float | None = None  # of the buffer in use
 
@@ -64,7 +67,8 @@ class Refreshes:
         self._scoring_seconds = description.get("scoring_seconds")
         version = description.get("refresh_in_flight")
         if version is not None and self._curator is not None:
-            self._request(version, nested(select_arrays(arrays, PENDING)))
+            given = nested(select_arrays(arrays, PENDING_INPUT))
+            self._request(version, nested(select_arrays(arrays, PENDING)), given or None)
 
     def cancel(self) -> None:
         """All processes of the trainer are started again."""
@@ -79,7 +83,8 @@ class Refreshes:
         self._adopt_if_due(num_updates, update_seconds)
         if self._config.is_refresh_due(num_updates):
             self._give_up_late(num_updates)
-            self._request(num_updates, self._trainer.weights())
+            given = self._trainer.refresh_input() if self._has_input and num_updates else None
+            self._request(num_updates, self._trainer.weights(), given)
             self._adopt_if_due(num_updates, update_seconds)
 
     def end(self, num_updates: int) -> None:
@@ -102,7 +107,8 @@ class Refreshes:
         """Arrays of a checkpoint."""
         if self._pending is None or self._curator is None:
             return {}
-        return flatten_arrays({PENDING: resolve(self._pending[1])})
+        _, weights, given = self._pending
+        return flatten_arrays({PENDING: resolve(weights), PENDING_INPUT: resolve(given)})
 
     def buffer_of(self, batch: int) -> int | None:
         """Policy version of the buffer that the levels of a batch were drawn from; None where there is no such."""
@@ -116,13 +122,13 @@ class Refreshes:
             metrics["curriculum/scoring_seconds"] = self._scoring_seconds
         return metrics
 
-    def _request(self, policy_version: int, weights: Any) -> None:
+    def _request(self, policy_version: int, weights: Any, given: Any) -> None:
         assert self._curator is not None
-        self._pending = (policy_version, weights)
+        self._pending = (policy_version, weights, given)
         with self._clock.role("curate"):
             # Of the buffer that is in use now: what this refresh replaces.
             probe = self._trainer.probe(self._num_probed) if policy_version and self._num_probed else None
-            self._curator.request(weights, policy_version, probe)
+            self._curator.request(weights, policy_version, probe, given)
 
     def _adopt_if_due(self, num_updates: int, update_seconds: float) -> None:
         if self._pending is None:

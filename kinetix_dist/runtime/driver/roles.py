@@ -38,6 +38,9 @@ class Trainer(Protocol):
     def probe(self, num_levels: int) -> Any:
         """Levels of the buffer in use, or a reference to them, for `Curator.request`."""
 
+    def refresh_input(self) -> Any:
+        """What a refresh works from beside the policy, or a reference to it, for `Curator.request`."""
+
     def check(self) -> None:
         """Raises WorkerLostError where one of its processes is lost while nothing is asked of it. Does not wait."""
 
@@ -71,8 +74,9 @@ class Refresh:
 class Curator(Protocol):
     """Whatever refreshes the curriculum: one process or several, each with a part of it."""
 
-    def request(self, weights: Any, policy_version: int, probe: Any) -> None:
-        """Starts a refresh; does not wait where there is a process to do it. probe: of `Trainer.probe`, or None."""
+    def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
+        """Starts a refresh; does not wait where there is a process to do it. probe, given: of `Trainer.probe` and
+        `Trainer.refresh_input`, or None."""
 
     def watch(self) -> None:
         """Replaces processes that died, without waiting; their parts are asked for again."""

@@ -131,7 +131,7 @@ class RunData:
             "format": FORMAT,
             "phase": phase,
             "update": update,
-            "env_steps": update * self._config.rollout.steps_per_update,
+            "env_steps": self._config.schedule.env_steps(update),
             "reported_at": reported_at,
             "sets": {name: rate["levels"] for name, rate in rates.items()},
         }

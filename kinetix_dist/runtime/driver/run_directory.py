@@ -41,6 +41,7 @@ from kinetix_dist.telemetry.utc import utc_text
 
 EVALUATIONS = "evaluations.jsonl"  # evaluations.json has the summaries of three of them
 PROCESSES = "processes.jsonl"
+LOCK_NAME = "lock"
 
 
 class RunDirectoryError(Exception):
@@ -126,7 +127,7 @@ class RunDirectory:
         """Locks a run directory to go on with it."""
         if not (path / "config.json").is_file():
             raise RunDirectoryError(f"{path} holds no run (no config.json); start one without --resume")
-        run = cls(path, _lock(path))
+        run = cls(path, lock_directory(path))
         try:
             aside = set_aside_unless_readable(run.events)
             num_damaged = mend_lines(run.events, is_row=lambda row: "event" in row, keep=lambda row: True)
@@ -148,7 +149,7 @@ class RunDirectory:
         except OSError as error:
             raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
         try:
-            run = cls(path, _lock(path))
+            run = cls(path, lock_directory(path))
         except RunInUseError:
             if first_choice:
                 raise
@@ -228,10 +229,11 @@ def newest_run(parent: Path, name: str) -> Path | None:
     return numbered[max(numbered)] if numbered else None
 
 
-def _lock(path: Path) -> IO[str]:
-    """An exclusive flock on `path/lock`; it goes with the process, however that ends."""
+def lock_directory(path: Path, option: str = "--run") -> IO[str]:
+    """An exclusive flock on a file in `path`; it goes with the process, however that ends. option: that names another
+    directory. Raises RunDirectoryError."""
     try:
-        file = (path / "lock").open("a+")
+        file = (path / LOCK_NAME).open("a+")
     except OSError as error:
         raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
     try:
@@ -242,7 +244,7 @@ def _lock(path: Path) -> IO[str]:
         file.close()
         if error.errno in (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES):
             raise RunInUseError(
-                f"run directory {path} is in use by process {holder}; wait for it, or choose another --run"
+                f"run directory {path} is in use by process {holder}; wait for it, or choose another {option}"
             ) from None
         raise RunDirectoryError(f"cannot lock run directory {path}: {error.strerror}") from error
     file.truncate(0)

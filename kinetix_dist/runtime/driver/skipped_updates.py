@@ -23,7 +23,6 @@ class NotFiniteError(Exception):
 class SkippedUpdates:
     """Counts over a session."""
 
-    steps_per_update: int  # gradient steps
     limit: int  # M
     num_seen: int = 0
     num_skipped: int = 0
@@ -31,17 +30,17 @@ class SkippedUpdates:
     had_partly_skipped: bool = False
     _gone_back_for: int | None = None  # the first update of the last row that was gone back for
 
-    def add(self, skipped_steps: float) -> bool:
-        """Takes `learner/skipped_steps` of an update; whether all of it was skipped."""
+    def add(self, skipped_steps: float, *, num_steps: int) -> bool:
+        """Takes `learner/skipped_steps` of an update of so many gradient steps; whether all of it was skipped."""
         self.num_seen += 1
-        is_skipped = skipped_steps >= self.steps_per_update
+        is_skipped = skipped_steps >= num_steps
         self.num_skipped += is_skipped
         self.in_a_row = self.in_a_row + 1 if is_skipped else 0
         return is_skipped
 
-    def is_new_kind(self, skipped_steps: float) -> bool:
+    def is_new_kind(self, skipped_steps: float, *, num_steps: int) -> bool:
         """Whether a part of an update was skipped for the first time."""
-        is_new = 0 < skipped_steps < self.steps_per_update and not self.had_partly_skipped
+        is_new = 0 < skipped_steps < num_steps and not self.had_partly_skipped
         self.had_partly_skipped |= is_new
         return is_new
 

@@ -60,6 +60,7 @@ class SplitTrainer:
     ) -> None:
         """`on_event(kind, **details)` hears of rollout actors that are slower than the others."""
         self._config = config
+        self._schedule = config.schedule
         self.backend = backend
         self._on_event = on_event
         self.place(placement)
@@ -107,6 +108,9 @@ class SplitTrainer:
 
     def probe(self, num_levels: int) -> Ticket:
         return self._learners[0].call("probe", num_levels)
+
+    def refresh_input(self) -> Ticket:
+        return self._learners[0].call("refresh_input")
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         began = time.monotonic()
@@ -189,7 +193,7 @@ class SplitTrainer:
     def _reset(self) -> None:
         if hasattr(self, "_work"):
             # What was being played, or waited for the learners, when these were lost: it is played again.
-            self._work.drop(self._config.rollout.steps_per_update * len(self._orders))
+            self._work.drop(sum(self._schedule.at(update).config.rollout.steps_per_update for update in self._orders))
             self._dropped_before += self._work.dropped_steps
         self._work = WorkBuffer(num_parts=len(self._rollout_plans), lag=self.policy_lag)
         self._weights = WeightStore(keep_last=2)
@@ -288,8 +292,9 @@ class SplitTrainer:
             self._losses.setdefault(part, []).append(self.backend.losses.lost(error))
         again = sorted((update, part) for update, part in self._in_flight if part in lost)
         num_parts = len(self._rollout_plans)
-        for _, part in again:
-            self._work.drop(len(self._config.groups_of_part(part, num_parts)) * self._config.rollout.steps_per_group)
+        for update, part in again:
+            steps_per_group = self._schedule.at(update).config.rollout.steps_per_group
+            self._work.drop(len(self._config.groups_of_part(part, num_parts)) * steps_per_group)
         self.backend.kill([self._actors[part] for part in lost])
         plans = [self._rollout_plans[part] for part in lost]
         started = self.backend.spawn(plans, build_rollout, self._config, num_parts)

@@ -1,30 +1,52 @@
-"""What a new run starts from: its seed, or the parameters of a policy that exists (`run.start_from`).
+"""What a new run starts from: its seed, or a policy that exists (`run.start_from`, `train --from`).
 
-Optimiser, counters, curriculum and random streams are those of a new run.
+Parameters are taken, and the state of the optimiser where that is asked for; counters, curriculum and random streams
+are those of a new run. Where it came from stays with it: every checkpoint of the run describes its lineage.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from kinetix_dist.checkpoint import CheckpointError, flatten_arrays, load_checkpoint
-from kinetix_dist.config import TrainConfig
+from kinetix_dist.checkpoint import Checkpoint, CheckpointError, flatten_arrays, load_checkpoint, select_arrays
+from kinetix_dist.config import TrainConfig, from_dict_for_playing
+from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.evaluation.load_policy import load_policy
-from kinetix_dist.runtime.cores.stored import START, one_level
+from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX, load_policy
+from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START, one_level
+
+LINEAGE = "lineage"  # in the description of a checkpoint: where it comes from, the oldest first
+# Of a checkpoint's description, what its children keep of it.
+_KEPT = ("config_hash", "num_updates", "env_steps", "training_seconds")
 
 
-def starting_arrays(config: TrainConfig) -> dict[str, np.ndarray] | None:
-    """What `Trainer.start` takes at update 0; None: all from the seed.
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """What a new run takes of an earlier one."""
 
-    Raises CheckpointError where there is no such checkpoint, or, naming an array, one of another network.
-    """
+    arrays: dict[str, np.ndarray] | None = None  # for `Trainer.start` at update 0; None: all from the seed
+    lineage: tuple[Mapping[str, Any], ...] = ()
+
+
+def starting_point(config: TrainConfig) -> Start:
+    """Raises CheckpointError, one line, where there is no such checkpoint, where it is of another network or of other
+    settings of the engine, or where it holds no optimiser and that is asked for."""
     if not config.run.start_from:
-        return None
+        return Start()
     checkpoint = load_checkpoint(Path(config.run.start_from))
+    if not config.run.start_other_engine:
+        _check_engine(checkpoint, config.env)
+    optimizer = select_arrays(checkpoint.arrays, f"{LEARNER}/{OPTIMIZER}")
+    if config.run.start_optimizer and not optimizer:
+        raise CheckpointError(
+            f"run.start_optimizer: {checkpoint.path} holds the parameters of a policy and no optimiser; name a "
+            "checkpoint of a run, or leave it out"
+        )
     env = Environment(dataclasses.replace(config.env, effect_groups=0))  # for shapes
     try:
         _, params = load_policy(checkpoint, config.policy, env, one_level(config))
@@ -33,4 +55,27 @@ def starting_arrays(config: TrainConfig) -> dict[str, np.ndarray] | None:
             f"run.start_from: {checkpoint.path} does not fit policy.*, env.observation and env.action_space of this "
             f"run: {error}"
         ) from error
-    return flatten_arrays({START: params})
+    arrays = flatten_arrays({PARAMS: params})
+    if config.run.start_optimizer:
+        # Moments belong to the parameters that learned, not to their average.
+        arrays = flatten_arrays({PARAMS: select_arrays(checkpoint.arrays, PARAMS_PREFIX), OPTIMIZER: optimizer})
+    return Start({f"{START}/{name}": array for name, array in arrays.items()}, lineage_from(checkpoint))
+
+
+def lineage_from(checkpoint: Checkpoint) -> tuple[Mapping[str, Any], ...]:
+    """Of what starts from this checkpoint: its own ancestors, then itself."""
+    description = checkpoint.description
+    itself = {"checkpoint": str(checkpoint.path), "recipe": description["config"]["run"]["name"]}
+    itself |= {name: description[name] for name in _KEPT if name in description}
+    return (*description.get(LINEAGE, ()), itself)
+
+
+def _check_engine(checkpoint: Checkpoint, env: EnvConfig) -> None:
+    theirs = from_dict_for_playing(checkpoint.description["config"]).env
+    ours = {"frame_skip": env.frame_skip} | dataclasses.asdict(env.physics)
+    learned = {"frame_skip": theirs.frame_skip} | dataclasses.asdict(theirs.physics)
+    if differs := [f"{name} {learned[name]} instead of {ours[name]}" for name in ours if ours[name] != learned[name]]:
+        raise CheckpointError(
+            f"run.start_from: {checkpoint.path} learned with other settings of the engine: {', '.join(differs)}; set "
+            "env.frame_skip and env.physics.* to these, or --run.start_other_engine True to learn anew with yours"
+        )

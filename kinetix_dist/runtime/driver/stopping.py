@@ -37,6 +37,17 @@ class StopFailedError(Exception):
     """The same, and its last update could not be saved."""
 
 
+@contextmanager
+def raised_through_extensions() -> Generator[None]:
+    """StopRequested where an extension, in which a handler raised it, gives an error of its own for it, as Ray's do."""
+    try:
+        yield
+    except SystemError as error:
+        if isinstance(error.__cause__, StopRequested):
+            raise StopRequested from error
+        raise
+
+
 class StopSignals:
     """Use it as a context in the main thread; elsewhere, and outside of the context, nothing is ever requested."""
 
@@ -89,7 +100,8 @@ class StopSignals:
         with self._deferring(False):
             if self.requested is not None:
                 raise StopRequested
-            yield
+            with raised_through_extensions():
+                yield
 
     @contextmanager
     def _deferring(self, is_deferred: bool) -> Generator[None]:

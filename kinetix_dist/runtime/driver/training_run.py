@@ -29,9 +29,17 @@ from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.run_status import STARTED
 from kinetix_dist.runtime.driver.skipped_updates import NotFiniteError
-from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
+from kinetix_dist.runtime.driver.starting import LINEAGE
+from kinetix_dist.runtime.driver.stopping import (
+    StopFailedError,
+    StoppedError,
+    StopRequested,
+    StopSignals,
+    raised_through_extensions,
+)
 from kinetix_dist.runtime.processes.backend import Backend
-from kinetix_dist.runtime.processes.failures import ProcessFailedError, TooManyLossesError
+from kinetix_dist.runtime.processes.failures import ProcessFailedError, RayFailedError, TooManyLossesError
+from kinetix_dist.runtime.processes.fork_server import ForkServer
 from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
 from kinetix_dist.runtime.processes.ray_access import use_token
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
@@ -52,8 +60,11 @@ def train(
     resume: bool,
     console: ConsoleSink | None = None,
     stop: StopSignals | None = None,
+    fork_server: ForkServer | None = None,
 ) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
+
+    fork_server: of `start_fork_server`, where that was called before.
 
     Raises PlacementError, PortTakenError, CheckpointError, ValueError for what cannot run, before anything is computed,
     RunFailedError where a process failed, and StoppedError where `stop` was asked for.
@@ -65,7 +76,7 @@ def train(
     about = {"pid": os.getpid(), "host": socket.gethostname(), "session": reporter.session}
     run.event(STARTED, **about, resume=resume, config_hash=config.hash)
     try:
-        report = _train(config, run, reporter, stop, resume=resume)
+        report = _train(config, run, reporter, stop, fork_server, resume=resume)
     except StoppedError as error:
         reporter.ended(STOPPED, one_line(error))
         raise
@@ -83,34 +94,21 @@ def train(
 
 
 def _train(
-    config: TrainConfig, run: RunDirectory, reporter: RunReporter, stop: StopSignals, *, resume: bool
+    config: TrainConfig,
+    run: RunDirectory,
+    reporter: RunReporter,
+    stop: StopSignals,
+    fork_server: ForkServer | None,
+    *,
+    resume: bool,
 ) -> dict[str, Any]:
-    began = time.monotonic()
-    recorder = Recorder(run)
     started: list[Callable[[], None]] = []  # what ends it, first to last
     try:
-        backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder)
-        stop.install()
-        started = [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
-        told = {"on_rollouts": recorder, "stop": stop}
-        controller = Controller(
-            config, run, trainer, curator, reporter, **told, evaluations=evaluations, resizing=resizing
-        )
-        started.insert(0, controller.close)
-        controller.restore(resume=resume)
-        _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
-        evaluations = _from_first_to_last_update(controller, run, reporter)
-        controller.clock.lap()
-        report = _report(config, controller, evaluations, controller.facts(), wall_seconds=time.monotonic() - began)
-        _write_or_fail(run, run.report_path, report)
-        # Last, since drawing needs libraries that nothing else of a run does.
-        if config.recording.num_rollouts and config.recording.make_pictures:
-            if failure := recorder.make_pictures():
-                reporter.note(failure)
-        reporter.phase("done")
-        return report
+        return _from_start_to_report(config, run, reporter, stop, fork_server, started, resume=resume)
     except (ProcessFailedError, TooManyLossesError) as error:
         raise _failed_run(run, error) from error
+    except RayFailedError as error:
+        raise RunFailedError(f"{error}; try again with --run {run.path} --resume") from error
     except NotFiniteError as error:
         raise RunFailedError(f"{error}; checkpoints before them are kept in {run.checkpoints}") from error
     except StopFailedError as error:
@@ -126,6 +124,40 @@ def _train(
         with stop.deferred():
             for end in started:
                 end()
+
+
+@raised_through_extensions()
+def _from_start_to_report(
+    config: TrainConfig,
+    run: RunDirectory,
+    reporter: RunReporter,
+    stop: StopSignals,
+    fork_server: ForkServer | None,
+    started: list[Callable[[], None]],
+    *,
+    resume: bool,
+) -> dict[str, Any]:
+    """The report. `started` gets what ends what was started, first to last."""
+    began = time.monotonic()
+    recorder = Recorder(run)
+    backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
+    stop.install()
+    started += [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
+    told = {"on_rollouts": recorder, "stop": stop}
+    controller = Controller(config, run, trainer, curator, reporter, **told, evaluations=evaluations, resizing=resizing)
+    started.insert(0, controller.close)
+    controller.restore(resume=resume)
+    _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
+    evaluations = _from_first_to_last_update(controller, run, reporter)
+    controller.clock.lap()
+    report = _report(config, controller, evaluations, controller.facts(), wall_seconds=time.monotonic() - began)
+    _write_or_fail(run, run.report_path, report)
+    # Last, since drawing needs libraries that nothing else of a run does.
+    if config.recording.num_rollouts and config.recording.make_pictures:
+        if failure := recorder.make_pictures():
+            reporter.note(failure)
+    reporter.phase("done")
+    return report
 
 
 def _from_first_to_last_update(controller: Controller, run: RunDirectory, reporter: RunReporter) -> dict[str, Any]:
@@ -187,6 +219,14 @@ def hold_to_cpu(config: TrainConfig) -> None:
         )
 
 
+def start_fork_server(config: TrainConfig) -> ForkServer | None:
+    """What the processes of a run are forked from, before the command itself has done all that it does until then: the
+    server imports meanwhile, on another core. None where there will be none."""
+    if config.run.placement == "local" or "RAY_ADDRESS" in os.environ or not ForkServer.can_run():
+        return None
+    return ForkServer(MODULES)
+
+
 def _failed_run(run: RunDirectory, error: ProcessFailedError | TooManyLossesError) -> RunFailedError:
     """One line for the console; the traceback of a process goes to a file that the line names."""
     where = ""
@@ -199,7 +239,11 @@ def _failed_run(run: RunDirectory, error: ProcessFailedError | TooManyLossesErro
 
 
 def _start_roles(
-    config: TrainConfig, run: RunDirectory, reporter: RunReporter, recorder: Recorder
+    config: TrainConfig,
+    run: RunDirectory,
+    reporter: RunReporter,
+    recorder: Recorder,
+    fork_server: ForkServer | None,
 ) -> tuple[Backend, Trainer, CuratorClient | None, Evaluations | None, Resizing | None]:
     hold_to_cpu(config)
     if config.run.placement == "local":
@@ -216,7 +260,9 @@ def _start_roles(
     from kinetix_dist.runtime.driver.resizing import Resizing
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
-    backend = RayBackend(heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event, modules=MODULES)
+    backend = RayBackend(
+        heartbeat_seconds=config.run.heartbeat_seconds, on_event=run.event, modules=MODULES, fork_server=fork_server
+    )
     try:
         if backend.has_joined_a_cluster:
             check_nodes(run.path)
@@ -273,5 +319,6 @@ def _report(
         "physics": {"settings": describe(config.env.physics), **controller.physics},
         **facts,
         "versions": versions(),
+        **({LINEAGE: controller.lineage} if controller.lineage else {}),
         "config_hash": config.hash,
     }

@@ -38,7 +38,7 @@ ADVICE = {
     "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib",
     "learner": "lower rollout.num_envs, raise ppo.minibatches, or raise run.num_learners",
     "rollout": "lower rollout.num_envs or raise run.num_rollout_actors",
-    "evaluator": "lower evaluation.attempts, or set evaluation.every and recording.every to 0",
+    "evaluator": "lower evaluation.attempts, or set evaluation.every, .every_seconds and recording.every to 0",
     "curator": "raise run.curator_memory_gib or lower curriculum.scoring_batch",
 }
 
@@ -52,6 +52,10 @@ class WorkerLostError(RuntimeError):
         self.process = process
         self.since = since
         self.section = ""  # of the run, in which it was noticed
+
+
+class RayFailedError(RuntimeError):
+    """Ray itself did not start on this machine, or was ended."""
 
 
 class InputLostError(WorkerLostError):

@@ -34,10 +34,11 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kinetix_dist.runtime.processes.fork_client import SERVER
+from kinetix_dist.runtime.processes.ray_private import processes_set_up_by
 
 CLIENT = Path(__file__).with_name("fork_client.py")
 BACKLOG = 256  # requests that wait while it imports
@@ -76,17 +77,9 @@ class ForkServer:
         return {SERVER: self._name}
 
     @staticmethod
-    @contextlib.contextmanager
-    def asked_by_ray() -> Generator[None]:
+    def asked_by_ray() -> contextlib.AbstractContextManager[None]:
         """A Ray that is started inside asks for its processes by `fork_client.py`."""
-        from ray._private import ray_constants  # there is no public way (ray 2.60)
-
-        of_ray = ray_constants.SETUP_WORKER_FILENAME  # joined to a directory: an absolute path stays what it is
-        ray_constants.SETUP_WORKER_FILENAME = str(CLIENT)
-        try:
-            yield
-        finally:
-            ray_constants.SETUP_WORKER_FILENAME = of_ray
+        return processes_set_up_by(CLIENT)
 
     @property
     def pid(self) -> int:
@@ -126,6 +119,7 @@ def serve(listener_number: int, modules: Sequence[str]) -> Request | None:
 
 def _import_all(modules: Sequence[str]) -> None:
     """What every process of a run imports: not Ray itself, whose numbers at random would be the same in all forks."""
+    gc.disable()  # all that is imported stays: looking for garbage in it takes a seventh of the time
     import google.protobuf.json_format  # noqa: F401
     import jax  # noqa: F401
     import jsonschema  # noqa: F401
@@ -133,6 +127,7 @@ def _import_all(modules: Sequence[str]) -> None:
 
     for module in modules:
         importlib.import_module(module)
+    gc.enable()
     gc.collect()
     gc.freeze()  # else a first collection in each process would write to all that is shared
 

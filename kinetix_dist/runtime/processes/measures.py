@@ -128,7 +128,7 @@ def description(before: Reading | None, last: Reading, *, age_seconds: float) ->
         "doing": last.doing,
     }
     return {
-        **{name: getattr(last, name) for name in ("name", "role", "pid", "host", "resident_bytes")},
+        **{name: getattr(last, name) for name in ("name", "role", "pid", "host", "resident_bytes", "compile_seconds")},
         **{name: value for name, value in known.items() if value is not None},
         "age_seconds": age_seconds,
     }

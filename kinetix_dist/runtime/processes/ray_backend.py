@@ -9,25 +9,27 @@ import logging
 import os
 import time
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import psutil
 import ray
 import ray.util
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
 from kinetix_dist.runtime.processes.backend import Group
-from kinetix_dist.runtime.processes.failures import WorkerLostError
+from kinetix_dist.runtime.processes.failures import RayFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.fork_server import ForkServer
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
+from kinetix_dist.runtime.processes.ray_private import own_servers, own_signals, print_nothing, without_services
 from kinetix_dist.runtime.processes.readings import Readings
 from kinetix_dist.runtime.processes.room import Room, free_room, needed_by, nodes_in_words, total_room
 from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.runtime.processes.supervise import Supervisor, wait_until_gone
-from kinetix_dist.runtime.processes.watchdog import Watchdog
+from kinetix_dist.runtime.processes.watchdog import Watchdog, is_alive
 
 FREE_TIMEOUT_S = 10.0  # for GPUs and CPU slots of a cluster that others still hold
 CPUS_POLL_S = 0.2
@@ -88,20 +90,23 @@ class RayBackend:
         heartbeat_seconds: float,
         on_event: Callable[..., None] = lambda kind, **details: None,
         modules: Sequence[str] = (),
+        fork_server: ForkServer | None = None,
     ) -> None:
         """`on_event(kind, **details)` hears of every process that starts: who, where, with how much memory. modules:
-        that processes import, by name; they are forked with them where they can be (`fork_server.py`)."""
+        that processes import, by name; they are forked with them where they can be (`fork_server.py`). fork_server: one
+        that was started before, with these modules; it is stopped with the backend."""
         self._on_event = on_event
         self.sections = Sections()
         self.losses = Losses()
         self._heartbeat_seconds = heartbeat_seconds
         self._supervisor = Supervisor(heartbeat_seconds, self.sections)
         self._watchdog: Watchdog | None = None
-        self._fork_server: ForkServer | None = None
+        self._fork_server = fork_server
         self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
         self._needed = Room(0, 0)  # for all processes of the run
         self._readings = Readings()
+        self._servers: dict[str, psutil.Process] = {}  # by name, of a Ray that was started here
         self.has_joined_a_cluster = False  # that others started, whose nodes may differ from this one
         if ray.is_initialized():
             self._owns_ray = False
@@ -122,7 +127,8 @@ class RayBackend:
             if (path := secure_token()) is not None:
                 on_event("token_secured", path=str(path))
             self._watchdog = Watchdog(os.getpid())
-            self._fork_server = ForkServer(modules) if ForkServer.can_run() else None
+            if self._fork_server is None and ForkServer.can_run():
+                self._fork_server = ForkServer(modules)
             # One CPU slot a process is bookkeeping only: roles are few, and all of them may run at once.
             options |= {
                 "address": "local",
@@ -136,9 +142,10 @@ class RayBackend:
         with warnings.catch_warnings(), joining(address) if address else ForkServer.asked_by_ray():
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
-            _print_nothing()
-            with _own_signals():
+            print_nothing()
+            with own_signals(), contextlib.nullcontext() if address else without_services():
                 ray.init(**options)
+        self._servers = {} if address else own_servers()
 
     @property
     def num_gpus(self) -> int:
@@ -178,6 +185,7 @@ class RayBackend:
 
     @property
     def has_lost_room(self) -> bool:
+        self._check_ray()
         if self._group is not None:
             return ray.util.placement_group_table(self._group)["state"] != "CREATED"
         return not total_room().holds(self._needed)
@@ -207,6 +215,7 @@ class RayBackend:
         return self.spawn_groups([Group(plans, build, arguments)])[0]
 
     def spawn_groups(self, groups: Sequence[Group]) -> list[list[RayHandle]]:
+        self._check_ray()
         started = [
             [self._create(plan, group.build, len(group.plans), group.arguments) for plan in group.plans]
             for group in groups
@@ -248,6 +257,7 @@ class RayBackend:
         return self._supervisor.gather(list(zip(references, actors, strict=True)))
 
     def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> RayHandle:
+        self._check_ray()
         handle = self._create(plan, build, 1, arguments)
         handle.starting = [handle.actor.prepare.remote(), handle.actor.build.remote()]
         return handle
@@ -322,8 +332,9 @@ class RayBackend:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
         self._supervisor.forget([handle.actor for handle in handles])
         self._readings.forget([handle.actor for handle in handles])
-        for handle in handles:
-            ray.kill(handle.actor, no_restart=True)
+        if not self._lost_servers():  # else Ray's processes end themselves, and the call would wait for a minute
+            for handle in handles:
+                ray.kill(handle.actor, no_restart=True)
         if self._owns_ray and not os.environ.get("RAY_ADDRESS"):
             left = wait_until_gone([handle.pid for handle in handles if handle.pid is not None])
             if left:
@@ -331,34 +342,23 @@ class RayBackend:
         else:
             time.sleep(1.0)
 
+    def _lost_servers(self) -> list[str]:
+        return [server for server, process in self._servers.items() if not is_alive(process)]
+
+    def _check_ray(self) -> None:
+        """Raises RayFailedError where Ray itself is gone: it would end this process, a minute later and by itself."""
+        if lost := self._lost_servers():
+            raise RayFailedError(f"Ray was ended on this machine ({', '.join(lost)}), by `ray stop` for instance")
+
     def stop(self) -> None:
-        if self._owns_ray:
-            ray.shutdown()
-        else:
+        if not self._owns_ray:
             self.release()
+        elif not self._lost_servers():  # else it would end this process at once, with status 1: Python's exit calls it
+            ray.shutdown()
         if self._fork_server is not None:
             self._fork_server.stop()
         if self._watchdog is not None:
             self._watchdog.stop()
-
-
-def _print_nothing() -> None:
-    """Ray prints on stdout, with pages of advice, what its nodes say of lost processes: `Losses` says it in a line."""
-    from ray._private import worker  # there is no public way (ray 2.60)
-
-    worker.print_to_stdstream = lambda data, ignore_prefix: None
-
-
-@contextlib.contextmanager
-def _own_signals() -> Generator[None]:
-    """Around `ray.init`, which would take SIGTERM for itself and end with a status of its own."""
-    from ray._private import utils  # there is no public way (ray 2.60)
-
-    of_ray, utils.set_sigterm_handler = utils.set_sigterm_handler, lambda handler: None
-    try:
-        yield
-    finally:
-        utils.set_sigterm_handler = of_ray
 
 
 def _joins(group: Sequence[RayHandle]) -> bool:

@@ -56,13 +56,13 @@ def watch(driver_pid: int) -> None:
     left = [process for process in seen.values() if process.pid != psutil.Process().pid]
     while left and time.monotonic() < deadline:
         time.sleep(0.2)
-        left = [process for process in left if _is_alive(process)]
+        left = [process for process in left if is_alive(process)]
     for process in left:
         with contextlib.suppress(psutil.Error):
             process.kill()  # psutil compares creation times: never another process that got the number
 
 
-def _is_alive(process: object) -> bool:
+def is_alive(process: object) -> bool:
     import psutil
 
     assert isinstance(process, psutil.Process)

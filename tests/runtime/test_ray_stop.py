@@ -1,0 +1,45 @@
+"""`ray stop --force` on the machine of a run: it ends with one line, leaves nothing, and goes on bit for bit."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from tests.helpers import REPOSITORY, python_path
+from tests.runtime.ray_stop_program import OPTIONS
+from tests.runtime.runs import assert_same_bits, final_arrays
+from tests.runtime.train_process import STEPS_PER_UPDATE, events, finish, rows, start
+
+# It ends all Ray processes that it can see: of this test alone.
+ALONE = ["unshare", "--pid", "--fork", "--mount-proc", "--kill-child"]
+
+
+def _can_be_alone():
+    return shutil.which(ALONE[0]) is not None and subprocess.run([*ALONE, "true"], check=False).returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not _can_be_alone(), reason="needs a process namespace: unshare, and the right to use it")
+def test_a_run_whose_ray_is_stopped_ends_with_one_line_and_goes_on_bit_for_bit(tmp_path):
+    run = tmp_path / "run"
+    command = [*ALONE, sys.executable, "-m", "tests.runtime.ray_stop_program", str(run)]
+    environment = {**os.environ, "PYTHONPATH": python_path()}
+    done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert told["status"] == 1, told
+    line = told["errors"].strip().splitlines()[-1]
+    assert line.startswith("kinetix-dist: Ray was ended on this machine (gcs_server, raylet)"), told["errors"]
+    assert line.endswith(f"try again with --run {run} --resume") and "Traceback" not in told["errors"]
+    assert told["seconds"] < 30.0 and told["left"] == []
+    assert events(run, "run_failed")
+    total = str((rows(run)[-1]["update"] + 5) * STEPS_PER_UPDATE)
+    finish(start(run, "--resume", "--run.total_env_steps", total))
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    shutil.copy(run / "adoptions.json", whole)
+    finish(start(whole, *OPTIONS, "--run.total_env_steps", total))
+    assert_same_bits(final_arrays(run), final_arrays(whole))
