@@ -19,6 +19,7 @@ from typing import Literal
 
 import tyro
 
+from kinetix_dist.cli.checks import check_output_file
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
@@ -51,13 +52,16 @@ class Export:
 def run_import(args: Import) -> int:
     """0; of a directory 1 where a file could not be imported."""
     if not args.source.is_dir():
+        check_output_file(args.out)
         with user_errors(*_EXPECTED):
             size = _import_file(args.source, args.out, args.name)
         print(f"wrote {args.out} (size {size})")
         return 0
     if args.name is not None:
         raise UserError("--name is for one file; levels of a directory are named after their files")
-    files = sorted(args.source.glob("**/*.json"))
+    from kinetix_dist.level.sets import level_files
+
+    files = level_files(args.source, "**/*.json")
     if not files:
         raise UserError(f"no .json files in {args.source}; give a directory of public level files")
     _check_directory(args.out)
@@ -77,6 +81,7 @@ def run_export(args: Export) -> int:
     with user_errors(*_EXPECTED):
         files = files_of_set(args.levels)
     if len(files) == 1 and not Path(args.levels).is_dir():
+        check_output_file(args.out)
         with user_errors(*_EXPECTED):
             size = _export_file(files[0], args.out, args.size)
         print(f"wrote {args.out} (size {size})")
@@ -131,7 +136,10 @@ def _export_file(file: Path, out: Path, size: str | None) -> str:
     level, info = read_level(file)
     _refuse_same(file, out)
     size = size or info.size
-    document = export_kinetix(fit_level(level, capacity_of_size(size)))
+    try:
+        document = export_kinetix(fit_level(level, capacity_of_size(size)))
+    except ValueError as error:
+        raise ValueError(f"{file}: {one_line(error)}") from error
     out.write_text(json.dumps(document), encoding="utf-8")
     return size
 

@@ -73,6 +73,8 @@ def diagnose(args: Args) -> Iterator[Check]:
     jax_check = _probed("jax", _judge_jax, f"{_INSTALL}; to leave a broken GPU aside set JAX_PLATFORMS=cpu")
     yield jax_check
     yield check_gpu(jax_check, required=args.require_gpu)
+    if jax_check.status == "ok":
+        yield check_kernels(jax_check)
     yield check_disk(args.run_dir)
     yield check_shared_memory()
     yield check_ports()
@@ -187,6 +189,13 @@ def check_gpu(jax_check: Check, *, required: bool) -> Check:
         remedy = f"JAX does not use it: uv pip install -e '.[{extra}]', and unset JAX_PLATFORMS"
         return Check(name="gpu", status=failure, detail=detail, remedy=remedy, facts=driver)
     return Check(name="gpu", status="ok", detail=f"{detail}, used by JAX", facts=driver)
+
+
+def check_kernels(jax_check: Check) -> Check:
+    """Whether `policy.kernels` "mosaic" can run. XLA computes the same everywhere, so its absence is no fault."""
+    why_not = jax_check.facts["no_kernels"]
+    detail = f"policy.kernels: xla only ({why_not})" if why_not else "policy.kernels: xla and mosaic"
+    return Check(name="kernels", status="ok", detail=detail, facts={"mosaic": not why_not})
 
 
 def check_disk(run_dir: Path) -> Check:

@@ -49,6 +49,8 @@ def probe_jax() -> dict[str, Any]:
     import jax
     import jax.numpy as jnp
 
+    from kinetix_dist.models.kernels.support import why_no_device
+
     devices = jax.devices()
     started = time.perf_counter()
     total = float(jax.jit(lambda x: (x @ x).sum())(jnp.ones((64, 64))))
@@ -58,6 +60,7 @@ def probe_jax() -> dict[str, Any]:
         "version": jax.__version__,
         "platform": devices[0].platform,
         "devices": [device.device_kind for device in devices],
+        "no_kernels": why_no_device(),
         "compile_seconds": round(time.perf_counter() - started, 2),
     }
 

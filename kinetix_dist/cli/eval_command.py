@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def run(args: Args) -> int:
         f"policy {_policy_name(args, checkpoint)}, physics {describe(env.config.physics)}"
     )
     print(table(first, rates))
+    print(summary(rates))
     if args.json is not None:
         content = {
             "levels": args.levels,
@@ -95,6 +96,7 @@ def run(args: Args) -> int:
             "greedy": args.greedy,
             "physics": describe(env.config.physics),
             "solve_rate": {name: rate.to_dict() for name, rate in rates.items()},
+            "above_random": {name: _above_random(name, rates) for name in rates},
         }
         with user_errors(OSError, prefix="the results cannot be written: "):
             args.json.write_text(json.dumps(content, indent=2) + "\n")
@@ -131,6 +133,25 @@ def table(name: str, rates: dict[str, SolveRates]) -> str:
     return "\n".join([line(header), rule, *map(line, rows), *left_out, rule, *map(line, totals)])
 
 
+def summary(rates: dict[str, SolveRates]) -> str:
+    """A line for each policy with what its mean rate does not say. docs/training.md says what the numbers mean."""
+    lines = []
+    for name, rate in rates.items():
+        best = ", ".join(f"{k}: {share:.1%}" for k, share in rate.best_of.items())
+        parts = [f"worst tenth of the levels {rate.worst_tenth:.1%}", f"levels solved by the best of {best}"]
+        if (above := _above_random(name, rates)) is not None:
+            parts.append(f"of what random actions leave {above:.1%}")
+        lines.append(f"{name}: {'; '.join(parts)}")
+    return "\n".join(lines)
+
+
+def _above_random(name: str, rates: dict[str, SolveRates]) -> float | None:
+    """`summary.above_random` where random actions played too; None for themselves."""
+    from kinetix_dist.evaluation.summary import above_random
+
+    return above_random(rates[name].rate, rates["random"].rate) if "random" in rates and name != "random" else None
+
+
 def _cells(name: str, rate: SolveRate) -> tuple[str, ...]:
     return (
         name,
@@ -162,8 +183,9 @@ def check(args: Args) -> None:
         with user_errors(ValueError):
             preset(args.preset)
     for name, file in (("json", args.json), ("record", args.record)):
-        if file is not None and (file.is_dir() or not file.parent.is_dir() or not os.access(file.parent, os.W_OK)):
-            raise UserError(f"cannot write {file}; give --{name} a file in a directory that exists and is writable")
+        if file is not None:
+            check_output_file(file, f"--{name}")
+    check_seed(args.seed)
     if args.record is not None and (args.record.exists() or args.record.is_symlink() or args.record == args.json):
         raise UserError(f"{args.record} exists and recordings are never overwritten; give --record a new file")
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
+from kinetix_dist.cli.checks import check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ def _check(args: Generate) -> None:
         raise UserError(f"--{given[0]} and --{given[1]} both say where levels come from; give one")
     if args.count < 1:
         raise UserError(f"--count is {args.count}; give 1 or more")
+    check_seed(args.seed)
     if args.size is not None and given and given[0] != "generator":
         raise UserError(f"--size is for random levels; with --{given[0]} levels have the size of what they come from")
     if args.steps is not None and args.like is None:
@@ -105,6 +107,7 @@ def _model(args: Generate, like: str) -> tuple[LevelGenerator, str]:
     import jax
     import numpy as np
 
+    from jax2d.scene import index_worlds
     from kinetix_dist.level.fit import capacity_of, capacity_of_size
     from kinetix_dist.level.generator_config import generator
     from kinetix_dist.level.level import SIZES
@@ -116,7 +119,7 @@ def _model(args: Generate, like: str) -> tuple[LevelGenerator, str]:
     levels, names = load_level_set(like)
     for number, name in enumerate(names):
         with user_errors(ValueError, prefix=f"{like}: {name}: "):
-            check_describable(jax.tree.map(lambda x, i=number: x[i : i + 1], levels))
+            check_describable(index_worlds(levels, slice(number, number + 1)))
     size = next(name for name in SIZES if capacity_of_size(name) == capacity_of(levels))
     print(f"training on {len(names)} levels of size {size}: {config.num_steps} steps", flush=True)
     model, losses = fit(levels, jax.random.key(args.seed), capacity_of_size(size), generator("default"), config)
@@ -131,6 +134,7 @@ def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int
     import jax
     import numpy as np
 
+    from jax2d.scene import index_worlds
     from kinetix_dist.level.noop import NOOP_STEPS, noop_solved
 
     kept: list[Level] = []
@@ -141,7 +145,7 @@ def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int
         levels = jax.device_get(generate(jax.random.fold_in(key, number), args.count))
         is_solved = np.asarray(noop_solved(levels))
         num_drawn, num_solved = num_drawn + args.count, num_solved + int(is_solved.sum())
-        kept += [jax.tree.map(lambda x, i=i: x[i], levels) for i in np.flatnonzero(~is_solved)]
+        kept += [index_worlds(levels, i) for i in np.flatnonzero(~is_solved)]
         if len(kept) >= args.count:
             return kept[: args.count], num_drawn, num_solved
     raise UserError(

@@ -2,7 +2,7 @@
 
     kinetix-dist import-checkpoint checkpoints/sfl-1m-envs --out pretrained/sfl-1m-envs
     kinetix-dist eval --checkpoint pretrained/sfl-1m-envs --levels designed_m
-    kinetix-dist train --recipe sfl_m --run.start_from pretrained/sfl-1m-envs --policy.network transformer_kinetix \\
+    kinetix-dist train --recipe sfl_m --from pretrained/sfl-1m-envs --policy.network transformer_kinetix \\
         --policy.dtype float32 --env.observation entity_kinetix
 
 Reads what the package's `save_pretrained_checkpoint` writes: params.safetensors, and config.json beside it. Pickles
@@ -97,7 +97,7 @@ def run(args: Args) -> int:
     print(f"imported  {num_parameters(params):,} parameters, network {policy.network}, into {args.out}")
     print(f"play      kinetix-dist eval --checkpoint {args.out} --levels designed_m")
     options = f"--policy.network {policy.network} --policy.dtype float32 --env.observation {config.env.observation}"
-    print(f"train on  kinetix-dist train --recipe sfl_m --run.start_from {args.out} {options}")
+    print(f"train on  kinetix-dist train --recipe sfl_m --from {args.out} {options}")
     return 0
 
 

@@ -13,6 +13,7 @@ import math
 from pathlib import Path
 from typing import Any, Literal
 
+from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
 
 _FAR = 4.5  # standard errors; 80 statistics exceed it by chance once in 1,500 reports
@@ -48,11 +49,12 @@ def run_stats(args: Stats) -> int:
 
     if args.levels < 1:
         raise UserError(f"--levels is {args.levels}; draw 1 or more")
+    check_seed(args.seed)
+    if args.json is not None:
+        check_output_file(args.json, "--json")
     with user_errors(ValueError, OSError):
         config = generator(args.generator)
         reference = None if args.beside is None else read_described(args.beside, args.size)
-        if args.json is not None:
-            args.json.touch()  # before the work, not after it
     levels = generate_levels(jax.random.key(args.seed), args.levels, capacity_of_size(args.size), config)
     found = statistics(levels)
     is_solved = np.asarray(noop_solved(levels))

@@ -100,8 +100,6 @@ def _list(args: List) -> None:
             }
             for name, drawn in RANDOM_SETS.items()
         ]
-    elif args.set in RANDOM_SETS:
-        raise UserError(f"{args.set!r} is drawn when it is used; there are no files to list")
     else:
         rows = [_row(path) for path in files_of_set(args.set)]
     if args.json:
@@ -170,8 +168,10 @@ def _validate(args: Validate) -> int:
 
     files: list[Path] = []
     for given in args.files:
+        if not given.exists():
+            raise UserError(f"there is no {given}; give files of levels or proofs, or directories of them")
         found = sorted(given.glob("**/*.json")) if given.is_dir() else [given]
-        files += [path for path in found if path.name != "schema.json"]
+        files += [path for path in found if path.name != "schema.json" and path.is_file()]
     if not files:
         raise UserError("no level files to check; give files or directories that hold .json files")
     num_wrong = 0

@@ -21,6 +21,7 @@ import sys
 from collections.abc import Sequence
 
 from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
+from kinetix_dist.cli.last_words import leave, say
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
 
 __all__ = ["COMMANDS", "main", "parse_args"]
@@ -29,6 +30,8 @@ EXIT_INTERRUPTED = 130  # 128 + SIGINT, what shells report
 
 COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
     "train": ("kinetix_dist.cli.train", "pretrain a policy; writes a run directory, --resume goes on with it"),
+    "sweep": ("kinetix_dist.cli.sweep", "train the arms of a design, and say what each factor is worth"),
+    "finetune": ("kinetix_dist.cli.finetune", "train on a level set from a policy, or one policy for each level"),
     "eval": ("kinetix_dist.cli.eval_command", "solve rates of a run or a checkpoint on a set of levels"),
     "import-checkpoint": ("kinetix_dist.cli.import_checkpoint", "a policy of the public package as a checkpoint"),
     "dashboard": ("kinetix_dist.cli.dashboard", "pages over runs: curves, curriculum, levels, rollouts, comparison"),
@@ -42,11 +45,18 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit status."""
-    argv = list(sys.argv[1:] if argv is None else argv)
+    status = _run(list(sys.argv[1:] if argv is None else argv))
+    # Others may have more to say than a slow reader has taken so far.
+    if argv is None and sys.argv[1:2] in (["train"], ["finetune"]):
+        leave(status)
+    return status
+
+
+def _run(argv: list[str]) -> int:
     try:
         return _dispatch(argv)
     except UserError as error:
-        print(f"{PROG}: {one_line(error)}", file=sys.stderr)
+        say(f"{PROG}: {one_line(error)}", sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         print(f"{PROG}: interrupted", file=sys.stderr)

@@ -50,7 +50,7 @@ def load_module(module_name: str, command: str) -> Any:
 def _flatten(text: str, prog: str) -> str:
     """One line out of the box that tyro draws around a complaint."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", text)
-    text = re.sub(r"[╭╮╰╯│─┌┐└┘├┤━┃]+", " ", text)
+    text = re.sub(r"[╭╮╰╯│─┌┐└┘├┤━┃]+|-{3,}", " ", text)
     text = one_line(text)
     text = re.sub(r"For full helptext, (run|see):? (\S+ )*?--help\.?", " ", text)
     text = re.sub(r"^(Parsing error|Value error|Missing argument|Required options:?|Invalid choice:?) ", "", text)

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
@@ -84,9 +84,8 @@ def _check(args: Render) -> None:
     for name, number in (("count", args.count), ("columns", args.columns)):
         if number is not None and number < 1:
             raise UserError(f"--{name} is {number}; give 1 or more")
-    folder = args.out.parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK) or args.out.is_dir():
-        raise UserError(f"cannot write {args.out}; name a file in a directory that exists and is writable")
+    check_seed(args.seed)
+    check_output_file(args.out)
 
 
 def _levels(args: Render) -> tuple[Level, list[str]]:
@@ -97,7 +96,8 @@ def _levels(args: Render) -> tuple[Level, list[str]]:
 
     with user_errors(ValueError, OSError):
         if args.levels in RANDOM_SETS:
-            return load_level_set(args.levels, num_levels=args.count)
+            count = min(args.count, RANDOM_SETS[args.levels].num_levels)
+            return load_level_set(args.levels, num_levels=count)
         levels, names = load_level_set(args.levels)
     return jax.tree.map(lambda x: x[: args.count], levels), names[: args.count]
 

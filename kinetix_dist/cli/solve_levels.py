@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
+from kinetix_dist.cli.checks import check_seed
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
@@ -98,6 +99,7 @@ def _check(args: Solve) -> None:
         raise UserError(f"--seconds is {args.seconds}; give more than 0")
     if args.worlds < MIN_WORLDS:
         raise UserError(f"--worlds is {args.worlds}; give {MIN_WORLDS} or more")
+    check_seed(args.seed)
     if args.method == "policy" and args.checkpoint is None:
         raise UserError("--method policy needs --checkpoint: a checkpoint directory, or a pretrained policy (sfl_s)")
     if args.checkpoint is not None and args.method not in (None, "policy"):
@@ -111,14 +113,12 @@ def _check(args: Solve) -> None:
 
 
 def proof_tasks(args: Solve) -> list[ProofTask]:
-    """One of each level asked for. Raises ValueError or OSError for what is no level, UserError for a random set."""
+    """One of each level asked for. Raises ValueError or OSError for what is no level or has no files."""
     from kinetix_dist.level.fit import capacity_of_size, fit_level
     from kinetix_dist.level.proof import proof_path
-    from kinetix_dist.level.sets import RANDOM_SETS, files_of_set, read_level
+    from kinetix_dist.level.sets import files_of_set, read_level
     from kinetix_dist.level.validate import read_document
 
-    if args.levels in RANDOM_SETS:
-        raise UserError(f"{args.levels!r} is drawn when it is used; there are no files that proofs could be of")
     tasks = []
     for file in files_of_set(args.levels):
         level, info = read_level(file)

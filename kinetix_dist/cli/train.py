@@ -1,9 +1,11 @@
-"""`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]`: pretrain a policy.
+"""`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]`: pretrain a
+policy.
 
 Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
 field of the configuration is an option; `--help` lists them with the values of the recipe. `--env.preset NAME` replaces
 all solver settings (env.physics) by those of a preset, `--curriculum.generator NAME` all parameters of random levels,
-before single fields are overridden.
+before single fields are overridden. `--phases FILE` replaces the phases of the recipe after that, and `--from CKPT` is
+short for --run.start_from.
 """
 
 from __future__ import annotations
@@ -13,11 +15,12 @@ import dataclasses
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.cli.last_words import say
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
@@ -37,37 +40,54 @@ class Args:
     resume: bool
 
 
-def parse(argv: Sequence[str]) -> Args:
-    """Options of the command itself first; the rest overrides fields of the recipe, or of the run that is resumed."""
+def parse(
+    argv: Sequence[str],
+    *,
+    prog: str = "kinetix-dist train",
+    default_recipe: str = DEFAULT_RECIPE,
+    adjust: Callable[[TrainConfig], TrainConfig] = lambda recipe: recipe,
+) -> Args:
+    """Options of the command itself first; the rest overrides fields of the recipe, or of the run that is resumed.
+
+    adjust: what another command makes of the recipe, before anything is overridden. Not called for a resumed run.
+    """
     own = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     own.add_argument("--recipe")
     own.add_argument("--run", type=Path)
     own.add_argument("--resume", action="store_true")
+    own.add_argument("--from", dest="start_from")
+    own.add_argument("--phases", type=Path)
     own.add_argument("--env.preset", dest="preset")
     own.add_argument("--curriculum.generator", dest="generator")
     own.add_argument("--run.plugins", dest="plugins", nargs="+")
     try:
         known, overrides = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
-        raise UserError(f"{one_line(error)}; see `kinetix-dist train --help`") from None
+        raise UserError(f"{one_line(error)}; see `{prog} --help`") from None
     from jax2d.settings import PRESETS, preset
+    from kinetix_dist.config import with_phases
     from kinetix_dist.level.generator_config import GENERATORS, generator
+    from kinetix_dist.phases import read_phases
     from kinetix_dist.recipes import RECIPES, recipe
     from kinetix_dist.registry import import_plugins
 
     if {"-h", "--help"} & set(overrides):
         print(
-            "usage: kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--section.field value ...]\n\n"
-            f"  --recipe NAME   {', '.join(RECIPES)} (default {DEFAULT_RECIPE})\n"
+            f"usage: {prog} [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]\n\n"
+            f"  --recipe NAME   {', '.join(RECIPES)} (default {default_recipe})\n"
             "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)\n"
             "  --resume        go on with the run in --run, or with the newest run of the recipe\n"
+            "  --from CKPT     start from the parameters of a checkpoint, or of a pretrained policy by name\n"
+            "  --phases FILE   TOML or JSON: from a step on, other settings (docs/training.md, Phases)\n"
             f"  --env.preset NAME  all of env.physics at once: {', '.join(PRESETS)}; single fields are set after it\n"
             f"  --curriculum.generator NAME  all of curriculum.generator likewise: {', '.join(GENERATORS)}\n\n"
-            f"fields and their values in recipe {known.recipe or DEFAULT_RECIPE!r}:\n"
+            f"fields and their values in recipe {known.recipe or default_recipe!r}:\n"
         )
     run = known.run
+    if known.resume and known.start_from is not None:
+        raise UserError("--from is for a new run, and a run that is resumed goes on from its own checkpoints; give one")
     with user_errors(ValueError):
-        base = recipe(known.recipe or DEFAULT_RECIPE)
+        base = recipe(known.recipe or default_recipe)
     if known.resume:
         run, stored = _run_to_resume(run, base.run.name)
         base = stored if known.recipe is None else base
@@ -75,6 +95,8 @@ def parse(argv: Sequence[str]) -> Args:
         with user_errors(ValueError):
             import_plugins(known.plugins)
         base = dataclasses.replace(base, run=dataclasses.replace(base.run, plugins=tuple(known.plugins)))
+    if not known.resume:
+        base = adjust(base)
     if known.preset is not None:
         with user_errors(ValueError):
             base = dataclasses.replace(base, env=dataclasses.replace(base.env, physics=preset(known.preset)))
@@ -82,7 +104,18 @@ def parse(argv: Sequence[str]) -> Args:
         with user_errors(ValueError):
             curriculum = dataclasses.replace(base.curriculum, generator=generator(known.generator))
         base = dataclasses.replace(base, curriculum=curriculum)
-    return Args(config=_override(base, overrides), run=run, resume=known.resume)
+    if known.start_from is not None:
+        base = dataclasses.replace(base, run=dataclasses.replace(base.run, start_from=known.start_from))
+    phases = None
+    if known.phases is not None:
+        with user_errors(ValueError, OSError):
+            phases = read_phases(known.phases)
+        base = dataclasses.replace(base, phases=())
+    config = _override(base, overrides, prog)
+    if phases is not None:  # after fields are overridden, which have to go with them
+        with user_errors(ValueError, prefix=f"{known.phases}: "):
+            config = with_phases(config, phases)
+    return Args(config=config, run=run, resume=known.resume)
 
 
 def run(args: Args) -> int:
@@ -95,13 +128,13 @@ def run(args: Args) -> int:
             _run(args, stop)
             return 0
         except RunFailedError as error:
-            print(f"kinetix-dist: {one_line(error)}", file=sys.stderr)
+            say(f"kinetix-dist: {one_line(error)}", sys.stderr)
             return 1
         except StoppedError as error:
-            print(f"kinetix-dist: {one_line(error)}", file=sys.stderr)
+            say(f"kinetix-dist: {one_line(error)}", sys.stderr)
             return EXIT_STOPPED
         except StopRequested:
-            print(f"kinetix-dist: stopped by {stop.requested} before the run began", file=sys.stderr)
+            say(f"kinetix-dist: stopped by {stop.requested} before the run began", sys.stderr)
             return EXIT_STOPPED
 
 
@@ -109,8 +142,9 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
+    from kinetix_dist.models.kernels.support import KernelError
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.driver.training_run import hold_to_cpu, train
+    from kinetix_dist.runtime.driver.training_run import hold_to_cpu, start_fork_server, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
     from kinetix_dist.telemetry.compile_cache import enable_compile_cache
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
@@ -121,13 +155,15 @@ def _run(args: Args, stop: StopSignals) -> None:
             resolve_device(config.run.device, num_gpus=count_gpus())
             if config.run.placement != "local":
                 plan(config, num_gpus=count_gpus())
-    with user_errors(PlacementError):
-        hold_to_cpu(config)
-    with user_errors(ValueError, OSError):
-        _check_levels(config)  # reading levels computes
-    with user_errors(RunDirectoryError):
-        directory = _open(args)
+    fork_server = start_fork_server(config)
+    directory = None
     try:
+        with user_errors(PlacementError):
+            hold_to_cpu(config)
+        with user_errors(ValueError, OSError):
+            _check_levels(config)  # reading levels computes
+        with user_errors(RunDirectoryError):
+            directory = _open(args)
         enable_compile_cache(config.run.compile_cache)
         print(
             f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}"
@@ -135,14 +171,19 @@ def _run(args: Args, stop: StopSignals) -> None:
             flush=True,
         )
         print(f"watch it   kinetix-dist dashboard {directory.path}", flush=True)
-        with user_errors(CheckpointError, DeviceMemoryError, PlacementError, PortTakenError, FileNotFoundError):
-            report = train(config, directory, resume=args.resume, stop=stop)
+        with user_errors(
+            CheckpointError, DeviceMemoryError, KernelError, PlacementError, PortTakenError, FileNotFoundError
+        ):
+            report = train(config, directory, resume=args.resume, stop=stop, fork_server=fork_server)
         _print_report(report, directory.path)
     finally:
-        directory.close()
+        if directory is not None:
+            directory.close()
+        if fork_server is not None:
+            fork_server.stop()
 
 
-def _override(base: TrainConfig, overrides: list[str]) -> TrainConfig:
+def _override(base: TrainConfig, overrides: list[str], prog: str) -> TrainConfig:
     import tyro
 
     from kinetix_dist.cli.main import parse_args
@@ -151,7 +192,7 @@ def _override(base: TrainConfig, overrides: list[str]) -> TrainConfig:
     if not overrides:
         return base
     with user_errors(ValueError):
-        return parse_args(tyro.conf.FlagConversionOff[TrainConfig], overrides, prog="kinetix-dist train", default=base)
+        return parse_args(tyro.conf.FlagConversionOff[TrainConfig], overrides, prog=prog, default=base)
 
 
 def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
@@ -208,19 +249,24 @@ def _print_report(report: dict[str, Any], run: Path) -> None:
         cells = [_cell(report["solve_rate"].get(column), name) for column in names]
         table.add_row(name, str(sets[name]["attempts"]), *cells)
     console = Console()
-    console.print(table)
-    seconds = report["seconds_by_role"]
-    total = max(sum(seconds.values()), 1e-9)
-    shares = ", ".join(f"{role} {value / total:.0%}" for role, value in seconds.items() if value / total >= 0.005)
-    console.print(
-        f"{report['env_steps_per_second']:,.0f} env steps/s in training, "
-        f"{report['wall_seconds']:.0f} s in all ({shares})",
-        highlight=False,
-        soft_wrap=True,
-    )
-    console.print(f"written    {', '.join(_written(run))}", highlight=False, soft_wrap=True)
-    print(f"replay     kinetix-dist replay {run} --view")
-    print(f"train on   kinetix-dist train --run {run} --resume --run.total_env_steps {2 * report['env_steps']}")
+    with console.capture() as captured:
+        console.print(table)
+        seconds = report["seconds_by_role"]
+        total = max(sum(seconds.values()), 1e-9)
+        shares = ", ".join(f"{role} {value / total:.0%}" for role, value in seconds.items() if value / total >= 0.005)
+        console.print(
+            f"{report['env_steps_per_second']:,.0f} env steps/s in training, "
+            f"{report['wall_seconds']:.0f} s in all ({shares})",
+            highlight=False,
+            soft_wrap=True,
+        )
+        console.print(f"written    {', '.join(_written(run))}", highlight=False, soft_wrap=True)
+    lines = [
+        captured.get().rstrip("\n"),
+        f"replay     kinetix-dist replay {run} --view",
+        f"train on   kinetix-dist train --run {run} --resume --run.total_env_steps {2 * report['env_steps']}",
+    ]
+    say("\n".join(lines), sys.stdout)
 
 
 def _cell(rates: dict[str, dict[str, float]] | None, name: str) -> str:

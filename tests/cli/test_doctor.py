@@ -25,13 +25,20 @@ def test_doctor_finds_that_training_can_run_here(report: dict) -> None:
 
 def test_doctor_reports_each_thing_that_training_depends_on(report: dict) -> None:
     names = {check["name"] for check in report["checks"]}
-    assert {"python", "machine", "packages", "warp", "ray", "jax", "gpu", "disk", "ports"} <= names
+    assert {"python", "machine", "packages", "warp", "ray", "jax", "gpu", "kernels", "disk", "ports"} <= names
 
 
 def test_doctor_compiles_a_kernel_and_names_the_devices(report: dict) -> None:
     facts = {check["name"]: check["facts"] for check in report["checks"]}
     assert facts["warp"]["kernel"]["cpu"]["seconds"] >= 0.0
     assert len(facts["jax"]["devices"]) >= 1
+
+
+def test_doctor_says_which_kernels_can_run_and_why_not_others(report: dict) -> None:
+    (check,) = (check for check in report["checks"] if check["name"] == "kernels")
+    if not check["facts"]["mosaic"]:
+        assert check["detail"].startswith("policy.kernels: xla only (")
+        assert "the kernels are written for" in check["detail"] or "the kernels need" in check["detail"]
 
 
 def test_whatever_is_not_ok_comes_with_a_remedy(report: dict) -> None:

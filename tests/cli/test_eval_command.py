@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import flatten_arrays, save_checkpoint
@@ -72,6 +73,12 @@ def test_a_run_is_evaluated_level_by_level_next_to_the_baselines(
     assert trained["attempts"] == 2 * len(names)
     assert [level["name"] for level in trained["levels"]] == names
     assert 0 <= trained["low"] <= trained["rate"] <= trained["high"] <= 1
+    solved = [level["solved"] for level in trained["levels"]]
+    assert trained["best_of"] == {"1": pytest.approx(trained["rate"]), "2": np.mean(np.array(solved) > 0)}
+    assert trained["worst_tenth"] == min(solved) / 2
+    random = content["solve_rate"]["random"]["rate"]
+    assert content["above_random"]["trained"] == pytest.approx((trained["rate"] - random) / (1 - random))
+    assert content["above_random"]["random"] is None and "random: worst tenth of the levels" in printed
 
 
 def test_a_policy_plays_levels_of_a_larger_size_than_its_own(

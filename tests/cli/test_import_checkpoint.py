@@ -16,7 +16,7 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.starting import starting_arrays
+from kinetix_dist.runtime.driver.starting import starting_point
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from tests.kinetix_package import write_formula_policy, write_policy
@@ -78,7 +78,7 @@ def _config(imported: Path, **policy: int):
 def test_training_goes_on_from_an_imported_policy(imported: Path, tmp_path: Path) -> None:
     config, backend = _config(imported), LocalBackend()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    given = starting_arrays(config)
+    given = starting_point(config).arrays
     trainer.start(0, given)
     before = select_arrays(trainer.snapshot(), PARAMS_PREFIX)
     for name, array in select_arrays(load_checkpoint(imported).arrays, PARAMS_PREFIX).items():
@@ -93,7 +93,7 @@ def test_training_goes_on_from_an_imported_policy(imported: Path, tmp_path: Path
 
 def test_a_run_cannot_start_from_another_network(imported: Path) -> None:
     with pytest.raises(CheckpointError, match=r"array params/\S+ is float32\[.*\], expected float32\["):
-        starting_arrays(_config(imported, encoder_size=16))
+        starting_point(_config(imported, encoder_size=16))
 
 
 def test_a_policy_to_start_from_that_is_not_there_is_one_line(

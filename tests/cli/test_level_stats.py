@@ -89,7 +89,11 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--generator", "nosuch"], "unknown generator 'nosuch'; generators are default, kinetix"),
         (["--beside", str(other)], "has no statistics of size m"),
         (["--beside", str(tmp_path / "no.json")], "No such file"),
-        (["--json", str(tmp_path / "no" / "x.json")], "No such file"),
+        (["--json", str(tmp_path / "no" / "x.json")], "give --json a file in a directory that exists"),
+        (["--json", str(tmp_path)], "give --json a file in a directory that exists"),
+        (["--seed", "99999999999999999999"], "--seed is 99999999999999999999; give a number from 0 to 4294967295"),
+        (["--seed", "-1"], "--seed is -1; give a number from 0"),
+        (["--size", "xl"], "kinetix-dist: invalid choice 'xl' for argument '--size'"),
     ):
         assert main(["levels", "stats", *options]) == 2
         error = capsys.readouterr().err

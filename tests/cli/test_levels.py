@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import level_from_json
+from kinetix_dist.level.sets import files_of_set
 from tests.level.documents import cart_document
 
 
@@ -115,6 +117,20 @@ def test_validate_names_each_wrong_file_and_fails(tmp_path: Path, capsys: pytest
     assert lines[1] == "1 of 2 files are valid"
 
 
+def test_proofs_and_the_schema_beside_level_files_are_no_levels(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(levels_root() / "s" / "hop_home.json", tmp_path / "mine.json")
+    shutil.copy(levels_root() / "proofs" / "s" / "hop_home.json", tmp_path / "mine.proof.json")
+    shutil.copy(levels_root() / "schema.json", tmp_path)
+    assert files_of_set(str(tmp_path)) == [tmp_path / "mine.json"]
+    assert len(files_of_set(str(levels_root()))) == 74
+    assert main(["levels", "export", str(tmp_path), str(tmp_path / "public")]) == 0
+    shutil.copy(tmp_path / "mine.proof.json", tmp_path / "public")
+    assert main(["levels", "import", str(tmp_path / "public"), str(tmp_path / "again")]) == 0
+    assert "imported 1 of 1 files" in capsys.readouterr().out
+
+
 def test_all_shipped_levels_are_valid(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["levels", "validate", str(levels_root())]) == 0
     capsys.readouterr()
@@ -126,7 +142,16 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "is a set of 5 levels; name one level" in failure(capsys, "play", "designed_s")
     assert "none of keys, random, noop, sfl_m" in failure(capsys, "play", "s/hop_home", "--policy", "nobody")
     assert "starts no engine, which playing needs" in failure(capsys, "play", "s/hop_home", "--no-play")
-    assert "drawn when it is used" in failure(capsys, "list", "random_s")
+    for drawn in ("random_s", "dev_designed_s"):
+        assert "drawn when it is used" in failure(capsys, "list", drawn)
+        assert "drawn when it is used" in failure(capsys, "show", drawn)
+        assert "drawn when it is used" in failure(capsys, "export", drawn, str(tmp_path / "out"))
+    for command, given in (("import", str(tmp_path / "public.json")), ("export", "s/hop_home")):
+        for out in (tmp_path, tmp_path / "no" / "x.json"):
+            assert f"cannot write {out}; name a file in" in failure(capsys, command, given, str(out))
+    sling = failure(capsys, "export", "m/sling", str(tmp_path / "x.json"), "--size", "s")
+    assert "sling.json: level has 6 polygons" in sling
+    assert f"there is no {tmp_path / 'none'}; give files" in failure(capsys, "validate", str(tmp_path / "none"))
     (tmp_path / "cut.json").write_text(json.dumps(cart_document())[:99])
     assert "cut.json" in failure(capsys, "play", str(tmp_path / "cut.json"))
     (tmp_path / "ours.json").write_text(json.dumps(cart_document()))

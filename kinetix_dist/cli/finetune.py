@@ -1,0 +1,224 @@
+"""`kinetix-dist finetune`: trains on a set of levels from a policy that exists, or one policy for each level.
+
+    kinetix-dist finetune --from sfl_s --levels designed_s                    one policy for all of them
+    kinetix-dist finetune --from sfl_s --levels designed_s --each             one a level
+    kinetix-dist finetune --from sfl_s --levels designed_s --each --compare   and one a level from scratch, a picture
+    kinetix-dist finetune --levels designed_s --each                          from scratch alone
+
+Network and environment are those of the policy, everything else is a recipe's; all options of `train` override it.
+Without --each it is an ordinary run of `train`. With --each results are stored as they come, and the same command
+again goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kinetix_dist.cli import train
+from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.cli.last_words import say
+
+if TYPE_CHECKING:
+    from kinetix_dist.config import TrainConfig
+    from kinetix_dist.finetune.results import Record
+    from kinetix_dist.finetune.starts import Start
+
+PROG = "kinetix-dist finetune"
+DEFAULT_RECIPE = "single_level"
+CURRICULUM = "fixed"
+MAX_TABLE_WIDTH = 200  # characters; a terminal that is narrower breaks lines, but cuts no number
+PICTURE_NAME = "samples.png"
+USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [options of train]
+
+  --levels SET    a level set, a level, a level file or a directory of them
+  --from CKPT     a checkpoint, a run (its newest checkpoint) or a pretrained policy; left out: from scratch
+  --each          one specialist a level, on one device; --run is the directory of the results (default
+                  runs/finetune-SET), and the same command goes on where it was stopped
+  --compare       with --each and --from: specialists from scratch too
+  --stop-at RATE  with --each: a specialist ends at the first evaluation that solves this share (default: none)
+  --draw DIR      only draw the picture again, from the results stored there
+
+"""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Args:
+    """What `parse` made of the command line."""
+
+    train: train.Args | None  # None: only draw
+    starts: tuple[Start, ...] = ()  # with --each
+    each: bool = False
+    has_size: bool = False  # whether env.size was given
+    stop_at: float = 0.0
+    draw: Path | None = None
+
+
+def parse(argv: Sequence[str]) -> Args:
+    """Options of the command itself first; the rest is that of `train`."""
+    own = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    own.add_argument("--levels")
+    own.add_argument("--from", dest="start", type=Path)
+    own.add_argument("--each", action="store_true")
+    own.add_argument("--compare", action="store_true")
+    own.add_argument("--stop-at", type=float)
+    own.add_argument("--draw", type=Path)
+    try:
+        known, rest = own.parse_known_args(list(argv))
+    except argparse.ArgumentError as error:
+        raise UserError(f"{one_line(error)}; see `{PROG} --help`") from None
+    if {"-h", "--help"} & set(rest):
+        print(USAGE)
+        train.parse(rest, prog=PROG, default_recipe=DEFAULT_RECIPE)  # prints what there is and ends
+    if known.draw is not None:
+        if len(argv) > 2:
+            raise UserError("--draw takes the directory of the results and no other option")
+        return Args(train=None, draw=known.draw)
+    if "--resume" in rest:
+        if known.levels or known.start or known.each:
+            raise UserError("--resume goes on with a run as it is; leave --levels, --from and --each out")
+        return Args(train=train.parse(rest, prog=PROG))
+    return _parse_new(known, rest)
+
+
+def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
+    _check(known)
+    from kinetix_dist.finetune.starts import SCRATCH, like_policy, policy_at, start_from
+
+    trained = None if known.start is None else policy_at(known.start)
+    start = SCRATCH if trained is None else start_from(trained)
+
+    def adjust(recipe: TrainConfig) -> TrainConfig:
+        """The recipe for the levels and the policy asked for."""
+        run = dataclasses.replace(recipe.run, name="finetune", start_from=start.checkpoint)
+        if known.each:
+            run = dataclasses.replace(run, placement="local")
+        config = dataclasses.replace(
+            recipe,
+            curriculum=dataclasses.replace(recipe.curriculum, name=CURRICULUM, levels=known.levels),
+            evaluation=dataclasses.replace(recipe.evaluation, sets=(known.levels,)),
+            run=run,
+        )
+        with user_errors(ValueError):
+            return config if trained is None else like_policy(config, trained)
+
+    args = train.parse(rest, prog=PROG, default_recipe=DEFAULT_RECIPE, adjust=adjust)
+    if (name := args.config.curriculum.name) != CURRICULUM:
+        raise UserError(f"curriculum.name is {name!r}, but finetune trains on --levels: {CURRICULUM!r}; leave it out")
+    has_size = any(word.split("=")[0] == "--env.size" for word in rest)
+    starts = (SCRATCH, start) if known.compare else (start,)
+    return Args(train=args, starts=starts, each=known.each, has_size=has_size, stop_at=known.stop_at or 0.0)
+
+
+def _check(known: argparse.Namespace) -> None:
+    if known.levels is None:
+        raise UserError(f"--levels is missing: the levels to train on; see `{PROG} --help`")
+    if known.compare and not (known.each and known.start):
+        raise UserError("--compare puts specialists from scratch beside those of a policy; give --each and --from too")
+    if known.stop_at is not None and not known.each:
+        raise UserError("--stop-at is when a specialist ends; give --each too")
+    if known.stop_at is not None and not 0.0 < known.stop_at <= 1.0:
+        raise UserError(f"--stop-at is {known.stop_at}; give a solve rate above 0, at most 1")
+
+
+def run(args: Args) -> int:
+    if args.draw is not None:
+        return _show(args.draw)
+    assert args.train is not None
+    if args.train.resume:
+        return train.run(args.train)
+    config = sized(args.train.config, has_size=args.has_size)
+    if args.each:
+        return _each(args, config)
+    _check_start(config)
+    return train.run(dataclasses.replace(args.train, config=config))
+
+
+def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
+    """The configuration with the size of the largest level, unless one was given or the policy plays one size only."""
+    from kinetix_dist.env.observations import OBSERVATIONS, VECTOR
+    from kinetix_dist.level.fit import capacity_of
+    from kinetix_dist.level.level import SIZES
+    from kinetix_dist.level.sets import load_level_set
+    from kinetix_dist.runtime.driver.training_run import hold_to_cpu
+    from kinetix_dist.runtime.processes.placement import PlacementError
+
+    with user_errors(PlacementError):
+        hold_to_cpu(config)  # reading levels computes
+    has_one_size = config.run.start_from and OBSERVATIONS[config.env.observation].gives == VECTOR
+    size = config.env.size if has_size or has_one_size else None
+    with user_errors(ValueError, OSError, prefix="" if size is None else f"env.size is {size!r}: "):
+        levels, _ = load_level_set(config.curriculum.levels, size)
+    capacity = capacity_of(levels)
+    size = next(name for name, known in SIZES.items() if known == capacity)
+    return dataclasses.replace(config, env=dataclasses.replace(config.env, size=size))
+
+
+def _check_start(config: TrainConfig) -> None:
+    """Complains of a policy that does not fit before a directory is made."""
+    from kinetix_dist.checkpoint import CheckpointError
+    from kinetix_dist.runtime.driver.starting import starting_point
+
+    with user_errors(CheckpointError):
+        starting_point(config)
+
+
+def _each(args: Args, config: TrainConfig) -> int:
+    from kinetix_dist.finetune.each import train_each
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+
+    assert args.train is not None
+    path = args.train.run or train.RUNS / f"finetune-{Path(config.curriculum.levels).stem}"
+    if (path / "config.json").exists():
+        raise UserError(f"{path} holds a run; give --run another directory for the results of specialists")
+    enable_compile_cache(config.run.compile_cache)
+    starts = " and ".join(start.label for start in args.starts)
+    print(f"one specialist a level of {config.curriculum.levels}, {starts}, in {path}", flush=True)
+    train_each(config, args.starts, path, stop_at=args.stop_at, report=lambda line: print(line, flush=True))
+    return _show(path)
+
+
+def _show(path: Path) -> int:
+    """The table and the picture of what is stored."""
+    from kinetix_dist.finetune.picture import draw
+    from kinetix_dist.finetune.results import read_results
+
+    records = read_results(path)
+    say(_table(records), sys.stdout)
+    with user_errors(OSError, prefix="the picture cannot be written: "):
+        draw(records, path / PICTURE_NAME)
+    print(f"picture  {path / PICTURE_NAME}")
+    return 0
+
+
+def _table(records: Sequence[Record]) -> str:
+    from rich.console import Console
+    from rich.table import Table
+
+    from kinetix_dist.finetune.results import THRESHOLDS
+
+    table = Table(title="Specialists: solve rates, and environment steps to them")
+    table.add_column("level", no_wrap=True)
+    table.add_column("start", no_wrap=True)
+    columns = ("before", *(f"to {threshold:.0%}" for threshold in THRESHOLDS), "end, % (95 %)", "seconds")
+    for header in columns:
+        table.add_column(header, justify="right", no_wrap=True)
+    for record in records:
+        final, before = record["final"], record["curve"][0]
+        steps = [record["env_steps_to"][str(threshold)] for threshold in THRESHOLDS]
+        table.add_row(
+            record["level"],
+            record["label"],
+            f"{before['solved'] / before['attempts']:.0%}",
+            *("-" if count is None else f"{count:,}" for count in steps),
+            f"{100 * final['rate']:.0f} ({100 * final['low']:.0f}-{100 * final['high']:.0f})",
+            f"{record['seconds']['training'] + record['seconds']['evaluation']:.0f}",
+        )
+    console = Console(width=MAX_TABLE_WIDTH)
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get().rstrip("\n")

@@ -1,0 +1,130 @@
+"""One specialist a level, from each start, stored as they come: `kinetix-dist finetune --each`."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from kinetix_dist.checkpoint import CheckpointError
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.finetune.results import Record, ResultsDirectory, design_of
+from kinetix_dist.finetune.specialists import Specialists
+from kinetix_dist.finetune.starts import SCRATCH, Start
+from kinetix_dist.level.level import Level
+from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.runtime.driver.starting import starting_point
+from kinetix_dist.telemetry.sinks.console import ConsoleSink
+
+
+def train_each(
+    config: TrainConfig,
+    starts: Sequence[Start],
+    path: Path,
+    *,
+    stop_at: float = 0.0,
+    report: Callable[[str], None] = lambda line: None,
+) -> None:
+    """Trains what the results directory at `path` does not hold yet: each level of `config.curriculum.levels`.
+
+    report: gets a line for a person about each specialist. Raises UserError, before anything is computed for long, for
+    levels and starts that do not fit, and for a directory of another design.
+    """
+    config = _alone(config)
+    with user_errors(ValueError, OSError):
+        levels, names = load_level_set(config.curriculum.levels, config.env.size)
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UserError(f"{config.curriculum.levels} has more than one level {twice[0]!r}; rename one of the files")
+    results = ResultsDirectory(path, design_of(config, levels, names, stop_at=stop_at))
+    try:
+        with user_errors(CheckpointError):
+            arrays = {start.name: starting_point(_starting(config, start)).arrays for start in starts}
+        todo = [(i, start) for i in range(len(names)) for start in starts if results.done(start, names[i]) is None]
+        if num_done := len(names) * len(starts) - len(todo):
+            report(f"{num_done} of {len(names) * len(starts)} specialists are there already")
+        if not todo:
+            return
+        with user_errors(ValueError):
+            specialists = Specialists(config, stop_at=stop_at)
+            number, start = todo[0]
+            seconds = specialists.compile(_one(levels, number), arrays[start.name])
+        report(f"compiled in {seconds:.0f} s, once for all specialists")
+        for turn, (number, start) in enumerate(todo):
+            name, began = names[number], time.monotonic()
+            progress = _Progress(config, f"{turn + 1}/{len(todo)} {name} {start.label}")
+            try:
+                specialist = specialists.train(_one(levels, number), arrays[start.name], on_update=progress.update)
+            finally:
+                progress.close()
+            record = results.add(start, name, specialist, _starting(config, start))
+            report(f"{turn + 1}/{len(todo)}  {summary(record)}, {time.monotonic() - began:.0f} s")
+    finally:
+        results.close()
+
+
+def summary(record: Record) -> str:
+    """A specialist in one line."""
+    reached = [
+        f"{float(threshold):.0%} after {steps:,} steps" if steps is not None else f"{float(threshold):.0%} never"
+        for threshold, steps in record["env_steps_to"].items()
+    ]
+    final = record["final"]
+    end = f"{final['rate']:.0%} ({final['low']:.0%}-{final['high']:.0%}) at {record['env_steps']:,}"
+    return f"{record['level']} {record['label']}: {', '.join(reached)}; {end}"
+
+
+class _Progress:
+    """One line that is kept up to date."""
+
+    def __init__(self, config: TrainConfig, phase: str) -> None:
+        self._steps_per_update = config.rollout.steps_per_update
+        self._began = time.monotonic()
+        self._sink = ConsoleSink(total_env_steps=config.run.total_env_steps or None)
+        self._sink.set_phase(phase)
+
+    def update(self, number: int, metrics: Mapping[str, float]) -> None:
+        env_steps = number * self._steps_per_update
+        speed = env_steps / max(time.monotonic() - self._began, 1e-9)
+        self._sink.write(
+            number,
+            {
+                "progress/env_steps": env_steps,
+                "progress/env_steps_per_second": speed,
+                "train/solve_rate": metrics["train/solve_rate"],
+            },
+        )
+
+    def close(self) -> None:
+        self._sink.close()
+
+
+def _alone(config: TrainConfig) -> TrainConfig:
+    """What is asked for of each specialist. Raises UserError for what specialists do not have."""
+    if config.run.placement != "local":
+        raise UserError(
+            f"run.placement is {config.run.placement!r}, but specialists train in this process; use 'local', or leave "
+            "--each out"
+        )
+    if config.phases:
+        raise UserError("phases are of runs, and specialists are compiled once; leave --phases or --each out")
+    if config.evaluation.every < 1:
+        raise UserError(
+            "evaluation.every is 0, but samples to a solve rate are counted by evaluations; give --evaluation.every 4"
+        )
+    # Episodes are counted by evaluations alone. What parameters are at the start is no matter of the programs.
+    log = dataclasses.replace(config.curriculum_log, outcomes_every=0)
+    return dataclasses.replace(_starting(config, SCRATCH), curriculum_log=log)
+
+
+def _starting(config: TrainConfig, start: Start) -> TrainConfig:
+    return dataclasses.replace(config, run=dataclasses.replace(config.run, start_from=start.checkpoint))
+
+
+def _one(levels: Level, number: int) -> Level:
+    """[1, ...]"""
+    return jax.tree.map(lambda x: np.asarray(x)[number : number + 1], levels)

@@ -1,0 +1,194 @@
+"""The results of specialists: a directory that is complete after every level, and goes on where it was left.
+
+    OUT/design.json              what was asked for: another design is refused
+    OUT/scratch/hop_home.json    one specialist: its curve, samples to each threshold, final rate, seconds
+    OUT/scratch/hop_home/        its policy, a checkpoint of parameters
+    OUT/sfl_s/hop_home.json      the same from a policy
+    OUT/samples.png              drawn from the JSON files alone
+
+The JSON file of a specialist is written last, by one rename: where it is, the specialist is done.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from kinetix_dist.checkpoint import flatten_arrays, save_alone
+from kinetix_dist.config import TrainConfig, differing, numbers_of, to_dict
+from kinetix_dist.errors import UserError, one_line, user_errors
+from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
+from kinetix_dist.finetune.specialists import Point, Specialist
+from kinetix_dist.finetune.starts import FROM_SCRATCH, Start
+from kinetix_dist.level.level import Level
+from kinetix_dist.runtime.driver.provenance import versions
+from kinetix_dist.runtime.driver.run_directory import LOCK_NAME, RunDirectoryError, lock_directory
+from kinetix_dist.telemetry.json_lines import replace_file
+
+FORMAT = 1
+DESIGN_NAME = "design.json"
+THRESHOLDS = (0.5, 0.9)  # solve rates whose samples are compared
+
+Record = dict[str, Any]
+
+
+def design_of(config: TrainConfig, levels: Level, names: Sequence[str], *, stop_at: float) -> Record:
+    """What all specialists of a directory share, whatever they start from: plain values.
+
+    config: without a start. levels [L, ...] with their names; a level that was changed makes another design.
+    """
+    numbers = numbers_of(config)
+    run = numbers["run"] | {"total_env_steps": config.run.total_env_steps, "max_seconds": config.run.max_seconds}
+    return numbers | {
+        "format": FORMAT,
+        "run": run,
+        "stop_at": stop_at,
+        "evaluation": {"every": config.evaluation.every, "attempts": config.evaluation.attempts_of(1)},
+        "levels": {name: _digest(jax.tree.map(lambda x, i=i: x[i], levels)) for i, name in enumerate(names)},
+    }
+
+
+class ResultsDirectory:
+    """Of one design, for one process at a time. Raises UserError where the directory is of another design, in use, or
+    cannot be written."""
+
+    def __init__(self, path: Path, design: Record) -> None:
+        self.path = path
+        with user_errors(OSError, prefix=f"{path} cannot be written: "):
+            path.mkdir(parents=True, exist_ok=True)
+            is_new = not (path / DESIGN_NAME).exists()
+            if is_new and any(file.name != LOCK_NAME for file in path.iterdir()):
+                raise UserError(f"{path} holds other files and no {DESIGN_NAME}; choose an empty directory")
+            if not is_new:
+                self._check(design)
+            with user_errors(RunDirectoryError):
+                self._lock = lock_directory(path)
+            if is_new:
+                _write_json(path / DESIGN_NAME, design)
+
+    def close(self) -> None:
+        """Lets others have the directory."""
+        self._lock.close()
+
+    def _check(self, design: Record) -> None:
+        stored = _read_json(self.path / DESIGN_NAME)
+        if stored.get("format") != FORMAT:
+            raise UserError(f"{self.path} has format {stored.get('format')!r}; this version reads {FORMAT}")
+        if differs := differing(design, stored):
+            more = f" and {len(differs) - 1} more" if len(differs) > 1 else ""
+            raise UserError(
+                f"{self.path} holds results of another design: {differs[0]}{more}; choose another directory, or the "
+                "options that it was made with"
+            )
+
+    def done(self, start: Start, level: str) -> Record | None:
+        """What is stored of a specialist; None where it is still to be trained. Raises UserError where it started from
+        another policy of the same name."""
+        file = self._file(start, level)
+        if not file.exists():
+            return None
+        stored = _read_json(file)
+        theirs, ours = stored["from"], start.description
+        if (theirs or {}).get("sha256") != (ours or {}).get("sha256"):
+            raise UserError(
+                f"{file} is of a specialist from another policy ({(theirs or {}).get('checkpoint')}); choose another "
+                "directory"
+            )
+        return stored
+
+    def add(self, start: Start, level: str, specialist: Specialist, config: TrainConfig) -> Record:
+        """Stores a specialist: its policy, then its figures. Returns these. Raises UserError for a full disk."""
+        file = self._file(start, level)
+        record = record_of(start, level, specialist)
+        with user_errors(OSError, prefix=f"{file} cannot be written: "):
+            file.parent.mkdir(exist_ok=True)
+            policy = file.with_suffix("")
+            shutil.rmtree(policy, ignore_errors=True)  # of one that was interrupted here
+            arrays = {f"{PARAMS_PREFIX}/{name}": array for name, array in flatten_arrays(specialist.params).items()}
+            description = {
+                "config": to_dict(config),
+                "config_hash": config.hash,
+                "env_steps": record["env_steps"],
+                "training_seconds": record["seconds"]["training"],
+                "level": level,
+            }
+            save_alone(policy, specialist.points[-1].updates, arrays, description)
+            _write_json(file, record)
+        return record
+
+    def _file(self, start: Start, level: str) -> Path:
+        return self.path / start.name / f"{level}.json"
+
+
+def record_of(start: Start, level: str, specialist: Specialist) -> Record:
+    """The figures of a specialist as JSON."""
+    last = specialist.points[-1]
+    low, high = wilson_interval(last.solved, last.attempts)
+    return {
+        "level": level,
+        "start": start.name,
+        "label": start.label,
+        "from": start.description,
+        "env_steps_to": {str(threshold): env_steps_to(specialist.points, threshold) for threshold in THRESHOLDS},
+        "final": {"rate": last.rate, "low": low, "high": high, "attempts": last.attempts},
+        "env_steps": last.env_steps,
+        "seconds": {
+            "training": round(specialist.training_seconds, 3),
+            "evaluation": round(specialist.evaluation_seconds, 3),
+            "compile": round(specialist.compile_seconds, 3),
+        },
+        "skipped_steps": specialist.skipped_steps,
+        "curve": [dataclasses.asdict(point) for point in specialist.points],
+        "versions": versions(),
+    }
+
+
+def env_steps_to(points: Sequence[Point], threshold: float) -> int | None:
+    """Environment steps at the first evaluation whose solve rate is the threshold or more; None: there was none."""
+    return next((point.env_steps for point in points if point.rate >= threshold), None)
+
+
+def read_results(path: Path) -> list[Record]:
+    """All that is stored in a directory: starts in order, from scratch first, and levels in the order of the design.
+    Raises UserError where there is nothing."""
+    if not (path / DESIGN_NAME).is_file():
+        raise UserError(f"{path} holds no results of specialists (no {DESIGN_NAME}); give a directory that has them")
+    levels = list(_read_json(path / DESIGN_NAME)["levels"])
+    records = [_read_json(file) for file in path.glob("*/*.json") if file.stem in levels]
+    if not records:
+        raise UserError(f"{path} holds no finished specialist yet")
+    return sorted(records, key=lambda one: (one["start"] != FROM_SCRATCH, one["start"], levels.index(one["level"])))
+
+
+def _digest(level: Level) -> str:
+    """Of all numbers of a level."""
+    digest = hashlib.sha256()
+    for name, array in sorted(flatten_arrays(level).items()):
+        digest.update(f"{name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _write_json(file: Path, content: Mapping[str, Any]) -> None:
+    replace_file(file, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def _read_json(file: Path) -> Record:
+    """Raises UserError, one line, for a file that is damaged."""
+    is_design = file.name == DESIGN_NAME
+    advice = "choose another directory" if is_design else "remove it, and its specialist is trained again"
+    try:
+        content = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise UserError(f"{file} cannot be read ({one_line(error)}); {advice}") from None
+    if not isinstance(content, dict):
+        raise UserError(f"{file} holds no object; {advice}")
+    return content

@@ -1,0 +1,169 @@
+"""Training on one level after another with one set of compiled programs.
+
+    Specialists(config)                    builds the programs: rollout, update, evaluation
+    .compile(level, start)                 compiles them, on one level
+    .train(level, start) -> Specialist      trains afresh on a level; nothing is compiled again
+
+Levels are the state of the curriculum `fixed`, an argument of the program that plays, and so are parameters: programs
+depend on the size of levels alone. Specialists are trained one after another. `bench.runs_at_once` measures what
+training several at once by `jax.vmap` would take (docs/results/2026-11-23-finetune.md: on a CPU it is slower).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.evaluation.evaluate import evaluate
+from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+from kinetix_dist.learner.sharding import data_mesh, local_values, replicate
+from kinetix_dist.level.level import Level
+from kinetix_dist.models.policy import make_policy
+from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
+from kinetix_dist.runtime.cores.evaluator import EVALUATION_STREAM
+from kinetix_dist.runtime.cores.learner_core import LearnerCore
+from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.memory import check_memory
+from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.update_metrics import training_metrics
+from kinetix_dist.runtime.driver.clock import is_over
+from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
+
+Arrays = Mapping[str, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Point:
+    """One evaluation of a specialist."""
+
+    updates: int
+    env_steps: int
+    solved: int  # of the attempts
+    attempts: int
+
+    @property
+    def rate(self) -> float:
+        return self.solved / self.attempts
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Specialist:
+    """A specialist at its end."""
+
+    points: tuple[Point, ...]  # the first before training
+    params: Any  # numpy, those for use
+    training_seconds: float  # of updates
+    evaluation_seconds: float
+    compile_seconds: float  # of both: 0 where nothing was compiled again
+    skipped_steps: int  # gradient steps left out since they were not finite
+
+
+class Specialists:
+    """Trains on single levels of the set `config.curriculum.levels`, one after another, on one device.
+
+    A specialist ends as a run does, after `run.total_env_steps` or `run.max_seconds`, or at the first evaluation
+    whose solve rate is `stop_at` (0: none). Evaluations are every `evaluation.every` updates and at the end.
+    Raises ValueError, DeviceMemoryError for what cannot run.
+    """
+
+    def __init__(self, config: TrainConfig, *, stop_at: float = 0.0) -> None:
+        check_memory(config, 1)
+        count_compile_seconds()
+        self._config = config
+        self._stop_at = stop_at
+        self._mesh = data_mesh(jax.local_devices()[:1])
+        self._env = make_environment(config)
+        policy = make_policy(config.policy, self._env.action_distribution.head_sizes)
+        curriculum = make_curriculum(config, self._env, policy, self._mesh)
+        self._learner = LearnerCore(config, self._env, policy, self._mesh)
+        self._rollout = RolloutCore(
+            config,
+            self._env,
+            policy,
+            curriculum,
+            self._mesh,
+            groups=range(config.rollout.num_groups),
+            division=self._learner.division,
+        )
+        self._network = NetworkPolicy(policy, self._env.action_distribution)
+
+    def compile(self, level: Level, start: Arrays | None) -> float:
+        """Plays, learns and evaluates once, so that clocks of specialists hold no compilation; s it took."""
+        began = time.monotonic()
+        self._learner.start(start)
+        state = replicate(level, self._mesh)
+        for update in range(2):  # what the second is given lies where the first left it
+            self._update(state, update)
+        self._evaluate(level, 0)
+        return time.monotonic() - began
+
+    def train(
+        self,
+        level: Level,
+        start: Arrays | None,
+        *,
+        on_update: Callable[[int, Mapping[str, float]], None] = lambda number, metrics: None,
+    ) -> Specialist:
+        """A specialist for `level` ([1, ...] on every field).
+
+        start: parameters as `starting_point` gives them; None: from the seed. on_update: told the number of updates
+        done and the metrics of the last.
+        """
+        compiled_before = compile_seconds()
+        self._learner.start(start)
+        state = replicate(level, self._mesh)
+        training = evaluation = 0.0
+        skipped = 0
+
+        def evaluated(update: int) -> Point:
+            nonlocal evaluation
+            began = time.monotonic()
+            point = self._evaluate(level, update)
+            evaluation += time.monotonic() - began
+            return point
+
+        points = [evaluated(0)]
+        update = 0
+        while not self._is_over(update, training) and not self._is_good(points[-1]):
+            began = time.monotonic()
+            metrics = self._update(state, update)
+            training += time.monotonic() - began
+            update += 1
+            skipped += int(metrics["learner/skipped_steps"])
+            on_update(update, metrics)
+            if update % self._config.evaluation.every == 0 or self._is_over(update, training):
+                points.append(evaluated(update))
+        return Specialist(
+            points=tuple(points),
+            params=local_values(self._learner.released),
+            training_seconds=training,
+            evaluation_seconds=evaluation,
+            compile_seconds=compile_seconds() - compiled_before,
+            skipped_steps=skipped,
+        )
+
+    def _update(self, state: Any, number: int) -> dict[str, float]:
+        batch, _, sums = self._rollout.play(self._learner.params, state, number)
+        metrics = self._learner.learn(*batch)
+        return training_metrics(local_values(sums), local_values(metrics), frame_skip=self._config.env.frame_skip)
+
+    def _evaluate(self, level: Level, update: int) -> Point:
+        """Levels, attempts and keys are the same every time, so that evaluations are paired."""
+        player = Player(self._network, jax.device_put(local_values(self._learner.released)))
+        key, attempts = jax.random.key(EVALUATION_STREAM), self._config.evaluation.attempts_of(1)
+        rates = evaluate(self._env, player, level, attempts=attempts, key=key)
+        env_steps = update * self._config.rollout.steps_per_update
+        return Point(updates=update, env_steps=env_steps, solved=rates.total.solved, attempts=rates.attempts)
+
+    def _is_over(self, update: int, training_seconds: float) -> bool:
+        env_steps = update * self._config.rollout.steps_per_update
+        return is_over(self._config.run, env_steps=env_steps, training_seconds=training_seconds)
+
+    def _is_good(self, point: Point) -> bool:
+        return bool(self._stop_at) and point.rate >= self._stop_at

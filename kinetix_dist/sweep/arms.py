@@ -1,0 +1,166 @@
+"""Arms of a design and their runs: what each changes, its configuration, and the command that trains it."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.config import ConfigError, TrainConfig, flat, from_dict, to_dict
+from kinetix_dist.errors import one_line
+from kinetix_dist.recipes import recipe
+from kinetix_dist.sweep.design import Design, DesignError, Options
+from kinetix_dist.sweep.factorial import TwoLevelDesign, two_level_design
+from kinetix_dist.sweep.objective import check_sets
+from kinetix_dist.telemetry.json_lines import replace_file
+
+MAX_ARMS = 512
+# A run has to have an end of its own. The sweep stops it long before.
+MAX_RUN_SECONDS = 7 * 24 * 3600.0
+# What an option cannot set: (option, why).
+SET_BY_SWEEP = {
+    "evaluation.sets": "objective.sets says it",
+    "evaluation.every": "objective.every_seconds says it",
+    "evaluation.every_seconds": "objective.every_seconds says it",
+    "recording.every": "arms record no rollouts",
+    "recording.num_rollouts": "arms record no rollouts",
+    "run.max_seconds": "seconds says it",
+    "run.total_env_steps": "seconds says it",
+    "run.seed": "seeds says it",
+    "run.name": "name says it",
+    "run.num_workers": "an arm has one device",
+    "run.metrics_port": "arms would share it",
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Arm:
+    """One setting of all options."""
+
+    name: str
+    options: Options  # beside the recipe
+    levels: Mapping[str, int] = dataclasses.field(default_factory=dict)  # -1 or 1 of each factor
+    is_fold_over: bool = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Run:
+    """One training run: an arm with a seed."""
+
+    arm: Arm
+    seed: int
+    options: Options  # everything that differs from the recipe
+    config: TrainConfig
+
+    @property
+    def name(self) -> str:
+        """Of its directory."""
+        return f"{self.arm.name}-seed{self.seed}"
+
+
+def arms_of(design: Design) -> list[Arm]:
+    """All arms; those of a factorial are named a1, a2, ... in standard order, those of its fold-over b1, b2, ..."""
+    if design.factorial is None:
+        return [Arm(name=arm.name, options={**design.options, **arm.options}) for arm in design.arms]
+    plan = two_level_design(design.factorial)
+    if len(plan.levels) > MAX_ARMS:
+        raise DesignError(
+            f"factorial has {len(plan.levels)} arms; at most {MAX_ARMS} can be run: give factors generators"
+        )
+    return [_factorial_arm(design, plan, row) for row in range(len(plan.levels))]
+
+
+def _factorial_arm(design: Design, plan: TwoLevelDesign, row: int) -> Arm:
+    assert design.factorial is not None
+    levels = dict(zip(plan.names, plan.levels[row].tolist(), strict=True))
+    options = dict(design.options)
+    for factor in design.factorial.factors:
+        options |= factor.high if levels[factor.name] > 0 else factor.low
+    half = 2**plan.num_basic
+    name = f"{'ab'[row // half]}{row % half + 1}"
+    return Arm(name=name, options=options, levels=levels, is_fold_over=row >= half)
+
+
+def runs_of(design: Design) -> list[Run]:
+    """In the order in which they begin: the first seed of all arms, then the next; a fold-over after what it changes.
+
+    Raises DesignError for a recipe, an option, a value or a level set that cannot be used.
+    """
+    try:
+        base = recipe(design.recipe)
+    except ConfigError as error:
+        raise DesignError(one_line(error)) from error
+    arms, runs = arms_of(design), []
+    for is_fold_over, seeds in ((False, design.seeds), (True, design.fold_over_seeds)):
+        half = [arm for arm in arms if arm.is_fold_over == is_fold_over]
+        runs += [_run(design, base, arm, seed) for seed in seeds for arm in half]
+    check_sets(design.objective.sets, {run.config.env.size for run in runs})
+    for run in runs:
+        if run.config.curriculum.name == "fixed" and run.config.curriculum.levels in design.objective.sets:
+            raise DesignError(
+                f"arm {run.arm.name} trains on {run.config.curriculum.levels}, which is part of the objective; "
+                "change one"
+            )
+    return runs
+
+
+def _run(design: Design, base: TrainConfig, arm: Arm, seed: int) -> Run:
+    options = {
+        **arm.options,
+        "evaluation.sets": list(design.objective.sets),
+        "evaluation.every": 0,
+        "evaluation.every_seconds": float(design.objective.every_seconds),
+        "recording.num_rollouts": 0,
+        "recording.every": 0,
+        "run.name": design.name,
+        "run.seed": seed,
+        "run.total_env_steps": 0,
+        "run.max_seconds": MAX_RUN_SECONDS,
+    }
+    known = flat(to_dict(base))
+    for name in arm.options:
+        if name in SET_BY_SWEEP:
+            raise DesignError(f"option {name} cannot be set in a sweep: {SET_BY_SWEEP[name]}")
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else "`kinetix-dist train --help` lists all"
+            raise DesignError(f"unknown option {name!r} of arm {arm.name}; {hint}")
+    try:
+        config = from_dict(_with_options(to_dict(base), options))
+    except ValueError as error:  # the sections have errors of their own
+        raise DesignError(f"arm {arm.name}: {one_line(error)}") from error
+    return Run(arm=arm, seed=seed, options=options, config=config)
+
+
+def _with_options(data: dict[str, Any], options: Options) -> dict[str, Any]:
+    for name, value in options.items():
+        *sections, field = name.split(".")
+        section = data
+        for part in sections:
+            section = section[part]
+        section[field] = value
+    return data
+
+
+def train_arguments(run: Run, recipe_name: str, folder: Path) -> list[str]:
+    """Options of `kinetix-dist train` for a run, without --run. What is a list of tables, such as phases, is written
+    into a file in `folder` that the option names."""
+    words = ["--recipe", recipe_name]
+    for name, value in run.options.items():
+        if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
+            file = folder / f"{run.name}.{name}.json"
+            replace_file(file, json.dumps(value).encode())
+            value = file
+        words += [f"--{name}", *map(str, value if isinstance(value, list) else [value])]
+    return words
+
+
+def hash_of(design: Design, runs: list[Run]) -> str:
+    """16 hexadecimal digits over everything that results depend on. start_seconds is for the plan alone."""
+    content = to_dict(dataclasses.replace(design, start_seconds=0.0))
+    text = json.dumps([content, {run.name: run.config.hash for run in runs}], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,130 @@
+"""Specialists: one compilation for all levels, each as a run of its own would be; the command goes on where it was."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from kinetix_dist.cli.main import main
+from kinetix_dist.finetune import each
+from kinetix_dist.finetune.results import ResultsDirectory
+from kinetix_dist.finetune.specialists import Specialist
+from kinetix_dist.learner.sharding import data_mesh, local_values
+from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.runtime.cores.worker import Worker
+from tests.finetune.small import (
+    NAMES,
+    NUM_UPDATES,
+    OPTIONS,
+    config_of,
+    level_directory,
+    shared_specialists,
+    write_policy,
+)
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return level_directory(tmp_path_factory.mktemp("specialists") / "levels")
+
+
+@pytest.fixture(scope="module")
+def specialists(directory: Path) -> dict[str, Specialist]:
+    """By level, and "again": the first level after the others."""
+    config = config_of(directory)
+    config = dataclasses.replace(config, curriculum_log=dataclasses.replace(config.curriculum_log, outcomes_every=0))
+    trainer = shared_specialists(config)
+    levels = {name: load_level_set(str(directory / f"{name}.json"), "s")[0] for name in NAMES}
+    trainer.compile(levels[NAMES[0]], None)
+    order = {**{name: name for name in NAMES}, "again": NAMES[0]}
+    return {label: trainer.train(levels[name], None) for label, name in order.items()}
+
+
+def _params(specialist: Specialist) -> list[np.ndarray]:
+    return jax.tree.leaves(specialist.params)
+
+
+def test_nothing_is_compiled_for_another_level(specialists: dict[str, Specialist]) -> None:
+    assert [specialist.compile_seconds for specialist in specialists.values()] == [0.0] * len(specialists)
+
+
+def test_specialists_differ_by_their_level_and_by_nothing_before_them(specialists: dict[str, Specialist]) -> None:
+    first, second = (specialists[name] for name in NAMES)
+    again = specialists["again"]
+    assert all(np.array_equal(a, b) for a, b in zip(_params(first), _params(again)))
+    assert first.points == again.points
+    assert any(not np.array_equal(a, b) for a, b in zip(_params(first), _params(second)))
+
+
+def test_a_specialist_is_what_a_run_on_its_level_gives(specialists: dict[str, Specialist], directory: Path) -> None:
+    worker = Worker(config_of(directory / f"{NAMES[1]}.json"), data_mesh(jax.local_devices()[:1]))
+    worker.start(None)
+    for update in range(NUM_UPDATES):
+        worker.run_update(update)
+    expected = jax.tree.leaves(local_values(worker.released()))
+    for ours, theirs in zip(_params(specialists[NAMES[1]]), expected, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_evaluations_come_before_training_every_second_update_and_at_the_end(
+    specialists: dict[str, Specialist],
+) -> None:
+    points = specialists[NAMES[0]].points
+    assert [(point.updates, point.env_steps) for point in points] == [(0, 0), (2, 256), (3, 384)]
+    assert all(point.attempts == 8 and 0 <= point.solved <= 8 for point in points)
+
+
+def _records(out: Path) -> dict[str, dict]:
+    return {f"{file.parent.name}/{file.stem}": json.loads(file.read_text()) for file in out.glob("*/*.json")}
+
+
+def test_an_interrupted_command_goes_on_and_a_second_start_gives_one_picture(
+    directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(each, "Specialists", shared_specialists)  # those that are compiled already
+    policy = write_policy(tmp_path / "policy", config_of(directory))
+    out = tmp_path / "out"
+    command = ["finetune", "--levels", str(directory), "--each", *OPTIONS, "--run", str(out)]
+    added = []
+
+    def add_one(self, start, level, *rest):
+        if added:
+            raise KeyboardInterrupt
+        added.append(level)
+        return original(self, start, level, *rest)
+
+    original = ResultsDirectory.add
+    with monkeypatch.context() as patch:
+        patch.setattr(ResultsDirectory, "add", add_one)
+        assert main(command) == 130
+    before = _records(out)
+    assert list(before) == [f"scratch/{NAMES[0]}"] and not (out / "samples.png").exists()
+
+    capsys.readouterr()
+    assert main(command) == 0
+    assert "1 of 2 specialists are there already" in capsys.readouterr().out
+    after = _records(out)
+    assert set(after) == {f"scratch/{name}" for name in NAMES} and after.items() >= before.items()
+
+    assert main([*command, "--from", str(policy)]) == 0
+    assert (out / "samples.png").stat().st_size > 10_000
+    records = _records(out)
+    assert set(records) == {f"{start}/{name}" for start in ("scratch", "policy") for name in NAMES}
+    assert all(record["seconds"]["compile"] == 0.0 for record in records.values())
+    assert records[f"policy/{NAMES[0]}"]["from"]["policy_updates"] == 7
+
+    # The policy of a specialist is a checkpoint: one that starts from it begins where it ended.
+    capsys.readouterr()
+    specialist = out / "policy" / NAMES[1]
+    assert main([*command, "--from", str(specialist), "--run", str(tmp_path / "further")]) == 0
+    (ended, began) = records[f"policy/{NAMES[1]}"], _records(tmp_path / "further")[f"{NAMES[1]}/{NAMES[1]}"]
+    assert began["curve"][0]["solved"] == ended["curve"][-1]["solved"]
+    assert began["from"]["start_from"] == str(policy)
+
+    assert main(["finetune", "--draw", str(out)]) == 0
+    assert "from policy" in capsys.readouterr().out
