@@ -7,8 +7,11 @@
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.11, 3.12, 3.13, python3 found.
 PYTHON ?=
-# Test processes. They share one JAX compile cache, so that the second run is short.
-TEST_WORKERS ?= 2
+# Test processes, one more than two cores have: some of the tests wait for a browser, for Ray or for other processes.
+# They share one JAX compile cache, so that the second run is short.
+TEST_WORKERS ?= 3
+# Those of tests for a GPU, which share its memory.
+GPU_TEST_WORKERS ?= 2
 # More options for pytest, e.g. PYTEST_ARGS="-k pendulum -x"
 PYTEST_ARGS ?=
 # More options for train, e.g. TRAIN_ARGS="--run runs/mine"
@@ -88,7 +91,7 @@ drills-long: $(STAMP)
 	$(BIN)/python -m bench.fault_drill --placement colocated split --every 30 --seconds 600 --json runs/drills/every_30_s.json
 
 test-gpu: $(STAMP)
-	$(BIN)/python -m pytest -m gpu -n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m gpu -n $(GPU_TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)
 
 # The lock has a newer JAX for Python 3.12 than for 3.11: what leans on JAX most, with two devices that are both this CPU.
 # An environment of its own is made for it in .cache.

@@ -134,13 +134,15 @@ def add_browser_argument(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def launched(program: Path) -> Iterator[Any]:
-    """A headless Chromium. Raises UserError where there is none."""
+def launched(program: Path, *, has_webgl: bool = True) -> Iterator[Any]:
+    """A headless Chromium, by a software renderer: with WebGL, which costs more for every picture, or without. Raises
+    UserError where there is none."""
     if not program.is_file():
         raise UserError(f"--browser {program} is no file; `make browser` fetches one")
     from playwright.sync_api import sync_playwright
 
-    options = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+    renderer = ["--use-gl=angle", "--use-angle=swiftshader"] if has_webgl else ["--disable-gpu"]
+    options = ["--headless", "--no-sandbox", *renderer]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=str(program), args=options)
         yield browser

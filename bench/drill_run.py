@@ -1,12 +1,15 @@
 """A real `kinetix-dist train` that drills end parts of: its command, its processes, and what it leaves behind.
 
-Used by `bench.fault_drill` and `bench.recovery`. The recipe is `tiny`, on the CPU, with real Ray processes.
+Used by `bench.fault_drill` and `bench.recovery`. Ray processes are real ones; the recipe is `tiny` and the device the
+CPU, unless another is asked for.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,14 +23,17 @@ import psutil
 
 from kinetix_dist.checkpoint import list_checkpoints
 from kinetix_dist.recipes import recipe
+from kinetix_dist.runtime.processes.watchdog import is_alive
 from kinetix_dist.telemetry.json_lines import read_lines
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 SHARED_MEMORY = Path("/dev/shm")
 LOOK_EVERY_S = 1.0  # at the processes below a driver
 GONE_S = 30.0  # for what a driver left behind to be ended by the watchdog
-LIMIT_S = 900.0  # for anything that is waited for
+LIMIT_S = 900.0  # for anything that is waited for, where the drill has no end of its own
+MIN_END_S = 5.0  # for a command that was ended to be gone, whatever the limit
 STEPS_PER_UPDATE = recipe("tiny").rollout.steps_per_update
+FOR_EVER = str(1_000_000_000 * STEPS_PER_UPDATE)  # environment steps
 
 OPTIONS = {
     "colocated": ("--run.num_workers", "2"),
@@ -46,6 +52,9 @@ class DrillRun:
     path: Path
     placement: str
     options: tuple[str, ...] = ()
+    device: str = "cpu"  # or "gpu"
+    recipe: str = "tiny"
+    ends_at: float = math.inf  # time.monotonic() after which nothing is waited for any more
     _driver: subprocess.Popen[bytes] | None = None
     _seen: dict[int, psutil.Process] = dataclasses.field(default_factory=dict)
     _cpu: dict[tuple[int, float], float] = dataclasses.field(default_factory=dict)  # (pid, began) -> CPU seconds
@@ -56,13 +65,15 @@ class DrillRun:
         if resume:
             command += ["--resume"]
         else:
-            command += ["--recipe", "tiny", "--run.device", "cpu", "--run.placement", self.placement]
+            command += ["--recipe", self.recipe, "--run.device", self.device, "--run.placement", self.placement]
             command += ["--evaluation.sets", "s/kick", "--evaluation.min_attempts", "4"]
             command += [*OPTIONS[self.placement], *self.options]
         left_out = ("JAX_PLATFORMS", "XLA_PYTHON", "RAY_ADDRESS")
         environment = {name: value for name, value in os.environ.items() if not name.startswith(left_out)}
         python_path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
-        environment |= {"JAX_PLATFORMS": "cpu", "PYTHONPATH": python_path}
+        environment["PYTHONPATH"] = python_path
+        if self.device == "cpu":
+            environment["JAX_PLATFORMS"] = "cpu"
         with self.said_path.open("ab") as said:
             self._driver = subprocess.Popen(
                 [*command, *options],
@@ -102,14 +113,20 @@ class DrillRun:
     def updates(self) -> list[int]:
         return [row["update"] for row in read_lines(self.path / "metrics" / "metrics.jsonl").rows]
 
+    def last_processes(self) -> list[dict[str, Any]]:
+        """What the processes said of themselves last, as processes.jsonl has it."""
+        lines = read_lines(self.path / "processes.jsonl").rows
+        return lines[-1]["processes"] if lines else []
+
     def wait(self, condition: Callable[[], bool], what: str) -> None:
         """Raises DrillError where the command ends before, or where that takes too long."""
-        deadline = time.monotonic() + LIMIT_S
+        limit = self._limit()
+        deadline = time.monotonic() + limit
         while not condition():
             if not self.is_alive:
                 raise DrillError(f"the command ended ({self.driver.returncode}) before {what}: {self.said()[-500:]}")
             if time.monotonic() > deadline:
-                raise DrillError(f"{what} did not come in {LIMIT_S:g} s")
+                raise DrillError(f"{what} did not come in {limit:.0f} s; the run said last: {self.said()[-500:]}")
             time.sleep(0.02)
 
     def wait_for_update(self) -> float:
@@ -135,14 +152,18 @@ class DrillRun:
 
     def finished(self) -> int:
         """Waits for the command's end; its exit status."""
+        limit = max(self._limit(), MIN_END_S)
         try:
-            return self.driver.wait(LIMIT_S)
+            return self.driver.wait(limit)
         except subprocess.TimeoutExpired:
             self.driver.kill()
-            raise DrillError(f"the command did not end in {LIMIT_S:g} s: {self.said()[-500:]}") from None
+            raise DrillError(f"the command did not end in {limit:.0f} s: {self.said()[-500:]}") from None
         finally:
             self._watching.set()
             self._watcher.join()
+
+    def _limit(self) -> float:
+        return min(LIMIT_S, max(self.ends_at - time.monotonic(), 0.0))
 
     def left_processes(self) -> list[str]:
         """Processes of earlier commands that are there GONE_S later, and what they are."""
@@ -189,13 +210,6 @@ class DrillRun:
             return  # the rest is looked at next time
 
 
-def is_alive(process: psutil.Process) -> bool:
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-
-
 def shared_memory() -> set[str]:
     """Names of files in /dev/shm that no process has open or mapped: nobody will remove them."""
     names = {path.name for path in SHARED_MEMORY.iterdir()}
@@ -212,6 +226,14 @@ def _is_held(path: Path) -> bool:
         except OSError:
             continue
     return False
+
+
+def gpu_memory_mib() -> list[int]:
+    """In use on each GPU by all programs; empty on a machine without an NVIDIA driver."""
+    if shutil.which("nvidia-smi") is None:
+        return []
+    query = ["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
+    return [int(line) for line in subprocess.run(query, capture_output=True, text=True, check=True).stdout.split()]
 
 
 def machine() -> dict[str, Any]:

@@ -17,7 +17,7 @@ from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, save_alone
 from kinetix_dist.errors import user_errors
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX, released_arrays
 
-KEPT = ("config", "config_hash", "env_steps", "training_seconds")
+KEPT = ("config", "config_hash", "env_steps", "training_seconds", "lineage")
 
 
 def main() -> int:
@@ -32,7 +32,7 @@ def export(source: Path, to: Path) -> int:
     with user_errors(CheckpointError):
         checkpoint = load_checkpoint(source)
     arrays = {f"{PARAMS_PREFIX}/{name}": array for name, array in released_arrays(checkpoint).items()}
-    description = {name: checkpoint.description[name] for name in KEPT}
+    description = {name: checkpoint.description[name] for name in KEPT if name in checkpoint.description}
     evaluation = description["config"]["evaluation"]
     evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name]
     shutil.rmtree(to, ignore_errors=True)

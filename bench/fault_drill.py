@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.drill_run import OPTIONS, STEPS_PER_UPDATE, DrillError, DrillRun, machine, shared_memory
+from bench.drill_run import FOR_EVER, OPTIONS, STEPS_PER_UPDATE, DrillError, DrillRun, machine, shared_memory
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.checkpoint import load_checkpoint
 from kinetix_dist.errors import UserError
@@ -40,7 +40,6 @@ from kinetix_dist.telemetry.names import ROLES
 AFTER_KILL_S = (0.5, 25.0)
 AFTER_UPDATE_S = (0.0, 2.0)
 HEARTBEAT_S = 15.0  # after which a stopped process is taken for lost
-FOR_EVER = str(1_000_000_000 * STEPS_PER_UPDATE)
 
 
 class Drill:

@@ -1,11 +1,15 @@
 """What an SFL buffer claims of its levels, and what training then finds: one line a refresh of a run.
 
-    python -m bench.learnability runs/quickstart [--json FILE]
+    python -m bench.learnability runs/quickstart [--attempts 64] [--json FILE]
 
 `claimed` is the mean of p (1 - p) over the levels of the buffer, p of the few episodes that chose them; `training` the
 unbiased estimate of the same from the episodes of training (levels played twice or more), with its standard error.
 `played` is the solve rate in training; `chosen` and `again` are those of some of the levels when they were chosen, and
 by the policy of the next refresh (`curriculum_log.probe_levels`).
+
+With --attempts, the levels of the buffer in the newest checkpoint are played as often by its policy: `measured` is
+what their p (1 - p) is. Of "sfl_slices" only those in use count, and `window` is the estimate from their last plays in
+training.
 """
 
 from __future__ import annotations
@@ -16,9 +20,22 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import jax
+import numpy as np
+
 from bench.program import exit_code, output_file, parser_of
-from kinetix_dist.dashboard.refreshes import Refreshes
+from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
+from kinetix_dist.curator.slice_buffer import IN_USE, recent
+from kinetix_dist.dashboard.refreshes import Refreshes, claimed_learnability, unbiased_learnability
 from kinetix_dist.errors import UserError
+from kinetix_dist.evaluation.evaluate import evaluate
+from kinetix_dist.evaluation.load_policy import load_policy
+from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.level import Level
+from kinetix_dist.play.players import Trained, newest_checkpoint_of
+from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.stored import CURRICULUM
 
 COLUMNS = "{:>8} {:>7} {:>8} {:>16} {:>15} {:>14} {:>27}"
 
@@ -37,24 +54,85 @@ def line_of(entry: dict[str, Any]) -> str:
     return COLUMNS.format(entry["number"], entry["num_levels"], claimed, found, played, chosen, again)
 
 
+def solved_of(trained: Trained, levels: Level, attempts: int) -> np.ndarray:
+    """[n] int64, how many of so many attempts at each level the policy of a checkpoint solves."""
+    env = make_environment(trained.config)
+    module, params = load_policy(trained.checkpoint, trained.config.policy, env, levels)
+    player = Player(NetworkPolicy(module, env.action_distribution), jax.device_put(params))
+    rates = evaluate(env, player, levels, attempts=attempts, key=jax.random.key(0))
+    return np.array([rate.solved for rate in rates.levels])
+
+
+def measured(run: Path, attempts: int) -> dict[str, Any]:
+    """{update, levels, claimed, window, attempts, measured} of the newest checkpoint's buffer; window and measured are
+    pairs of `mean_of`, window None where the curriculum has no such counts."""
+    trained, _ = newest_checkpoint_of(run)
+    config, arrays = trained.config, select_arrays(trained.checkpoint.arrays, CURRICULUM)
+    if "num_solved" not in arrays:
+        raise UserError(f"{trained.checkpoint.path} has no buffer of scored levels; give a run of sfl or sfl_slices")
+    num_levels = len(arrays["num_solved"])
+    generator = config.curriculum.generator
+    template = jax.eval_shape(lambda: generate_levels(jax.random.key(0), num_levels, config.env.capacity, generator))
+    solved = solved_of(trained, unflatten_arrays(template, select_arrays(arrays, "levels")), attempts)
+    counted = arrays.get("status", np.full(num_levels, IN_USE)) == IN_USE
+    found: dict[str, Any] = {
+        "update": int(trained.checkpoint.path.name),
+        "levels": int(counted.sum()),
+        "claimed": float(claimed_learnability(arrays["num_solved"], arrays["num_finished"])[counted].mean()),
+        "attempts": attempts,
+        "window": None,
+        "measured": mean_of(solved[counted], np.full(counted.sum(), attempts)),
+    }
+    if "window_plays" in arrays:
+        window = config.curriculum.slices.window
+        won, plays = (np.asarray(x) for x in recent(arrays["window_solved"], arrays["window_plays"], window))
+        found["window"] = mean_of(won[counted], plays[counted])
+    return found
+
+
+def mean_of(solved: np.ndarray, plays: np.ndarray) -> list[float] | None:
+    """[mean, standard error] of p (1 - p) over the levels that were played twice; None with fewer than two."""
+    values = unbiased_learnability(solved.astype(np.int64), plays.astype(np.int64))
+    values = values[np.isfinite(values)]
+    if len(values) < 2:
+        return None
+    return [float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))]
+
+
+def in_words(pair: list[float] | None) -> str:
+    return "-" if pair is None else "{:.3f} +- {:.3f}".format(*pair)
+
+
 def run(arguments: argparse.Namespace) -> int:
+    if arguments.attempts < 0 or arguments.attempts == 1:
+        raise UserError(f"--attempts is {arguments.attempts}; give 2 or more, or 0 for none")
     found = Refreshes(arguments.run).summaries()
     refreshes = [entry for entry in found["snapshots"] if entry["kind"] == "refresh"]
     if not refreshes:
-        raise UserError(f"{arguments.run} has no snapshots of refreshes; it needs a run of curriculum sfl")
+        raise UserError(f"{arguments.run} has no snapshots of refreshes; it needs a run of sfl or sfl_slices")
     print(COLUMNS.format("refresh", "levels", "claimed", "training", "played", "chosen", "again"))
     for entry in refreshes:
         print(line_of(entry))
     for problem in found["problems"]:
         print(problem, file=sys.stderr)
+    played = None
+    if arguments.attempts:
+        played = measured(arguments.run, arguments.attempts)
+        window, measure = map(in_words, (played["window"], played["measured"]))
+        print(
+            f"buffer after update {played['update']}: {played['levels']} levels, claimed {played['claimed']:.3f}, "
+            f"window {window}, measured {measure} by {played['attempts']} attempts each"
+        )
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(refreshes, indent=2) + "\n")
+        content = refreshes if played is None else {"refreshes": refreshes, "buffer": played}
+        arguments.json.write_text(json.dumps(content, indent=2) + "\n")
     return 0
 
 
 def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("run", type=Path)
+    parser.add_argument("--attempts", type=int, default=0)
     parser.add_argument("--json", type=output_file)
     arguments = parser.parse_args()
     return exit_code(parser, lambda: run(arguments))

@@ -22,13 +22,20 @@ from tests.helpers import REPOSITORY, public_levels_directory
 TESTS = Path(__file__).resolve().parent
 ON_CPU = pytest.StashKey[bool]()  # whether these are tests for a CPU
 
-# Before jax or warp is imported: compiled programs are kept in the checkout and shared by the test processes.
 _CACHE = REPOSITORY / ".cache"
+# Where the environment says to write no bytecode, as in many containers, each of hundreds of processes would compile
+# the sources of jax, ray and others again, for 3 s: tests write it into the checkout.
+if sys.dont_write_bytecode:
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(_CACHE / "bytecode")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # or `python -B` was asked for
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+# Before jax or warp is imported: compiled programs are kept in the checkout and shared by the test processes.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE / "jax"))
 # Small ones too: each file of tests needs hundreds of them again, and reading one takes half as long as compiling it.
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("WARP_CACHE_PATH", str(_CACHE / "warp"))
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+os.environ.setdefault("RAY_prestart_worker_first_driver", "0")  # not a process a CPU slot, of which none is used
 # Ray keeps for the life of a process whether it has a token: all clusters that a test process meets ask for one.
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 os.environ.setdefault("RAY_AUTH_MODE", "token")
@@ -60,23 +67,27 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # test processes share the GPU
 
 
-# The longest first: begun last, one of these would keep one of two processes busy for minutes after the other has
-# nothing left to do.
+# The longest first: begun last, one of these would keep one process busy for minutes after the others have nothing
+# left to do.
 LONGEST_FILES = (
     "test_gpu_run.py",
-    "test_ray_run.py",
-    "test_ray_processes.py",
-    "test_run_data.py",
-    "test_reference.py",
-    "test_local_run.py",
-    "test_follows_float64.py",
-    "test_failures.py",
-    "test_reference_alone.py",
     "test_split.py",
+    "test_ray_run.py",
+    "test_local_run.py",
+    "test_editor.py",
+    "test_pages.py",
+    "test_run_data.py",
+    "test_ray_processes.py",
+    "test_reference.py",
+    "test_follows_float64.py",
     "test_level_vae.py",
     "test_hard_scenes.py",
+    "test_canonical.py",
     "test_locomotion.py",
-    "test_joined_trees.py",
+    "test_editor_limits.py",
+    "test_preset_reference.py",
+    "test_failures.py",
+    "test_published_generator.py",
 )
 
 
@@ -98,9 +109,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             pytest.skip(f"needs an NVIDIA GPU; JAX runs on {jax.default_backend()} here")
 
 
-# Most tests compile large programs for little work: without most optimisations that takes half of the time. Not those
-# of the engine, which step by the thousand and compare with figures. A file that sets OPTIMISED decides for itself.
-OPTIMISED = {"engine"}
+# Most tests compile large programs for little work: without most optimisations that takes half of the time. A file
+# whose programs compute for long, as those of the reference that step by the hundred, sets OPTIMISED = True.
 _WITHOUT_OPTIMISATIONS = "jax_disable_most_optimizations"  # of JAX; processes of tests find it in the environment
 
 
@@ -110,9 +120,11 @@ def optimisation(request: pytest.FixtureRequest) -> None:
     if not request.config.stash[ON_CPU]:
         return
     import jax
+    import warp as wp
 
-    folder = request.path.relative_to(TESTS).parts[0]
-    is_bare = not getattr(request.module, "OPTIMISED", folder in OPTIMISED)
+    # A kernel for a CPU gives the same bits, is built in four fifths of the time, and steps by a tenth more slowly.
+    wp.config.optimization_level = 1
+    is_bare = not getattr(request.module, "OPTIMISED", False)
     os.environ[_WITHOUT_OPTIMISATIONS.upper()] = str(is_bare)
     if jax.config.read(_WITHOUT_OPTIMISATIONS) != is_bare:
         jax.clear_caches()

@@ -7,6 +7,9 @@ import socket
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+# s: after which something that is waited for is taken to have failed. No test may depend on how fast a machine is, so
+# this is far more than one that is busy with other things needs.
+PATIENCE_S = 180.0
 
 
 def python_path() -> str:

@@ -92,10 +92,10 @@ def forget(
     )
 
     def taken(impulses: jax.Array, on: jax.Array) -> jax.Array:
-        return jnp.where(on.reshape(-1, *[1] * (impulses.ndim - 1)), -impulses, 0)
+        return jnp.where(joints_of.like(on, impulses), -impulses, 0)
 
     def left(impulses: jax.Array, on: jax.Array) -> jax.Array:
-        return jnp.where(on.reshape(-1, *[1] * (impulses.ndim - 1)), 0, impulses)
+        return jnp.where(joints_of.like(on, impulses), 0, impulses)
 
     rolling = contacts.rolling_impulse
     back = contact_solver.apply_impulses(

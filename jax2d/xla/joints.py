@@ -200,7 +200,7 @@ def constraints(bodies: Bodies, joints: Joints) -> Constraints:
     x, y = (along(jnp.broadcast_to(unit, gap.shape)) for unit in jnp.eye(2, dtype=gap.dtype))
 
     def by_kind(prismatic: Any, other: Any) -> Any:
-        return jax.tree.map(lambda p, o: jnp.where(_like(joints.is_prismatic, p), p, o), prismatic, other)
+        return jax.tree.map(lambda p, o: jnp.where(like(joints.is_prismatic, p), p, o), prismatic, other)
 
     across = vec2.left(axis)
     return Constraints(
@@ -212,7 +212,8 @@ def constraints(bodies: Bodies, joints: Joints) -> Constraints:
     )
 
 
-def _like(mask: jax.Array, x: jax.Array) -> jax.Array:
+def like(mask: jax.Array, x: jax.Array) -> jax.Array:
+    """The mask of the first axes of `x`, to select from it."""
     return mask.reshape(mask.shape + (1,) * (x.ndim - mask.ndim))
 
 

@@ -9,25 +9,27 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import linen as nn
 
 from kinetix_dist.benchmarks.results import BenchmarkOptions, Record, Results
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
 from kinetix_dist.benchmarks.timing import median_seconds
-from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.env.observations import OBSERVATIONS, Observation
 from kinetix_dist.errors import user_errors
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import data_mesh, replicate, spread_worlds
-from kinetix_dist.learner.state import init_learner_state
 from kinetix_dist.learner.update import make_update
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.messages import StaticInput
+from kinetix_dist.messages import StaticInput, Trajectory
+from kinetix_dist.models.kernels.support import KernelError
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy, num_parameters
 
 PAPER_EPOCHS = 8
@@ -41,8 +43,10 @@ class Options(BenchmarkOptions):
     """Level size."""
     dtype: Literal["float32", "bfloat16"] = "bfloat16"
     """Of activations."""
-    network: Literal["transformer", "flat"] = "transformer"
+    network: Literal["transformer", "transformer_lean", "flat"] = "transformer"
     """Policy network."""
+    kernels: Literal["auto", "xla", "mosaic"] = "xla"
+    """Of the gates, see policy.kernels."""
     encoder_size: int = 128
     """Width of tokens and of hidden layers."""
     minibatch: int = 16_384
@@ -81,40 +85,60 @@ def measure(options: Options, results: Results) -> None:
         )
         config.check_batch(num_steps=options.steps, num_worlds=options.worlds)
         Division(config.virtual_shards, len(jax.devices()))
-    if options.profile is None:
+    profile = nullcontext() if options.profile is None else jax.profiler.trace(str(options.profile))
+    with profile, user_errors(KernelError):
         record = _timed(options, config)
-    else:
-        with jax.profiler.trace(str(options.profile)):
-            record = _timed(options, config)
     results.add(record)
     results.report(
         f"{record['device']} x {record['devices']}, {options.network} of {record['parameters']:,} parameters, "
-        f"size {options.size.upper()}, {options.dtype}, {options.minibatch} samples: "
+        f"size {options.size.upper()}, {options.dtype}, kernels {options.kernels}, {options.minibatch} samples: "
         f"{record['milliseconds_a_gradient_step']:.4g} ms a gradient step, "
         f"{record['milliseconds_forward']:.4g} ms forward; "
         f"at most {record['env_steps_per_second_bound']:,} env steps/s with {PAPER_EPOCHS} epochs"
     )
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LearnerProgram:
+    """What an update of the benchmark is made of."""
+
+    policy: nn.Module
+    observation: Observation
+    static: StaticInput  # [worlds, ...], on the host
+    trajectory: Trajectory  # [steps, worlds, ...], on the host
+
+    def first_obs(self) -> Any:
+        """The observation of one world, for `init_params`."""
+        return self.observation.join(
+            jax.tree.map(lambda x: x[:1], self.static.obs),
+            jax.tree.map(lambda x: x[0, :1], self.trajectory.dynamic_obs),
+        )
+
+
+def learner_program(options: Options) -> LearnerProgram:
+    """Policy and made-up batch of the options."""
+    capacity = SIZES[options.size]
+    config = PolicyConfig(
+        network=options.network,
+        dtype=options.dtype,
+        kernels=options.kernels,
+        encoder_size=options.encoder_size,
+        hidden_size=options.encoder_size,
+    )
+    return LearnerProgram(
+        policy=make_policy(config, ACTIONS.head_sizes),
+        observation=OBSERVATIONS["flat" if options.network == "flat" else "entity"],
+        static=StaticInput(obs=synthetic_static_obs(options.worlds, capacity)),
+        trajectory=synthetic_trajectory(options.steps, options.worlds, capacity),
+    )
+
+
 def _timed(options: Options, config: PpoConfig) -> Record:
-    mesh, capacity = data_mesh(), SIZES[options.size]
-    policy = make_policy(
-        PolicyConfig(
-            network=options.network,
-            dtype=options.dtype,
-            encoder_size=options.encoder_size,
-            hidden_size=options.encoder_size,
-        ),
-        ACTIONS.head_sizes,
-    )
-    static = StaticInput(obs=synthetic_static_obs(options.worlds, capacity))
-    trajectory = synthetic_trajectory(options.steps, options.worlds, capacity)
-    observation = OBSERVATIONS["flat" if options.network == "flat" else "entity"]
-    first = observation.join(
-        jax.tree.map(lambda x: x[:1], static.obs), jax.tree.map(lambda x: x[0, :1], trajectory.dynamic_obs)
-    )
-    params = init_params(policy, first, jax.random.key(0))
-    state = replicate(init_learner_state(params, config.optimizer(), jax.random.key(1)), mesh)
+    mesh, program = data_mesh(), learner_program(options)
+    policy, observation = program.policy, program.observation
+    static, trajectory = program.static, program.trajectory
+    params = init_params(policy, program.first_obs(), jax.random.key(0))
+    state = replicate(config.initial_state(params, jax.random.key(1)), mesh)
     division = Division(config.virtual_shards, mesh.devices.size)
     inputs = (
         spread_worlds(static, mesh, division),
@@ -150,6 +174,7 @@ def _timed(options: Options, config: PpoConfig) -> Record:
         "parameters": num_parameters(params),
         "size": options.size,
         "dtype": options.dtype,
+        "kernels": options.kernels,
         "minibatch": options.minibatch,
         "gradient_steps": gradient_steps,
         "compile_seconds": round(compile_seconds, 2),

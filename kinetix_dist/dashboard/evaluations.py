@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.dashboard import run_files
-from kinetix_dist.dashboard.run_files import read_object
+from kinetix_dist.dashboard.run_files import last_row, read_object
 from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.telemetry.json_lines import read_lines
 
+LAST_BYTES = 1 << 20  # in which the last line is looked for; a set of 2,048 levels has 50 kB
 PHASES = ("random_policy", "before", "training", "after")  # of evaluations, in the order in which they happen
 
 
@@ -60,6 +61,21 @@ def _point(row: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
         "low": low,
         "high": high,
         "episodes": episodes,
+    }
+
+
+def newest_rates(path: Path) -> dict[str, dict[str, Any]]:
+    """{set: {rate, low, high, attempts}} of the policy's last evaluation, before, in or after training, by the ends of
+    files; empty where there is none. Raises RunFileError."""
+    row = last_row(path / run_files.EVALUATION_LINES, max_bytes=LAST_BYTES)
+    if row is None:
+        return ((read_object(path / run_files.REPORT) or {}).get("solve_rate") or {}).get("after") or {}
+    if not _is_evaluation(row) or row["phase"] == PHASES[0]:
+        return {}
+    points = {name: _point(row, result) for name, result in row["sets"].items()}
+    return {
+        name: {"rate": point["rate"], "low": point["low"], "high": point["high"], "attempts": point["episodes"]}
+        for name, point in points.items()
     }
 
 

@@ -132,16 +132,26 @@ def _columns(piece: bytes) -> dict[str, np.ndarray] | None:
         table = pyarrow.json.read_json(pa.BufferReader(piece), read_options=options)
     except pa.ArrowInvalid:
         return None
-    num_lines = piece.count(b"\n") - piece.count(b"\n\n") - piece.startswith(b"\n")
-    is_whole = table.num_rows == num_lines and "update" in table.column_names
+    is_whole = table.num_rows == piece.count(b"\n") and "update" in table.column_names
     if not is_whole or table["update"].type != pa.int64() or table["update"].null_count:
         return None
     numbers = {}
     for name in table.column_names:
         kind = table[name].type
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
-            numbers[name] = table[name].cast(pa.float64(), safe=False).to_numpy()
+            chunks = table[name].cast(pa.float64(), safe=False).chunks
+            numbers[name] = np.concatenate([_values_of(chunk) for chunk in chunks if len(chunk)])
     return numbers
+
+
+def _values_of(chunk: Any) -> np.ndarray:
+    """[n] of an Arrow array of float64, nan for null. Its own to_numpy imports pandas: 1.2 s of CPU time."""
+    there, values = chunk.buffers()
+    wanted = slice(chunk.offset, chunk.offset + len(chunk))
+    numbers = np.frombuffer(values, np.float64)[wanted]
+    if not chunk.null_count:
+        return numbers
+    return np.where(np.unpackbits(np.frombuffer(there, np.uint8), bitorder="little")[wanted], numbers, np.nan)
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
     """By buffer (policy version): the windows of each added up. Windows of another length than before are left out."""
     plays: dict[int, Plays] = {}
     for row in outcomes:
-        if not isinstance(row.get("buffer"), int):
+        if not isinstance(row.get("buffer"), int) or "solved" not in row:
             continue
         solved, finished = (np.asarray(row[name], np.int64) for name in ("solved", "finished"))
         found = plays.get(row["buffer"])

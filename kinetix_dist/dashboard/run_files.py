@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.telemetry import curriculum_log, status
+from kinetix_dist.telemetry.json_lines import parse_line
 
 CONFIG = "config.json"
 METRICS = "metrics/metrics.jsonl"
@@ -25,6 +26,7 @@ OUTCOMES = f"{CURRICULUM}/{curriculum_log.OUTCOMES}"
 PROCESSES = "processes.jsonl"
 
 MAX_JSON_BYTES = 64 << 20
+LAST_BYTES = 64 << 10  # in which the last row of a file is looked for; one of metrics.jsonl has 1 to 4 kB
 
 
 class RunFileError(ValueError):
@@ -70,3 +72,19 @@ def size_of(path: Path) -> int | None:
         return os.stat(path).st_size
     except OSError:
         return None
+
+
+def last_row(path: Path, *, max_bytes: int = LAST_BYTES) -> dict[str, Any] | None:
+    """The last whole row of a file of JSON lines, read from its end; None where there is none, or it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(size - max_bytes, 0))
+            content = file.read(max_bytes)
+    except OSError:
+        return None
+    for line in reversed(content.split(b"\n")):
+        row = parse_line(line) if line else None
+        if row is not None:
+            return row
+    return None

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.dashboard import run_files
-from kinetix_dist.dashboard.run_files import RunFileError, read_object
+from kinetix_dist.dashboard.evaluations import newest_rates
+from kinetix_dist.dashboard.run_files import RunFileError, last_row, read_object
 from kinetix_dist.errors import UserError, one_line
-from kinetix_dist.telemetry.json_lines import parse_line
 from kinetix_dist.telemetry.status import (
     FAILED,
     FINISHED,
@@ -32,7 +32,6 @@ from kinetix_dist.telemetry.utc import utc_seconds
 
 DEPTH = 2  # levels of directories below a path in which runs are looked for
 MAX_RUNS = 5000
-LAST_BYTES = 64 << 10  # of metrics.jsonl, in which the last row is looked for; a row has 1 to 4 kB
 
 NO_RUN = "is no run (it has no config.json) and holds none; name a run directory, or a directory of runs"
 
@@ -111,10 +110,15 @@ def summary(run_id: str, path: Path) -> dict[str, Any]:
             problems.append(str(error))
             return {}
 
-    config_file, report = read(run_files.CONFIG), read(run_files.REPORT)
+    config_file = read(run_files.CONFIG)
     config = config_file.get("config") if isinstance(config_file.get("config"), dict) else {}
     last = last_row(path / run_files.METRICS)
     status = status_of(path)
+    evaluated: dict[str, Any] = {}
+    try:
+        evaluated = newest_rates(path)
+    except RunFileError as error:
+        problems.append(str(error))
     return {
         "id": run_id,
         "path": str(path),
@@ -127,7 +131,7 @@ def summary(run_id: str, path: Path) -> dict[str, Any]:
         "status": dataclasses.asdict(status),
         "modified": run_files.modified_at(path / run_files.METRICS) or run_files.modified_at(path / run_files.CONFIG),
         "last": last,
-        "solve_rate": report.get("solve_rate"),
+        "evaluated": evaluated,
         "problems": problems,
     }
 
@@ -181,22 +185,6 @@ def _is_reported(path: Path) -> bool:
         return False
     last = last_row(path / run_files.METRICS) or {}
     return report is not None and report.get("policy_updates") == last.get("update")
-
-
-def last_row(path: Path) -> dict[str, Any] | None:
-    """The last whole row of a file of JSON lines, read from its end; None where there is none, or it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(size - LAST_BYTES, 0))
-            content = file.read(LAST_BYTES)
-    except OSError:
-        return None
-    for line in reversed(content.split(b"\n")):
-        row = parse_line(line) if line else None
-        if row is not None:
-            return row
-    return None
 
 
 def _checked(path: Path) -> Path:

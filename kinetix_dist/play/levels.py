@@ -26,6 +26,10 @@ from kinetix_dist.telemetry.curriculum_log import DIRECTORY, KINDS, SnapshotErro
 from kinetix_dist.telemetry.recording import Recording, RecordingError, Rollout
 
 
+class LevelsLeftOutError(RequestError):
+    """A snapshot that keeps its counts only (`curriculum_log.max_snapshots`)."""
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GivenLevel:
     """A level of a request."""
@@ -73,7 +77,8 @@ def snapshot_path(run: Path, kind: str, number: int) -> Path:
 
 
 def snapshot_levels(path: Path) -> Level:
-    """[n, ...] the levels of a snapshot, bit for bit as training had them. Raises RequestError."""
+    """[n, ...] the levels of a snapshot, bit for bit as training had them. Raises RequestError, and as one
+    LevelsLeftOutError."""
     try:
         about = os.stat(path)
         return _read_snapshot(path, about.st_mtime_ns, about.st_size)
@@ -88,7 +93,7 @@ def _read_snapshot(path: Path, modified_ns: int, size: int) -> Level:
     """The numbers name a version of the file."""
     snapshot = read_snapshot(path)
     if snapshot.levels is None:
-        raise RequestError(NOT_FOUND, f"{path} holds no levels: old snapshots keep their counts only")
+        raise LevelsLeftOutError(NOT_FOUND, f"{path} holds no levels: old snapshots keep their counts only")
     size_name = str(snapshot.arrays.get("size"))
     if size_name not in SIZES or "angle" not in snapshot.levels:
         raise RequestError(BAD_REQUEST, f"{path} has levels of size {size_name!r}; sizes are {', '.join(SIZES)}")

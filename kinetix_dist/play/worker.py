@@ -6,6 +6,7 @@ without work. Whatever libraries print goes to standard error.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -21,6 +22,8 @@ IDLE_SECONDS = 900.0
 IDLE_VARIABLE = "KINETIX_DIST_WORKER_IDLE_SECONDS"  # another number of seconds, for tests
 NICE = 10
 NUM_THREADS = 2
+MAX_ARENAS = 2  # of glibc; by its own 8 a core, what compiling frees lies in each of them: 5 % more memory
+M_ARENA_MAX = -8  # malloc.h
 WATCH_SECONDS = 0.5
 MAX_RESIDENT_BYTES = 800_000_000  # above it an unused worker gives its programs back,
 FORGET_SECONDS = 30.0  # after so long without a message
@@ -93,6 +96,8 @@ def _prepare_process() -> None:
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
     os.environ["NPROC"] = str(NUM_THREADS)  # threads of XLA's pool
     os.nice(NICE)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).mallopt(M_ARENA_MAX, MAX_ARENAS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this process
 
 

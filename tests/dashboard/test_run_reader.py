@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from kinetix_dist.dashboard import run_files
-from kinetix_dist.dashboard.run_index import RunIndex, last_row, status_of, summary
+from kinetix_dist.dashboard.run_files import last_row
+from kinetix_dist.dashboard.run_index import RunIndex, status_of, summary
 from kinetix_dist.dashboard.run_reader import RunReader
 from kinetix_dist.errors import UserError
 from kinetix_dist.telemetry.json_lines import append_line
@@ -119,3 +120,26 @@ def test_how_a_run_is_follows_from_its_files(run: Path) -> None:
     assert status_of(run).state == "running", "it was resumed after its report"
     append_line(run / "events.jsonl", {"time": "2026-01-31T13:00:00Z", "event": "run_failed", "reason": "why"})
     assert (status_of(run).state, status_of(run).text) == ("failed", "reason why")
+
+
+def test_the_table_has_the_newest_evaluation_of_the_policy(run: Path) -> None:
+    def evaluate(phase: str, update: int, solved: list[int]) -> None:
+        sets = {"random_s": {"names": ["x", "y"], "solved": solved, "attempts": 4}}
+        line = {"phase": phase, "update": update, "env_steps": 128 * update, "sets": sets}
+        append_line(run / run_files.EVALUATION_LINES, line)
+
+    def rate() -> float | None:
+        found = summary("a", run)["evaluated"]
+        return found["random_s"]["rate"] if found else None
+
+    assert rate() is None
+    evaluate("random_policy", 0, [4, 4])
+    assert rate() is None, "that is not how good the policy is"
+    evaluate("before", 0, [1, 0])
+    evaluate("training", 8, [4, 2])
+    assert rate() == 6 / 8 and summary("a", run)["evaluated"]["random_s"]["attempts"] == 8
+    (run / run_files.EVALUATION_LINES).unlink()
+    (run / "report.json").write_text(json.dumps({"solve_rate": {"after": {"random_s": {"rate": 0.25}}}}))
+    assert rate() == 0.25, "an older run has its report alone"
+    (run / "report.json").write_text("{")
+    assert "report.json is damaged" in summary("a", run)["problems"][0]

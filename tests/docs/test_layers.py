@@ -13,12 +13,13 @@ from tests.helpers import REPOSITORY
 # A module may import layers to the right of its own, and its own package; siblings in one layer never see each other.
 LAYERS = (
     ("cli",),
-    ("benchmarks", "server"),
+    ("benchmarks", "finetune", "server", "sweep"),
     ("recipes",),
     ("runtime",),
     ("dashboard", "play"),
     ("editor",),  # below play, whose worker answers what the editor asks
     ("config",),
+    ("phases",),
     ("actors", "learner", "curator", "evaluation"),
     ("messages",),
     ("models",),

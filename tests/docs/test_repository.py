@@ -52,13 +52,16 @@ def commands(program: str) -> list[tuple[str, str]]:
 
 @pytest.fixture
 def a_run_to_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A working directory with the run that the documents speak of: parsing `--resume` reads its configuration."""
+    """A working directory with the run that the documents speak of: parsing `--resume` reads its configuration, and
+    `--from` its newest checkpoint, in whose place any policy will do."""
     from kinetix_dist.config import to_dict
     from kinetix_dist.recipes import recipe
 
     run = tmp_path / "runs" / "quickstart"
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps({"config": to_dict(recipe("quickstart"))}))
+    (run / "checkpoints").mkdir()
+    (run / "checkpoints" / "00000104").symlink_to(REPOSITORY / "pretrained" / "sfl_s")
     monkeypatch.chdir(tmp_path)
 
 

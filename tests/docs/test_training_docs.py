@@ -7,6 +7,7 @@ import re
 import pytest
 
 from kinetix_dist.config import RunConfig, TrainConfig
+from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import RECIPES
 from kinetix_dist.telemetry.event_names import EVENTS
 from kinetix_dist.telemetry.names import METRICS, RED
@@ -25,7 +26,7 @@ def _sections(config, where=""):
             yield from _sections(value, f"{where}{field.name}.")
 
 
-SECTIONS = dict(_sections(TrainConfig(run=RunConfig(total_env_steps=1))))
+SECTIONS = dict(_sections(TrainConfig(run=RunConfig(total_env_steps=1)))) | {"phases": PhaseConfig(start=1)}
 
 
 @pytest.mark.parametrize("section", SECTIONS)

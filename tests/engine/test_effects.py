@@ -25,9 +25,9 @@ from jax2d import (
     stack_worlds,
 )
 from jax2d.effects import SLOTS, names_of_bits
-from kinetix_dist.level.generator import GeneratorConfig, generate_level
 from kinetix_dist.level.level import SIZES
 from tests.engine.worlds import CAPACITY, builder, engine
+from tests.level.random_levels import random_levels
 
 
 def floor_and(*, gravity: tuple[float, float] = (0.0, -9.81), floor_friction: float = 0.0) -> SceneBuilder:
@@ -143,9 +143,7 @@ def test_union_covers_both_and_the_table_says_who_needs_what():
 
 def some_levels(size: str, number: int) -> tuple[Scene, tuple]:
     """Random levels: scenes, and what initial_state takes."""
-    keys = jax.random.split(jax.random.key(3), number)
-    draw = jax.jit(jax.vmap(lambda key: generate_level(key, capacity=SIZES[size], config=GeneratorConfig())))
-    levels = jax.device_get(draw(keys))
+    levels = random_levels(size, number, seed=3)
     return levels.scene, (levels.position, levels.angle, levels.velocity, levels.angular_velocity)
 
 

@@ -21,11 +21,14 @@ from jax2d import BuiltWorld, Capacity, Controls, Engine, SceneBuilder, State, s
 from jax2d.fidelity import Trajectory, record
 from jax2d.fidelity.trajectory import start_of
 from tests.engine.test_angles import wheel
+from tests.engine.test_discs import after, shots, spinning_between_two
 from tests.engine.test_extended_shapes import everything
 from tests.engine.test_joined_trees import KINDS, gain, tree
 from tests.engine.test_momentum import FAMILIES, errors, unlimited, worlds_of
 from tests.engine.test_prismatic import all_kinds
 from tests.engine.test_springs import ball_before_a_platform, flying
+
+OPTIMISED = True  # steps by the hundred: see tests/conftest.py
 
 CAPACITY = Capacity(polygons=6, circles=6, joints=5, thrusters=1, springs=6, extended_shapes=True)
 BATCH = 16  # worlds a call; what is missing is filled with the last one
@@ -149,6 +152,23 @@ def test_ball_leaves_what_a_platform_pushes_on_a_rod_with_twice_its_speed():
     ((_, end),) = follow([world], is_exact=True)
     assert end.velocity[ball, 0] == pytest.approx(6.0, rel=0.02)
     assert end.velocity[disc, 0] == pytest.approx(3.0, rel=0.01)
+
+
+def test_disc_leaves_a_fixed_one_by_the_law_of_impact_and_without_spin():
+    """In float64 too; test_discs.py has the kernel."""
+    offsets, phases, speed, shot = (0.2, 0.5, 0.8), 5, 5.0, CAPACITY.polygons + 1
+    worlds = [w for offset in offsets for w in shots(speed, offset, 1.0, True, phases=phases, capacity=CAPACITY)]
+    for offset, motion in zip(np.repeat(offsets, phases), follow(worlds, is_exact=True), strict=True):
+        t = motion.trajectory
+        assert np.abs(t.angular_velocity[:, shot]).max() < 1e-3
+        assert np.linalg.norm(t.velocity[-1, shot] - after(speed, offset, 1.0, 1.0)) / speed < 0.001
+
+
+def test_a_disc_that_spins_between_two_others_stays_where_it_is():
+    """In float64 too."""
+    worlds, height = spinning_between_two(CAPACITY)
+    for motion in follow(worlds, is_exact=True):
+        assert np.abs(motion.trajectory.position[:, CAPACITY.polygons + 2, 1] - height).max() < 1e-4
 
 
 def test_momentum_of_isolated_worlds_is_kept_to_the_rounding_of_float64():

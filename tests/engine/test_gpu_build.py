@@ -21,6 +21,7 @@ def build(capacity: Capacity, settings: Settings, effects: Effects, worlds: int,
     variant = KernelVariant.of(capacity, settings, effects, report_contacts=capacity == EVERYTHING).for_worlds(worlds)
     module = make_kernel(variant).module
     module.options["block_dim"] = variant.options.block_dim  # as at a launch
+    module.options["optimization_level"] = 3  # as for users: tests have another one for a CPU
     wp.compile_aot_module(module, arch=90, module_dir=str(path))
     return list(path.glob("*.sm90.cubin"))
 

@@ -28,6 +28,8 @@ from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.roles import Role
 
+OPTIMISED = True  # steps by the hundred: see tests/conftest.py
+
 NUM_WORLDS = 128
 SNAPSHOTS = (8, 30, 90)  # steps after which states are compared: falling, first impacts, mostly settled
 
@@ -332,6 +334,7 @@ def test_states_pass_between_backends() -> None:
     assert again.position[boxes[-1], 1] == pytest.approx(1.75, abs=0.01)
 
 
+@pytest.mark.slow  # test_follows_float64.py compares float64 with the kernel
 def test_float64_agrees_with_float32_within_its_rounding() -> None:
     settings = preset("standard")
     scene, state, controls = snapshots("m", settings)

@@ -30,8 +30,6 @@ from jax2d.fidelity import Trajectory, record
 from jax2d.palette import BACKGROUND
 from jax2d.warp.layout import Layout
 
-OPTIMISED = False  # programs of the reference that take few steps: see tests/conftest.py
-
 CAPACITY = Capacity(polygons=2, circles=6, joints=1, thrusters=0, springs=6)
 FEW = Capacity(polygons=1, circles=4, joints=0, thrusters=0, springs=2)
 G = 9.81
@@ -204,7 +202,7 @@ def test_ball_leaves_what_a_platform_pushes_on_a_rod_with_twice_its_speed():
     assert state.velocity[disc, 0] == pytest.approx(3.0, rel=0.01)
 
 
-@pytest.mark.parametrize("backend", ["warp", "xla"])
+@pytest.mark.parametrize("backend", ["warp", pytest.param("xla", marks=pytest.mark.slow)])
 def test_blow_is_shared_out_along_rods_in_the_step_in_which_it_falls(backend: str):
     # The reference compiles for as long as there are kinds of shapes.
     capacity = FEW if backend == "warp" else dataclasses.replace(FEW, polygons=0)

@@ -12,8 +12,6 @@ import pytest
 
 from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, State, preset, stack_worlds
 
-OPTIMISED = False  # programs of the reference that take few steps: see tests/conftest.py
-
 CAPACITY = Capacity(polygons=0, circles=3, joints=1, thrusters=1)
 NUM_STEPS = 3
 

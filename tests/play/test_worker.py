@@ -221,6 +221,8 @@ def test_snapshots_that_cannot_be_read_are_one_line(worker: Client, tmp_path: Pa
     assert ask(tmp_path / "none").code == wire.NOT_FOUND
     write_snapshot(tmp_path / "thin", stack_worlds([level()]), thinned=True)
     assert "holds no levels" in str(ask(tmp_path / "thin"))
+    answer = worker.wait(worker.send("thumbnails", run=str(tmp_path / "thin"), refresh=128, indices=[0]))
+    assert answer.body == b"[]" and answer.content["count"] == 0
     write_snapshot(tmp_path / "whole", stack_worlds([level()]))
     assert "0 to 0" in str(ask(tmp_path / "whole", index=1))
     file = tmp_path / "whole" / "curriculum" / "refresh_00000128.npz"
