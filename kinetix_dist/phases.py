@@ -83,6 +83,11 @@ class Schedule:
         """The phase of an update (0 is the first one), and of the batch that it learns from."""
         return self.phases[bisect.bisect_right(self._first_updates, update) - 1]
 
+    def beginning(self, update: int) -> Phase | None:
+        """The phase whose first update this is, if there is one; what a run starts with begins nothing."""
+        phase = self.at(update)
+        return phase if phase.number and update == phase.first_update else None
+
     def env_steps(self, num_updates: int) -> int:
         """Played in so many updates."""
         return self.at(num_updates).env_steps_after(num_updates)

@@ -1,4 +1,4 @@
-"""Worlds of a group that play levels of a buffer, and those that play others: how many, and in which order."""
+"""Worlds of groups: which they are, how many of them play levels of a buffer, and in which order."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jax2d.scene import Array
 from kinetix_dist.curator.config import CurriculumConfig
 
 
@@ -19,6 +20,11 @@ def num_from_buffer(config: CurriculumConfig, worlds_per_group: int) -> int:
             "change buffer_share or the number of environments"
         )
     return round(exact)
+
+
+def members(groups: Array, size: int, first: int | None = None) -> Array:
+    """Numbers of what groups of `size` consist of, or the `first` of each, in order: [len(groups) * first]."""
+    return (groups[:, None] * size + jnp.arange(size if first is None else first)).reshape(-1)
 
 
 def by_group(tree: Any, num_groups: int) -> Any:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.curator.buffer_share import members
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.level.level import Level
 
@@ -37,7 +38,5 @@ class Fixed(Curriculum):
 
     def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
         del group_keys
-        size = self.tools.worlds_per_group
-        world = (groups[:, None] * size + jnp.arange(size)).reshape(-1)
-        index = world % state.position.shape[0]
+        index = members(groups, self.tools.worlds_per_group) % state.position.shape[0]
         return Proposal(levels=jax.tree.map(lambda x: jnp.asarray(x)[index], state), source=index)

@@ -13,6 +13,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jax2d.scene import Array
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.buffer_share import members
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.division import Division
@@ -86,7 +87,7 @@ class RolloutCore:
         worlds_per_group = config.rollout.worlds_per_group
         device = jax.lax.axis_index(DATA_AXIS)
         parts = jnp.asarray(self.division.parts)[device]
-        groups = self._first_group + by_part(parts, self._groups_per_part)
+        groups = self._first_group + members(parts, self._groups_per_part)
         num_groups = groups.size
         level_key = jax.random.fold_in(stream(config.run.seed, LEVELS), num_updates)
         play_key = jax.random.fold_in(stream(config.run.seed, PLAY), num_updates)
@@ -111,7 +112,7 @@ class RolloutCore:
             Worlds(prepared, *env.reset(prepared)),
             play_key,
             config.rollout.num_steps,
-            numbers=by_part(groups, worlds_per_group),
+            numbers=members(groups, worlds_per_group),
             bound_heads=static.bound_heads,
             keep_timeouts=config.ppo.bootstrap_timeouts,
         )
@@ -155,17 +156,12 @@ def rollout_core(
 _kept = functools.lru_cache(maxsize=MAX_KEPT)(RolloutCore)
 
 
-def by_part(parts: Array, size: int) -> Array:
-    """Numbers of what parts of `size` consist of, in order: [len(parts) * size]."""
-    return (parts[:, None] * size + jnp.arange(size)).reshape(-1)
-
-
 def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
     """Of each group the first `kept` worlds, those that the policy learns from."""
     size = batch.last_value.shape[0] // num_groups
     if kept == size:
         return batch
-    world = (jnp.arange(num_groups)[:, None] * size + jnp.arange(kept)).reshape(-1)
+    world = members(jnp.arange(num_groups), size, kept)
     return Batch(
         jax.tree.map(lambda x: x[world], batch.static),
         jax.tree.map(lambda x: x[:, world], batch.trajectory),

@@ -263,11 +263,10 @@ class Controller:
 
     def _begin_phase(self) -> None:
         """Where this update, or the batch that is played meanwhile, is the first of a phase: programs are compiled."""
-        ahead = self._schedule.at(self.num_updates + self.trainer.policy_lag)
-        if ahead.number and self.num_updates + self.trainer.policy_lag == ahead.first_update:
+        if self._schedule.beginning(self.num_updates + self.trainer.policy_lag) is not None:
             self.backend.sections.forget()
-        phase = self._schedule.at(self.num_updates)
-        if not phase.number or self.num_updates != phase.first_update:
+        phase = self._schedule.beginning(self.num_updates)
+        if phase is None:
             return
         self.backend.sections.forget()
         about = {"phase": phase.number, "update": self.num_updates, "env_steps": self.env_steps}
