@@ -12,7 +12,7 @@ import pytest
 
 from bench import gpu_session
 from bench.gpu_session import Step, at_their_best, files_with_gpu_tests, run_step, steps_of, summary
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 
 
 def script(code: str) -> list[str]:
@@ -37,7 +37,7 @@ def test_what_is_not_done_in_time_ends_with_all_that_it_started(tmp_path: Path) 
     assert time.monotonic() - started < 30
     assert record["outcome"] == "not done after 2 s"
     grandchild = Path(f"/proc/{record['last_line']}")
-    until = time.monotonic() + 20  # it is killed; a busy machine may take a while to take it away
+    until = time.monotonic() + PATIENCE_S  # it is killed; a busy machine may take a while to take it away
     while has_not_ended(grandchild) and time.monotonic() < until:
         time.sleep(0.1)
     assert not has_not_ended(grandchild)

@@ -36,6 +36,7 @@ from kinetix_dist.telemetry.json_lines import read_lines
 from kinetix_dist.telemetry.names import UnknownMetricError
 from kinetix_dist.telemetry.sinks.background import PATIENCE_S, QUEUE_ROWS, BackgroundSink
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
+from tests.helpers import PATIENCE_S as TEST_PATIENCE_S
 from tests.helpers import REPOSITORY, python_path
 from tests.runtime.conftest import NUM_UPDATES, STEPS
 from tests.runtime.runs import tiny_config
@@ -75,7 +76,7 @@ def _points(directory):
 
 def _wait_until_dropped(reporter, num_rows):
     """While a sink fails nobody waits for it: its thread may be a row or two behind."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + TEST_PATIENCE_S
     while reporter._num_dropped() < num_rows:
         assert time.monotonic() < deadline
         time.sleep(0.01)

@@ -12,6 +12,7 @@ from kinetix_dist.runtime.driver.resizing import Resizing
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StopSignals
 from kinetix_dist.runtime.processes.placement import PlacementError, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
+from tests.helpers import PATIENCE_S
 from tests.runtime.runs import tiny_config
 from tests.runtime.train_process import LIMIT_S, TINY, events, rows, start, wait_for
 
@@ -76,7 +77,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
 
 
 def _wait_until(condition):
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)

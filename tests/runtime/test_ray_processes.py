@@ -177,7 +177,7 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
     busy, idle = restarted[0]
     backend.gather([busy.call("sleep", 0.0), idle.call("sleep", 0.0)])
     call, found = busy.call("sleep", 3.0, np.zeros(1 << 20, np.uint8)), {}
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE_S
     before = found
     while not ("runtime/idle_worker" in found and before.get("runtime/idle_worker") != found["runtime/idle_worker"]):
         assert time.monotonic() < deadline, found

@@ -17,7 +17,7 @@ from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stragglers import TIMES_THE_OTHERS
 from kinetix_dist.runtime.processes.placement import plan
 from kinetix_dist.telemetry.names import COPIES
-from tests.helpers import REPOSITORY, environment_of_cpus
+from tests.helpers import PATIENCE_S, REPOSITORY, environment_of_cpus
 from tests.runtime.runs import NotingReporter, QuietReporter, assert_same_bits, final_arrays, run_updates
 from tests.runtime.split_program import NUM_UPDATES, split_config
 from tests.runtime.train_process import STEPS_PER_UPDATE, TINY, events, rows, start, wait_for
@@ -183,7 +183,7 @@ def test_an_actor_that_is_held_back_is_named_and_lag_stays_bounded(tmp_path):
             is_over.set()
             holding.join()
         driver.send_signal(signal.SIGTERM)
-        driver.communicate(timeout=60.0)
+        driver.communicate(timeout=PATIENCE_S)
     finally:
         driver.kill()
     told = events(run, "straggler", process="rollout 1")[0]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kinetix_dist.sweep.lanes import Lane
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import PATIENCE_S, REPOSITORY, python_path
 
 # In the place of Python, which it becomes: says which cores it has, and when it is told to stop.
 SHELL = """#!/bin/sh
@@ -28,7 +28,7 @@ sys.exit(child.wait())
 
 
 def _wait_for(file: Path, text: str) -> str:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + PATIENCE_S
     while text not in (said := file.read_text() if file.exists() else ""):
         assert time.monotonic() < deadline, said
         time.sleep(0.02)
@@ -58,7 +58,7 @@ def test_a_run_has_its_cores_and_is_told_to_stop_when_the_sweep_dies(tmp_path, n
 
 def test_nothing_runs_where_the_sweep_is_gone_already(tmp_path):
     _, sweep = _start(tmp_path, parent="1")
-    assert b"the sweep is gone" in sweep.communicate(timeout=30)[1] and sweep.returncode == 1
+    assert b"the sweep is gone" in sweep.communicate(timeout=PATIENCE_S)[1] and sweep.returncode == 1
     assert not (tmp_path / "said").exists()
 
 

@@ -112,7 +112,7 @@ def test_a_running_viewer_is_shown_the_rollout(tmp_path: Path) -> None:
     listener = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
     try:
         rollout_to_viewer(falling_rollout(20), f"rerun+http://127.0.0.1:{port}/proxy")
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + PATIENCE_S
         while not received.exists() and time.monotonic() < deadline:
             time.sleep(0.05)
         time.sleep(0.5)  # for the last of it
