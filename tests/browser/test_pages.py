@@ -43,6 +43,13 @@ PIXELS = """(canvas, [red, green, blue]) => {
 # What Chromium says where LANG is C.
 NO_TAG = 'Object.defineProperty(Navigator.prototype, "language", { get: () => "en-US@posix", configurable: true });'
 
+# A click, a link or a script as early as can be: when the page has just been drawn for the first time.
+AT_ONCE = """new MutationObserver((_, observer) => {
+  if (!document.querySelector("nav")) return;
+  observer.disconnect();
+  location.hash = "#/run/a/overview";
+}).observe(document, { childList: true, subtree: true });"""
+
 
 def panel(page: Any, title: str) -> Any:
     return page.locator(f'[data-panel^="{title}"]')
@@ -321,6 +328,16 @@ def test_a_value_alone_is_a_point(tmp_path: Path, open_page: OpenPage, serve: Se
     wait_for_drawn(page, "Training episodes")
     canvas = panel(page, "Training episodes").locator("canvas").first
     assert canvas.evaluate(PIXELS, [0x00, 0x72, 0xB2]) > 5, "--line-0 of style.css"
+
+
+def test_an_address_that_changes_as_soon_as_the_page_is_drawn_is_shown(
+    tmp_path: Path, open_page: OpenPage, serve: Serve
+) -> None:
+    write_run(tmp_path / "a", 3)
+    page = open_page(serve(tmp_path))
+    page.add_init_script(AT_ONCE)
+    page.reload()
+    wait_for_drawn(page, "Training episodes")
 
 
 def test_two_runs_are_compared(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:

@@ -36,9 +36,11 @@ export function setQuery(fields) {
 /** The address; the component is drawn again when it changes. @returns {Address} */
 export function useAddress() {
   const [address, set] = useState(readAddress);
+  const drawn = location.hash;
   useEffect(() => {
     const update = () => set(readAddress());
     addEventListener("hashchange", update);
+    if (location.hash !== drawn) update(); // before this: effects come a picture later
     return () => removeEventListener("hashchange", update);
   }, []);
   return address;

@@ -77,6 +77,7 @@ class Channel {
    * @returns {Promise<Message>}
    */
   request(type, fields, progress, started) {
+    if (this.state === "connecting") return this.#firstState().then(() => this.request(type, fields, progress, started));
     const id = String(this.nextRequest++);
     return new Promise((resolve, reject) => {
       if (this.socket?.readyState !== WebSocket.OPEN) {
@@ -86,6 +87,17 @@ class Channel {
       this.requests.set(id, { resolve, reject, progress });
       started?.(id);
       this.say({ type, id, ...fields });
+    });
+  }
+
+  /** Until the page is connected for the first time, or cannot be. @returns {Promise<void>} */
+  #firstState() {
+    return new Promise((resolve) => {
+      const hear = () => {
+        this.stateListeners.delete(hear);
+        resolve();
+      };
+      this.stateListeners.add(hear);
     });
   }
 

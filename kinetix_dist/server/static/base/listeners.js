@@ -13,6 +13,7 @@ export function useListeners(listeners) {
       });
     };
     listeners.add(update);
+    update(); // what changed since the component was drawn: effects come a picture later
     return () => {
       listeners.delete(update);
       cancelAnimationFrame(wanted);
