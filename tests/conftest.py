@@ -63,6 +63,7 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault("JAX_PLATFORMS", "cpu")
         if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):  # later ones end the process: no such flag
             os.environ.setdefault("XLA_FLAGS", FAST_TO_COMPILE)
+        os.environ[_WITHOUT_OPTIMISATIONS.upper()] = "True"
     else:
         os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # test processes share the GPU
 
@@ -115,9 +116,11 @@ _WITHOUT_OPTIMISATIONS = "jax_disable_most_optimizations"  # of JAX; processes o
 
 
 @pytest.fixture(scope="module", autouse=True)
-def optimisation(request: pytest.FixtureRequest) -> None:
-    """How the programs of a file are compiled, also by processes that it starts."""
+def optimisation(request: pytest.FixtureRequest) -> Iterator[None]:
+    """How the programs of a file are compiled, also by processes that it starts. Those of fixtures of the whole session
+    begin before this does, and without it."""
     if not request.config.stash[ON_CPU]:
+        yield
         return
     import jax
     import warp as wp
@@ -129,6 +132,8 @@ def optimisation(request: pytest.FixtureRequest) -> None:
     if jax.config.read(_WITHOUT_OPTIMISATIONS) != is_bare:
         jax.clear_caches()
         jax.config.update(_WITHOUT_OPTIMISATIONS, is_bare)
+    yield
+    os.environ[_WITHOUT_OPTIMISATIONS.upper()] = "True"
 
 
 GROWTH_BYTES = 1 << 30  # of a test process, by which compiled programs are let go
