@@ -63,6 +63,7 @@ def test_a_run_that_was_stopped_goes_on_bit_for_bit(finished_run, tmp_path):
     reporter = QuietReporter(lambda number: os.kill(os.getpid(), signal.SIGTERM) if number == 3 else None)
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     run.write_json(run.config_path, {"config": to_dict(config)})
+    before = signal.getsignal(signal.SIGTERM)  # Ray's, where tests before used it in this process
     with StopSignals() as stop:
         controller = Controller(config, run, trainer, curator, reporter, stop=stop)
         controller.restore(resume=False)
@@ -70,7 +71,7 @@ def test_a_run_that_was_stopped_goes_on_bit_for_bit(finished_run, tmp_path):
             controller.train()
     controller.close()
     run.close()
-    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL  # put back
+    assert signal.getsignal(signal.SIGTERM) == before  # put back
     total = ["--run.total_env_steps", str(NUM_UPDATES * STEPS)]
     assert main(["train", "--run", str(run.path), "--resume", *total]) == 0
     assert_same_bits(final_arrays(run.path), final_arrays(finished_run))
