@@ -1,10 +1,11 @@
 """Seconds from the end of a process to the first new update, seen from outside of the run.
 
     python -m bench.recovery --losses worker rollout driver --repeats 3 --json runs/recovery.json
-    python -m bench.recovery --device gpu --losses curator worker driver --repeats 1 --recipe sfl_s --seconds 150
+    python -m bench.recovery --device gpu --losses curator worker driver --repeats 2 --recipe sfl_s --settled 6
 
-SIGKILL for the curator (until its first new buffer), for a worker of two (colocated), for one of two rollout actors
-(split), or for the command, which is started again with --resume. Each record has wall seconds, the seconds of the
+SIGKILL for the curator (until its first new buffer), for a worker (colocated), for a rollout actor (split), or for the
+command, which is started again with --resume. On a CPU there are two workers, or two learners and two rollout actors;
+on GPUs one process a GPU. Each record has wall seconds, the seconds of the
 run's own event, CPU seconds of all processes of the run in that time, and the load of the machine: on a machine that
 others use, CPU seconds divided by the cores are what it would take alone.
 
@@ -40,11 +41,13 @@ from bench.drill_run import (
 )
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
+from kinetix_dist.recipes import recipe
 from kinetix_dist.telemetry.compile_cache import default_directory
 from kinetix_dist.telemetry.json_lines import read_lines
 
 PLACEMENTS = {"curator": "colocated", "worker": "colocated", "driver": "colocated", "rollout": "split"}
 OPTIONS = ("--run.max_restarts", "1000", "--run.checkpoint_every", "5", "--recording.num_rollouts", "0")
+REFRESH_EVERY = 8  # updates, at most: a new curator is back with its first buffer
 NOTICEABLE_MIB = 64  # a GPU's memory in use wavers by less
 
 
@@ -54,7 +57,8 @@ def measure(options: argparse.Namespace) -> Generator[dict[str, Any]]:
     options_of_run = [part for option in options.options for part in f"--{option}".split("=", 1)]
     for placement, losses in itertools.groupby(sorted(options.losses, key=_order), key=PLACEMENTS.__getitem__):
         folder = Path(tempfile.mkdtemp(prefix="kinetix-recovery-"))
-        run = DrillRun(folder / "run", placement, (*OPTIONS, *options_of_run), options.device, options.recipe, ends_at)
+        settings = (*OPTIONS, "--curriculum.refresh_every", str(refresh_every(options.recipe)), *options_of_run)
+        run = DrillRun(folder / "run", placement, settings, options.device, options.recipe, ends_at)
         for record in _losses_of(run, list(losses), options):
             if is_kept := bool(record.get("wrong")):
                 record["kept"] = str(folder)
@@ -100,6 +104,11 @@ def _losses_of(run: DrillRun, losses: list[str], options: argparse.Namespace) ->
         "gpu_memory_mib": memory,
         "wrong": wrong,
     }
+
+
+def refresh_every(name: str) -> int:
+    """Updates between refreshes of the curriculum in a run of this recipe here."""
+    return min(recipe(name).curriculum.refresh_every, REFRESH_EVERY)
 
 
 def _order(lost: str) -> tuple[str, int]:
