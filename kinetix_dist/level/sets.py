@@ -102,6 +102,16 @@ def load_level_set(
     return _stack(files_of_set(name), size)
 
 
+def size_of_drawn_set(name: str) -> str | None:
+    """Size ("s", "m" or "l") of the levels of a set that is drawn when it is used; None for sets of files."""
+    if name in RANDOM_SETS:
+        return RANDOM_SETS[name].size
+    if name in VARIED_SETS:
+        return name[-1]
+    made = frontier_sets().get(name)
+    return made.size if made else None
+
+
 def read_level(path: Path) -> tuple[Level, LevelInfo]:
     """One level of a file in either format, in arrays of the size the file says, and what is known about it."""
     document = read_document(path)
@@ -131,7 +141,7 @@ def files_of_set(name: str) -> list[Path]:
 
     Raises ValueError for a set that is drawn and for what is no set, FileNotFoundError for an empty directory.
     """
-    if name in (*RANDOM_SETS, *VARIED_SETS, *frontier_sets()):
+    if size_of_drawn_set(name):
         raise ValueError(f"{name!r} is drawn when it is used; it has no files; name a designed set or level files")
     sets = designed_sets()
     if name in sets:

@@ -18,7 +18,7 @@ from kinetix_dist.dashboard.evaluations import evaluations
 from kinetix_dist.dashboard.run_files import METRICS, last_row
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.set_files import designed_files, designed_sets
-from kinetix_dist.level.sets import RANDOM_SETS, VARIED_SETS, development_sets, files_of_set, is_public_level
+from kinetix_dist.level.sets import RANDOM_SETS, development_sets, files_of_set, is_public_level, size_of_drawn_set
 from kinetix_dist.sweep.design import DesignError, Objective
 from kinetix_dist.telemetry.json_lines import read_lines
 
@@ -110,7 +110,7 @@ def check_sets(names: Collection[str], sizes: Collection[str]) -> None:
         _check_set(name)
         order = list(SIZES)
         for size in sizes:
-            needed = RANDOM_SETS[name].size if name in RANDOM_SETS else name[-1] if name in VARIED_SETS else size
+            needed = size_of_drawn_set(name) or size
             if order.index(needed) > order.index(size):
                 raise DesignError(f"level set {name} does not fit arms of env.size {size!r}; choose another")
 

@@ -76,6 +76,7 @@ def test_own_level_files_can_be_an_objective(tmp_path):
         ("{dev_random_xs = 1.0}", "unknown level set 'dev_random_xs'"),
         ("{dev_random_m = 1.0}", "level set dev_random_m does not fit arms of env.size 's'"),
         ("{dev_designed_l = 1.0}", "level set dev_designed_l does not fit arms of env.size 's'"),
+        ("{frontier_m = 1.0}", "level set frontier_m does not fit arms of env.size 's'"),
         ("{dev_designed_s = -1}", "gives dev_designed_s the weight -1; a number of 0 or more is needed"),
         ('{dev_designed_s = "much"}', "the weight 'much'; a number of 0 or more"),
         ("{dev_designed_s = 0.0, dev_random_s = 0.0}", "all weights of objective.sets are 0"),
@@ -237,7 +238,7 @@ def test_cores_are_shared_out(monkeypatch):
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_can_be_planned(capsys, example):
-    assert len(EXAMPLES) == 2
+    assert len(EXAMPLES) == 3
     words = example.read_text().split("sweep docs/")[1].split("\n")[0].split()  # the command in its first lines
     assert main(["sweep", str(example), *words[1:], "--plan"]) == 0
     said = capsys.readouterr().out
