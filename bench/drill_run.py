@@ -35,9 +35,9 @@ MIN_END_S = 5.0  # for a command that was ended to be gone, whatever the limit
 STEPS_PER_UPDATE = recipe("tiny").rollout.steps_per_update
 FOR_EVER = str(1_000_000_000 * STEPS_PER_UPDATE)  # environment steps
 
-OPTIONS = {  # on GPUs: one process a GPU
-    ("colocated", "cpu"): ("--run.num_workers", "2"),
-    ("split", "cpu"): ("--run.num_learners", "2", "--run.num_rollout_actors", "2"),
+OPTIONS = {  # on a CPU; on GPUs a run has one process a GPU
+    "colocated": ("--run.num_workers", "2"),
+    "split": ("--run.num_learners", "2", "--run.num_rollout_actors", "2"),
 }
 
 
@@ -67,7 +67,7 @@ class DrillRun:
         else:
             command += ["--recipe", self.recipe, "--run.device", self.device, "--run.placement", self.placement]
             command += ["--evaluation.sets", "s/kick", "--evaluation.min_attempts", "4"]
-            command += [*OPTIONS.get((self.placement, self.device), ()), *self.options]
+            command += [*(OPTIONS[self.placement] if self.device == "cpu" else ()), *self.options]
         left_out = ("JAX_PLATFORMS", "XLA_PYTHON", "RAY_ADDRESS")
         environment = {name: value for name, value in os.environ.items() if not name.startswith(left_out)}
         python_path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
