@@ -220,3 +220,6 @@ class Curriculum(abc.ABC):
     def play_probe(self, params: Any, probe: Any, key: Array) -> dict[str, np.ndarray]:
         """What became of them, by the names below "probe/" in a refresh_*.npz. Not inside jit."""
         raise NotImplementedError
+
+    def compile_probe(self, params: Any, num_levels: int) -> None:
+        """Compiles what `play_probe` will run with such parameters and so many levels, ahead of it."""

@@ -81,8 +81,7 @@ class Sfl(Curriculum):
 
     def init(self) -> LevelBuffer:
         config = self.tools.config
-        level = empty_level(self.tools.capacity)  # for shapes: the first refresh comes before the first levels
-        levels = jax.tree.map(lambda x: jnp.broadcast_to(x, (config.buffer_size, *jnp.shape(x))), level)
+        levels = self._empty_levels(config.buffer_size, jnp)  # the first refresh comes before the first levels
         count, number = jnp.zeros(config.buffer_size, jnp.int32), jnp.float32(0)
         return LevelBuffer(
             levels=levels,
@@ -173,6 +172,15 @@ class Sfl(Curriculum):
             "solved": np.asarray(outcome.num_solved),
             "finished": np.asarray(outcome.num_finished),
         }
+
+    def compile_probe(self, params: Any, num_levels: int) -> None:
+        levels = self._empty_levels(min(num_levels, self.num_places), np)
+        self._play.lower(params, levels, jax.random.key(0), self.tools.config.scoring_steps).compile()
+
+    def _empty_levels(self, num_levels: int, numpy: Any) -> Level:
+        """[num_levels, ...] for their shapes. numpy: `numpy` or `jax.numpy`, of which the arrays are."""
+        level = empty_level(self.tools.capacity)
+        return jax.tree.map(lambda x: numpy.broadcast_to(x, (num_levels, *numpy.shape(x))), level)
 
     def _score(self, params: Any, key: Array) -> tuple[Level, Array, Array]:
         level_key, play_key = jax.random.split(key)

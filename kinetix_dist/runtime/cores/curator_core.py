@@ -9,6 +9,7 @@ import jax
 
 from kinetix_dist.checkpoint import flatten_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.runtime.cores.playing import Playing
 from kinetix_dist.runtime.cores.streams import CURATE, PROBE, stream
@@ -21,6 +22,7 @@ class CuratorCore:
         self._config = config
         self._playing = Playing(config, data_mesh())
         self._playing.curriculum(config)  # what cannot be loaded is found before anything is asked for
+        self._params: Any = None  # shapes of what refreshes were asked for with
 
     def refresh(
         self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
@@ -30,9 +32,8 @@ class CuratorCore:
         given: of `Curriculum.refresh_input`, or the same arrays in nested dictionaries, as a checkpoint gives them."""
         began = time.monotonic()
         params = jax.device_put(params)
-        config = self._config
-        # For the phase in which it is to be adopted, so that the first buffer of a phase has the levels of that phase.
-        curriculum = self._playing.curriculum(config.schedule.at(config.curriculum.adopted_at(policy_version)).config)
+        self._params = jax.eval_shape(lambda: params)
+        config, curriculum = self._config, self._curriculum(policy_version)
         key = jax.random.fold_in(stream(config.run.seed, CURATE), policy_version)
         if given is not None:
             template = jax.eval_shape(lambda: curriculum.refresh_input(curriculum.init()))
@@ -44,3 +45,14 @@ class CuratorCore:
             probe_key = jax.random.fold_in(stream(config.run.seed, PROBE), policy_version)
             played = curriculum.play_probe(params, probe, probe_key)
         return {"seconds": time.monotonic() - began, "probe": played}, refreshed
+
+    def prepare(self, policy_version: int) -> None:
+        """Compiles what the refresh of that version needs beyond those before: its probe. For a process that has
+        answered one and waits for the next, so that training does not wait for the compiler then."""
+        assert self._params is not None, "a curator prepares for a refresh after its first one"
+        self._curriculum(policy_version).compile_probe(self._params, self._config.curriculum_log.probe_levels)
+
+    def _curriculum(self, policy_version: int) -> Curriculum:
+        """Of the phase in which the refresh is to be adopted, so that its first buffer has the levels of that phase."""
+        config = self._config
+        return self._playing.curriculum(config.schedule.at(config.curriculum.adopted_at(policy_version)).config)

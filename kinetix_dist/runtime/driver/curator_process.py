@@ -95,10 +95,20 @@ class CuratorProcess(ProcessBeside):
 
     def _taken(self, stamp: Ticket) -> dict[str, Any]:
         taken = self._backend.gather([stamp])[0]
+        self._prepare()
         self._call = self._asked = None
         self._is_wanted = self.is_late = False
         self._note_recovery()
         return taken
+
+    def _prepare(self) -> None:
+        """Has a process that was not asked to play a probe, as none is in the first refresh, compile that while it has
+        nothing to do. Nobody waits for it, and what fails there fails again where it is waited for."""
+        assert self._asked is not None and self._handle is not None
+        _, policy_version, probe, _ = self._asked
+        takes_probes = self._part == self._num_parts - 1 and self._config.curriculum_log.probe_levels > 0
+        if takes_probes and probe is None and not isinstance(self._backend, LocalBackend):
+            self._handle.call("prepare", policy_version + self._config.curriculum.refresh_every)
 
     def _ask(self) -> None:
         assert self._asked is not None

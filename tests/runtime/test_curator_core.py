@@ -1,0 +1,41 @@
+"""What a curator compiles while it has nothing to do is not compiled again when training waits for it."""
+
+import dataclasses
+
+import jax
+import pytest
+
+from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.runtime.cores.curator_core import CuratorCore
+from kinetix_dist.runtime.cores.worker import Worker
+from tests.runtime.runs import tiny_config
+
+
+@pytest.fixture
+def compiled(caplog):
+    """Names of programs that were compiled since it was called last."""
+
+    def names() -> set[str]:
+        found = {record.message.split()[4] for record in caplog.records if record.message.startswith("Finished XLA")}
+        caplog.clear()
+        return found
+
+    with jax.log_compiles():
+        yield names
+
+
+def test_a_prepared_curator_compiles_nothing_for_its_first_probe(compiled):
+    config = tiny_config(num_updates=8)
+    log = dataclasses.replace(config.curriculum_log, probe_levels=4)
+    config = dataclasses.replace(config, curriculum_log=log)
+    worker = Worker(config, data_mesh())
+    worker.start(None)
+    curator = CuratorCore(config)
+    stamp, refreshed = curator.refresh(worker.weights(), 0, 0, 1)
+    assert stamp["probe"] == {} and "jit(play)" not in compiled()
+    worker.adopt(refreshed)
+    curator.prepare(config.curriculum.refresh_every)
+    assert "jit(play)" in compiled()
+    stamp, _ = curator.refresh(worker.weights(), config.curriculum.refresh_every, 0, 1, worker.probe(4))
+    assert stamp["probe"]["finished"].shape == (4,)
+    assert "jit(play)" not in compiled()
