@@ -223,3 +223,4 @@ class Curriculum(abc.ABC):
 
     def compile_probe(self, params: Any, num_levels: int) -> None:
         """Compiles what `play_probe` will run with such parameters and so many levels, ahead of it."""
+        del params, num_levels
