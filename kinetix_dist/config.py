@@ -35,6 +35,7 @@ from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 PLACEMENTS = ("local", "colocated", "split")
 DEVICES = ("auto", "cpu", "gpu")
 LAST_PORT = 65535
+NUM_SEEDS = 1 << 32  # JAX takes seeds modulo this, without 64-bit numbers
 
 
 class ConfigError(ValueError):
@@ -194,8 +195,13 @@ class RunConfig:
             ("stop_seconds", 0),
             ("metrics_port", 0),
         ):
-            if getattr(self, name) < least:
-                raise ConfigError(f"RunConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+            value = getattr(self, name)
+            if not value >= least or value == math.inf:  # nor is it NaN
+                raise ConfigError(f"RunConfig.{name} is {value}; it must be a number, {least} or more")
+        if not 0 < self.heartbeat_seconds < math.inf:
+            raise ConfigError(f"RunConfig.heartbeat_seconds is {self.heartbeat_seconds}; it must be above 0")
+        if not 0 <= self.seed < NUM_SEEDS:
+            raise ConfigError(f"RunConfig.seed is {self.seed}; it must be 0 to {NUM_SEEDS - 1}: others give the same")
         if self.num_cpu_rollout_actors > self.num_rollout_actors:
             raise ConfigError(
                 f"RunConfig.num_cpu_rollout_actors is {self.num_cpu_rollout_actors}, of num_rollout_actors "

@@ -14,6 +14,7 @@ import argparse
 import dataclasses
 import json
 import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -197,7 +198,7 @@ def _override(base: TrainConfig, overrides: list[str], prog: str) -> TrainConfig
 
 def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
     from kinetix_dist.config import from_dict
-    from kinetix_dist.runtime.driver.run_directory import newest_run
+    from kinetix_dist.runtime.driver.run_directory import newest_run, no_run_in
 
     if run is None:
         run = newest_run(RUNS, name)
@@ -205,9 +206,15 @@ def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
             raise UserError(f"there is no run {RUNS / name} to resume; name one with --run, or leave out --resume")
     path = run / "config.json"
     if not path.is_file():
-        raise UserError(f"{run} holds no run (no config.json); start one without --resume")
-    with user_errors(ValueError, KeyError, prefix=f"{path}: "):
-        return run, from_dict(json.loads(path.read_text())["config"])
+        raise UserError(no_run_in(run))
+    with user_errors(ValueError, prefix=f"{path}: "):
+        try:
+            return run, from_dict(json.loads(path.read_text())["config"])
+        except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise ValueError(
+                f"it is damaged ({type(error).__name__}: {one_line(error)}); the checkpoint.json of each checkpoint "
+                'has the same "config"'
+            ) from None
 
 
 def _check_levels(config: TrainConfig) -> None:
@@ -261,10 +268,11 @@ def _print_report(report: dict[str, Any], run: Path) -> None:
             soft_wrap=True,
         )
         console.print(f"written    {', '.join(_written(run))}", highlight=False, soft_wrap=True)
+    path = shlex.quote(str(run))
     lines = [
         captured.get().rstrip("\n"),
-        f"replay     kinetix-dist replay {run} --view",
-        f"train on   kinetix-dist train --run {run} --resume --run.total_env_steps {2 * report['env_steps']}",
+        f"replay     kinetix-dist replay {path} --view",
+        f"train on   kinetix-dist train --run {path} --resume --run.total_env_steps {2 * report['env_steps']}",
     ]
     say("\n".join(lines), sys.stdout)
 

@@ -11,6 +11,7 @@ import pytest
 
 from kinetix_dist.checkpoint import list_checkpoints, newest_good
 from kinetix_dist.cli.main import main
+from kinetix_dist.cli.train import parse
 from kinetix_dist.config import to_dict
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
@@ -110,6 +111,7 @@ def test_while_its_processes_on_ray_start_a_run_ends_at_once(tmp_path):
     status, seconds, line = _stopped(process, signal.SIGTERM)
     assert (status, seconds < LIMIT_S) == (EXIT_STOPPED, True)
     assert line == f"kinetix-dist: stopped by SIGTERM outside of updates; go on with --run {run} --resume"
+    assert parse(["--run", str(run), "--resume"]).run == run  # as the line says
 
 
 def test_a_signal_while_an_object_is_collected_is_not_swallowed():

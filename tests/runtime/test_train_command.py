@@ -104,6 +104,58 @@ def test_resuming_what_is_not_there(capsys, tmp_path):
     assert "there is no run runs/quickstart to resume" in _refusal(capsys, "--resume")
 
 
+@pytest.mark.parametrize("name", ["r[un]", "r\\un", "r\udcffun"])
+def test_a_directory_below_which_checkpoints_could_not_be_read(capsys, tmp_path, name):
+    assert "choose another --run" in _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / name)
+    assert not (tmp_path / name).exists()
+
+
+def test_checkpoints_without_the_configuration_of_their_run(capsys, tmp_path):
+    run = _a_run(tmp_path / "run")
+    save_checkpoint(run.checkpoints, 2, {"x": np.zeros(1)}, {"config": to_dict(recipe("tiny"))}, keep=1)
+    run.close()
+    stored = run.config_path.read_text()
+    run.config_path.unlink()
+    for extra in ((), ("--resume",)):
+        assert "has checkpoints but no config.json" in _refusal(capsys, "--run", tmp_path / "run", *extra)
+    run.config_path.write_text(stored)
+    assert parse(["--run", str(tmp_path / "run"), "--resume"]).config == recipe("tiny")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[1, 2]", "null", '{"config": [1]}', '{"config": {"run": 3}}', '{"config": null}', "[" * 100_000]
+)
+def test_a_damaged_configuration(capsys, tmp_path, text):
+    run = _a_run(tmp_path / "run")
+    run.close()
+    run.config_path.write_text(text)
+    line = _refusal(capsys, "--run", tmp_path / "run", "--resume")
+    assert "config.json: it is damaged" in line and "checkpoint.json" in line
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("seed", str(10**30), "must be 0 to 4294967295"),
+        ("seed", "-1", "must be 0 to 4294967295"),
+        ("heartbeat_seconds", "-1", "must be above 0"),
+        ("heartbeat_seconds", "nan", "must be above 0"),
+        ("stop_seconds", "inf", "must be a number, 0 or more"),
+        ("max_seconds", "nan", "must be a number, 0 or more"),
+        ("gpu_memory_gib", "inf", "must be a number, 0 or more"),
+    ],
+)
+def test_numbers_of_a_run_that_make_no_sense(capsys, field, value, says):
+    assert says in _refusal(capsys, "--recipe", "tiny", f"--run.{field}", value)
+
+
+def test_an_address_of_ray_that_is_none(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "not an address")
+    line = _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / "run", "--run.placement", "colocated")
+    assert "RAY_ADDRESS is 'not an address'" in line and "give HOST:PORT" in line
+    assert not (tmp_path / "run" / "config.json").exists()
+
+
 def test_a_port_for_metrics_that_is_taken_or_is_none(capsys, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

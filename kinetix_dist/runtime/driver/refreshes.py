@@ -70,6 +70,11 @@ class Refreshes:
             given = nested(select_arrays(arrays, PENDING_INPUT))
             self._request(version, nested(select_arrays(arrays, PENDING)), given or None)
 
+    def ask_for_first(self) -> None:
+        """Of a run that begins, before its first update: a curator starts, compiles and scores while others do."""
+        if self._curator is not None:
+            self._request(0, self._trainer.weights(), None)
+
     def cancel(self) -> None:
         """All processes of the trainer are started again."""
         if self._curator is not None:
@@ -80,8 +85,9 @@ class Refreshes:
         if self._curator is None:
             return
         self._curator.watch()
+        is_asked_for = self._pending is not None and self._pending[0] == num_updates
         self._adopt_if_due(num_updates, update_seconds)
-        if self._config.is_refresh_due(num_updates):
+        if self._config.is_refresh_due(num_updates) and not is_asked_for:
             self._give_up_late(num_updates)
             given = self._trainer.refresh_input() if self._has_input and num_updates else None
             self._request(num_updates, self._trainer.weights(), given)

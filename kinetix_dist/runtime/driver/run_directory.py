@@ -48,6 +48,29 @@ class RunDirectoryError(Exception):
     """A run directory that cannot be used, and what to do about it."""
 
 
+def no_run_in(path: Path) -> str:
+    """What is wrong with a directory without config.json, and what to do."""
+    if not list((path / "checkpoints").glob("*/checkpoint.json")):
+        return f"{path} holds no run (no config.json); start one without --resume"
+    return (
+        f"{path} has checkpoints but no config.json; write it from the checkpoint.json of one of them, whose "
+        '"config" is that of config.json, or choose another --run'
+    )
+
+
+def _check_path(path: Path) -> None:
+    """Orbax takes these characters for a pattern: it writes arrays below such a path and does not find them again."""
+    name = os.fspath(path.absolute())
+    if found := sorted(set(name) & set("[]\\")):
+        raise RunDirectoryError(
+            f"{path} has {' and '.join(found)} in it, below which checkpoints cannot be read; choose another --run"
+        )
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise RunDirectoryError(f"{path!r} is not UTF-8, and checkpoints need that; choose another --run") from None
+
+
 class RunDirectory:
     """Paths of one run. `create` and `open_existing` take the lock; `close` gives it back."""
 
@@ -114,6 +137,7 @@ class RunDirectory:
 
         Where `path` holds a run already: the next free `path-2`, `path-3` ... if `numbered`, else RunDirectoryError.
         """
+        _check_path(path)
         first = path
         for number in range(2, 100_000):
             run = cls._claim(path, first_choice=path == first and not numbered)
@@ -125,8 +149,9 @@ class RunDirectory:
     @classmethod
     def open_existing(cls, path: Path) -> RunDirectory:
         """Locks a run directory to go on with it."""
+        _check_path(path)
         if not (path / "config.json").is_file():
-            raise RunDirectoryError(f"{path} holds no run (no config.json); start one without --resume")
+            raise RunDirectoryError(no_run_in(path))
         run = cls(path, lock_directory(path))
         try:
             aside = set_aside_unless_readable(run.events)
@@ -154,9 +179,12 @@ class RunDirectory:
             if first_choice:
                 raise
             return None
-        if not run.config_path.exists():
+        has_checkpoints = run.checkpoints.is_dir() and any(run.checkpoints.iterdir())
+        if not run.config_path.exists() and not has_checkpoints:
             return run
         run.close()
+        if first_choice and not run.config_path.exists():
+            raise RunDirectoryError(no_run_in(path))
         if first_choice:
             raise RunDirectoryError(f"{path} holds a run already; go on with it by --resume, or choose another --run")
         return None

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.env.physics import describe
 from kinetix_dist.errors import one_line
@@ -140,14 +141,23 @@ def _from_start_to_report(
     """The report. `started` gets what ends what was started, first to last."""
     began = time.monotonic()
     recorder = Recorder(run)
-    backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
-    stop.install()
-    started += [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
-    told = {"on_rollouts": recorder, "stop": stop}
-    controller = Controller(config, run, trainer, curator, reporter, **told, evaluations=evaluations, resizing=resizing)
-    started.insert(0, controller.close)
-    controller.restore(resume=resume)
-    _write_or_fail(run, run.config_path, {"hash": config.hash, "config": to_dict(config)})
+    stored = {"hash": config.hash, "config": to_dict(config)}
+    if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
+        _write_or_fail(run, run.config_path, stored)
+    try:
+        backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
+        stop.install()
+        started += [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
+        told = {"on_rollouts": recorder, "stop": stop, "evaluations": evaluations, "resizing": resizing}
+        controller = Controller(config, run, trainer, curator, reporter, **told)
+        started.insert(0, controller.close)
+        controller.restore(resume=resume)
+    except (ValueError, CheckpointError, FileNotFoundError):  # refused, before anything was computed
+        if not resume:
+            run.config_path.unlink(missing_ok=True)
+        raise
+    if resume:  # what is refused leaves the one there is
+        _write_or_fail(run, run.config_path, stored)
     evaluations = _from_first_to_last_update(controller, run, reporter)
     controller.clock.lap()
     report = _report(config, controller, evaluations, controller.facts(), wall_seconds=time.monotonic() - began)

@@ -83,6 +83,8 @@ def joining(address: str) -> Generator[None]:
             f"the Ray cluster at {address} refused this process: its token is missing or another; give it that of the "
             "cluster, by RAY_AUTH_TOKEN or by a file of mode 600 that RAY_AUTH_TOKEN_PATH names"
         ) from error
+    except ValueError as error:
+        raise PlacementError(f"RAY_ADDRESS is {address!r}, no address for Ray ({error}); give HOST:PORT") from error
     except RuntimeError as error:
         if "Version mismatch" not in str(error):
             raise

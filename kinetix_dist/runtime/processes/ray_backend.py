@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import logging
 import os
+import signal
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -321,6 +322,7 @@ class RayBackend:
         return RayTicket(ray.put(value))
 
     def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
+        self._check_ray()
         return self._supervisor.gather([(ticket.reference, ticket.actor) for ticket in tickets])
 
     def first_of(self, tickets: Sequence[RayTicket], *, beside: Sequence[RayHandle] = ()) -> list[RayTicket]:
@@ -332,9 +334,13 @@ class RayBackend:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
         self._supervisor.forget([handle.actor for handle in handles])
         self._readings.forget([handle.actor for handle in handles])
-        if not self._lost_servers():  # else Ray's processes end themselves, and the call would wait for a minute
-            for handle in handles:
+        is_ray_there = not self._lost_servers()  # without it the call would wait for a minute
+        for handle in handles:
+            if is_ray_there:
                 ray.kill(handle.actor, no_restart=True)
+            elif handle.pid is not None:
+                with contextlib.suppress(ProcessLookupError):  # Ray's processes may have ended themselves
+                    os.kill(handle.pid, signal.SIGKILL)
         if self._owns_ray and not os.environ.get("RAY_ADDRESS"):
             left = wait_until_gone([handle.pid for handle in handles if handle.pid is not None])
             if left:
