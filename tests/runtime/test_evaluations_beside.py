@@ -13,11 +13,10 @@ from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.evaluations import MAX_WAITING, Evaluations
-from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan
-from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
+from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_directory, tiny_config
 from tests.runtime.train_process import events
 
 NUM_UPDATES, EVERY = 8, 2
@@ -34,8 +33,7 @@ def _config(placement="colocated"):
 
 def _train(config, path, backend, *, is_beside=True, resume=False):
     """(rows of metrics, policy versions that were recorded)"""
-    path.mkdir(exist_ok=True)
-    run, placement, recorded = RunDirectory.create(path, numbered=False), plan(config, num_gpus=0), []
+    run, placement, recorded = run_directory(path, config, resume=resume), plan(config, num_gpus=0), []
     if config.run.placement == "split":
         trainer = SplitTrainer(config, backend, placement)
     else:
