@@ -19,7 +19,7 @@ import numpy as np
 from bench.program import exit_code, parser_of
 from jax2d.scene import index_worlds
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.errors import UserError
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.level.frontier import (
@@ -33,6 +33,7 @@ from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.play.players import Trained, checkpoint_at, newest_checkpoint_of
 from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+from kinetix_dist.telemetry.json_lines import replace_file
 
 FIRST_ATTEMPTS = 8  # of each policy on a level; all of them only where these solve nothing
 PADDED_TO = 256  # levels
@@ -100,7 +101,10 @@ def run(arguments: argparse.Namespace) -> int:
             raise UserError(f"--{name.replace('_', '-')} is {getattr(arguments, name)}; it must be 1 or more")
     enable_compile_cache("")
     policies = policies_of(arguments.policies)
-    known = read_frontier_sets(arguments.json) if arguments.json.is_file() else {}
+    if not arguments.json.parent.is_dir():
+        raise UserError(f"{arguments.json.parent} is not a directory; give --json a file in one that is there")
+    with user_errors(ValueError, TypeError, AttributeError, prefix=f"{arguments.json} holds no frontier sets: "):
+        known = read_frontier_sets(arguments.json) if arguments.json.is_file() else {}
     for size in arguments.sizes:
         if size in known:
             print(f"{size}: kept as it is in {arguments.json}")
@@ -109,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not made.indices:
             raise UserError(f"size {size}: of {made.num_drawn} levels none is rarely solved by chance and by a policy")
         known[size] = made
-        arguments.json.write_text(frontier_text(known))
+        replace_file(arguments.json, frontier_text(known).encode())
     return 0
 
 

@@ -62,7 +62,7 @@ def parse(argv: Sequence[str]) -> Args:
     """Options of the command itself first; the rest is that of `train`."""
     own = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     own.add_argument("--levels")
-    own.add_argument("--from", dest="start", type=Path)
+    own.add_argument("--from", dest="start")
     own.add_argument("--each", action="store_true")
     own.add_argument("--compare", action="store_true")
     own.add_argument("--stop-at", type=float)
@@ -89,7 +89,7 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
     _check(known)
     from kinetix_dist.finetune.starts import SCRATCH, like_policy, policy_at, start_from
 
-    trained = None if known.start is None else policy_at(known.start)
+    trained = None if known.start is None else policy_at(Path(known.start))
     start = SCRATCH if trained is None else start_from(trained)
 
     def adjust(recipe: TrainConfig) -> TrainConfig:
@@ -115,8 +115,10 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
 
 
 def _check(known: argparse.Namespace) -> None:
-    if known.levels is None:
+    if not known.levels:
         raise UserError(f"--levels is missing: the levels to train on; see `{PROG} --help`")
+    if known.start == "":
+        raise UserError("--from is empty; name a checkpoint, a run or a pretrained policy, or leave it out")
     if known.compare and not (known.each and known.start):
         raise UserError("--compare puts specialists from scratch beside those of a policy; give --each and --from too")
     if known.stop_at is not None and not known.each:

@@ -106,7 +106,11 @@ def parse(
             curriculum = dataclasses.replace(base.curriculum, generator=generator(known.generator))
         base = dataclasses.replace(base, curriculum=curriculum)
     if known.start_from is not None:
-        base = dataclasses.replace(base, run=dataclasses.replace(base.run, start_from=known.start_from))
+        if not known.start_from:
+            raise UserError("--from is empty; name a checkpoint or a pretrained policy, or leave it out")
+        path = Path(known.start_from)  # from which directory the command was given is forgotten
+        start_from = str(path.resolve()) if path.exists() else known.start_from
+        base = dataclasses.replace(base, run=dataclasses.replace(base.run, start_from=start_from))
     phases = None
     if known.phases is not None:
         with user_errors(ValueError, OSError):
@@ -145,6 +149,7 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.env.physics import describe
     from kinetix_dist.models.kernels.support import KernelError
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
+    from kinetix_dist.runtime.driver.starting import starting_point
     from kinetix_dist.runtime.driver.training_run import hold_to_cpu, start_fork_server, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
     from kinetix_dist.telemetry.compile_cache import enable_compile_cache
@@ -163,6 +168,9 @@ def _run(args: Args, stop: StopSignals) -> None:
             hold_to_cpu(config)
         with user_errors(ValueError, OSError):
             _check_levels(config)  # reading levels computes
+        if not args.resume:
+            with user_errors(CheckpointError, ValueError, OSError):
+                starting_point(config)
         with user_errors(RunDirectoryError):
             directory = _open(args)
         enable_compile_cache(config.run.compile_cache)

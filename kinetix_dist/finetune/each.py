@@ -40,10 +40,10 @@ def train_each(
         levels, names = load_level_set(config.curriculum.levels, config.env.size)
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UserError(f"{config.curriculum.levels} has more than one level {twice[0]!r}; rename one of the files")
+    with user_errors(CheckpointError):  # before the directory is claimed for a design that cannot be trained
+        arrays = {start.name: starting_point(_starting(config, start)).arrays for start in starts}
     results = ResultsDirectory(path, design_of(config, levels, names, stop_at=stop_at))
     try:
-        with user_errors(CheckpointError):
-            arrays = {start.name: starting_point(_starting(config, start)).arrays for start in starts}
         todo = [(i, start) for i in range(len(names)) for start in starts if results.done(start, names[i]) is None]
         if num_done := len(names) * len(starts) - len(todo):
             report(f"{num_done} of {len(names) * len(starts)} specialists are there already")

@@ -42,8 +42,11 @@ def policy_at(path: Path) -> Trained:
 def start_from(trained: Trained) -> Start:
     """The start that a checkpoint is: `runs/quickstart/checkpoints/00000104` is called quickstart-104."""
     checkpoint = trained.checkpoint
-    path = checkpoint.path
-    name = f"{path.parent.parent.name}-{int(path.name)}" if path.parent.name == "checkpoints" else path.name
+    path = checkpoint.path.resolve()
+    is_of_run = path.parent.name == "checkpoints" and path.name.isdecimal()
+    name = f"{path.parent.parent.name}-{int(path.name)}" if is_of_run else path.name
+    if not name:
+        raise UserError(f"{path} has no name for results; give a checkpoint in a directory of its own")
     if name == FROM_SCRATCH:
         raise UserError(f"{path} is called {name!r} like a start from the seed; rename the directory")
     told = checkpoint.description

@@ -19,6 +19,7 @@ from kinetix_dist.sweep.objective import check_sets
 from kinetix_dist.telemetry.json_lines import replace_file
 
 MAX_ARMS = 512
+PHASES = "phases"  # the option that is a list of tables
 # A run has to have an end of its own. The sweep stops it long before.
 MAX_RUN_SECONDS = 7 * 24 * 3600.0
 # What an option cannot set: (option, why).
@@ -147,16 +148,21 @@ def _with_options(data: dict[str, Any], options: Options) -> dict[str, Any]:
 
 
 def train_arguments(run: Run, recipe_name: str, folder: Path) -> list[str]:
-    """Options of `kinetix-dist train` for a run, without --run. What is a list of tables, such as phases, is written
-    into a file in `folder` that the option names."""
+    """Options of `kinetix-dist train` for a run, without --run. Phases are written into a file in `folder` that the
+    option names."""
     words = ["--recipe", recipe_name]
     for name, value in run.options.items():
-        if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
+        if name == PHASES:
             file = folder / f"{run.name}.{name}.json"
             replace_file(file, json.dumps(value).encode())
             value = file
-        words += [f"--{name}", *map(str, value if isinstance(value, list) else [value])]
+        words += [f"--{name}", *_words_of(value)]
     return words
+
+
+def _words_of(value: Any) -> list[str]:
+    """Of an option: those of a list, be they lists too, one after another."""
+    return [word for entry in value for word in _words_of(entry)] if isinstance(value, list) else [str(value)]
 
 
 def hash_of(design: Design, runs: list[Run]) -> str:

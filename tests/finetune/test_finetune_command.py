@@ -10,6 +10,7 @@ import pytest
 from kinetix_dist.cli import finetune
 from kinetix_dist.cli.main import main
 from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.finetune.starts import policy_at, start_from
 from kinetix_dist.models.policy import PolicyConfig
 from tests.finetune.small import OPTIONS, config_of, level_directory, write_policy
 
@@ -51,6 +52,15 @@ def test_without_each_it_is_a_run_of_train_with_the_network_of_the_policy(levels
     assert config.evaluation.sets == (str(levels),)
 
 
+def test_results_are_called_like_the_policy_however_its_path_was_typed(
+    policy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(policy / "arrays")
+    for typed in ("..", "../../policy", str(policy)):
+        start = start_from(policy_at(Path(typed)))
+        assert (start.name, start.checkpoint) == (policy.name, str(policy))
+
+
 def test_a_flat_policy_keeps_its_size(flat_policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = _refusal(capsys, "--levels", "designed_m", "--from", str(flat_policy), "--each")
     assert line.startswith("kinetix-dist: env.size is 's': ") and "the size has room for" in line
@@ -70,6 +80,8 @@ def _refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     ("options", "message"),
     [
         ((), "--levels is missing"),
+        (("--levels", ""), "--levels is missing"),
+        (("--levels", "designed_s", "--from", ""), "--from is empty"),
         (("--levels", "designed_x"), "unknown level set 'designed_x'; sets are designed_s"),
         (("--levels", "designed_m", "--env.size", "s"), "env.size is 's': "),
         (("--levels", "designed_s", "--from", "nosuch"), "there is no checkpoint nosuch; pretrained policies here"),
@@ -93,8 +105,7 @@ def test_what_cannot_be_is_one_line(
     given = [str(policy) if option == "POLICY" else option for option in options]
     no_mask = ("--ppo.mask_unbound_heads", "False")
     assert message in _refusal(capsys, *given, *each_or_not, *(() if "--draw" in given else no_mask))
-    left = [path for path in tmp_path.rglob("*") if path.is_file() and path.name not in ("lock", "design.json")]
-    assert not left
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 @pytest.mark.parametrize(

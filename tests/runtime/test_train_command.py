@@ -273,6 +273,27 @@ def test_a_mixture_of_sizes_that_means_nothing(capsys, sizes, message):
 # Starting from a policy
 
 
+def test_a_start_that_is_none_is_refused_before_a_directory_is_made(capsys, tmp_path):
+    run = _a_run(tmp_path / "other")
+    save_checkpoint(run.checkpoints, 2, {"x": np.zeros(1)}, {"config": {}}, keep=1)
+    run.close()
+    for start, says in (
+        ("", "--from is empty"),
+        ("nothing", "no checkpoint nothing"),
+        (tmp_path / "other", "is a run; name one of"),
+        (tmp_path / "other" / "checkpoints" / "00000002", "config"),
+    ):
+        assert says in _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / "run", "--from", start)
+        assert not (tmp_path / "run").exists()
+
+
+def test_a_start_is_kept_as_the_path_that_it_was(tmp_path, monkeypatch):
+    (tmp_path / "here" / "policy").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "here")
+    assert parse(["--from", "policy"]).config.run.start_from == str(tmp_path / "here" / "policy")
+    assert parse(["--from", "sfl_s"]).config.run.start_from == "sfl_s"
+
+
 def test_a_checkpoint_of_other_settings_of_the_engine_is_refused(capsys, tmp_path):
     """The pretrained one learned with softer joints than today's."""
     line = _refusal(capsys, "--recipe", "sfl_s", "--run.device", "cpu", *FROM_SFL_S, "--run", tmp_path / "run")

@@ -276,6 +276,14 @@ def test_tables_reach_the_command_as_a_file(tmp_path):
     assert words[2] == "--phases" and json.loads(Path(words[3]).read_text()) == tables
 
 
+@pytest.mark.parametrize("options", [{"curriculum.sizes": [["s", 0.5], ["m", 0.5]], "env.size": "m"}, {"phases": []}])
+def test_lists_of_lists_and_of_nothing_reach_the_command(tmp_path, options):
+    run = dataclasses.replace(runs_of(design(tmp_path, text()))[0], options=options)
+    config = parse(train_arguments(run, "tiny", tmp_path)).config
+    assert config.phases == ()
+    assert config.curriculum.sizes == ((("s", 0.5), ("m", 0.5)) if "env.size" in options else ())
+
+
 # For real
 
 

@@ -38,7 +38,10 @@ def starting_point(config: TrainConfig) -> Start:
     settings of the engine, or where it holds no optimiser and that is asked for."""
     if not config.run.start_from:
         return Start()
-    checkpoint = load_checkpoint(Path(config.run.start_from))
+    path = Path(config.run.start_from)
+    if (path / "checkpoints").is_dir():
+        raise CheckpointError(f"run.start_from: {path} is a run; name one of the directories in {path}/checkpoints")
+    checkpoint = load_checkpoint(path)
     if not config.run.start_other_engine:
         _check_engine(checkpoint, config.env)
     optimizer = select_arrays(checkpoint.arrays, f"{LEARNER}/{OPTIMIZER}")
