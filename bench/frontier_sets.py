@@ -22,6 +22,7 @@ from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
+from kinetix_dist.finetune.starts import policy_at
 from kinetix_dist.level.frontier import (
     MAX_RANDOM_RATE,
     FrontierSet,
@@ -31,7 +32,7 @@ from kinetix_dist.level.frontier import (
 )
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
-from kinetix_dist.play.players import Trained, checkpoint_at, newest_checkpoint_of
+from kinetix_dist.play.players import Trained
 from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 from kinetix_dist.telemetry.json_lines import replace_file
 
@@ -88,11 +89,7 @@ def choose(size: str, policies: dict[str, Trained], arguments: argparse.Namespac
 
 def policies_of(names: list[str]) -> dict[str, Trained]:
     """By the names given: pretrained ones, checkpoints, or run directories."""
-    paths = {name: Path(name) for name in names}
-    return {
-        name: newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
-        for name, path in paths.items()
-    }
+    return {name: policy_at(Path(name)) for name in names}
 
 
 def run(arguments: argparse.Namespace) -> int:

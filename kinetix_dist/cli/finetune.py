@@ -136,7 +136,6 @@ def run(args: Args) -> int:
     config = sized(args.train.config, has_size=args.has_size)
     if args.each:
         return _each(args, config)
-    _check_start(config)
     return train.run(dataclasses.replace(args.train, config=config))
 
 
@@ -158,15 +157,6 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
     capacity = capacity_of(levels)
     size = next(name for name, known in SIZES.items() if known == capacity)
     return dataclasses.replace(config, env=dataclasses.replace(config.env, size=size))
-
-
-def _check_start(config: TrainConfig) -> None:
-    """Complains of a policy that does not fit before a directory is made."""
-    from kinetix_dist.checkpoint import CheckpointError
-    from kinetix_dist.runtime.driver.starting import starting_point
-
-    with user_errors(CheckpointError):
-        starting_point(config)
 
 
 def _each(args: Args, config: TrainConfig) -> int:

@@ -81,7 +81,7 @@ class Sfl(Curriculum):
 
     def init(self) -> LevelBuffer:
         config = self.tools.config
-        levels = self._empty_levels(config.buffer_size, jnp)  # the first refresh comes before the first levels
+        levels = self._empty_levels(config.buffer_size)  # the first refresh comes before the first levels
         count, number = jnp.zeros(config.buffer_size, jnp.int32), jnp.float32(0)
         return LevelBuffer(
             levels=levels,
@@ -174,13 +174,13 @@ class Sfl(Curriculum):
         }
 
     def compile_probe(self, params: Any, num_levels: int) -> None:
-        levels = self._empty_levels(min(num_levels, self.num_places), np)
+        levels = jax.eval_shape(lambda: self._empty_levels(min(num_levels, self.num_places)))
         self._play.lower(params, levels, jax.random.key(0), self.tools.config.scoring_steps).compile()
 
-    def _empty_levels(self, num_levels: int, numpy: Any) -> Level:
-        """[num_levels, ...] for their shapes. numpy: `numpy` or `jax.numpy`, of which the arrays are."""
+    def _empty_levels(self, num_levels: int) -> Level:
+        """[num_levels, ...], for their shapes."""
         level = empty_level(self.tools.capacity)
-        return jax.tree.map(lambda x: numpy.broadcast_to(x, (num_levels, *numpy.shape(x))), level)
+        return jax.tree.map(lambda x: jnp.broadcast_to(x, (num_levels, *jnp.shape(x))), level)
 
     def _score(self, params: Any, key: Array) -> tuple[Level, Array, Array]:
         level_key, play_key = jax.random.split(key)

@@ -50,12 +50,18 @@ class RunDirectoryError(Exception):
 
 def no_run_in(path: Path) -> str:
     """What is wrong with a directory without config.json, and what to do."""
-    if not list((path / "checkpoints").glob("*/checkpoint.json")):
+    if not _has_checkpoints(path):
         return f"{path} holds no run (no config.json); start one without --resume"
     return (
         f"{path} has checkpoints but no config.json; write it from the checkpoint.json of one of them, whose "
         '"config" is that of config.json, or choose another --run'
     )
+
+
+def _has_checkpoints(run: Path) -> bool:
+    from kinetix_dist.checkpoint import list_checkpoints  # imports JAX, without which runs are read
+
+    return bool(list_checkpoints(run / "checkpoints"))
 
 
 def _check_path(path: Path) -> None:
@@ -179,15 +185,15 @@ class RunDirectory:
             if first_choice:
                 raise
             return None
-        has_checkpoints = run.checkpoints.is_dir() and any(run.checkpoints.iterdir())
-        if not run.config_path.exists() and not has_checkpoints:
+        has_config = run.config_path.exists()
+        if not has_config and not _has_checkpoints(path):
             return run
         run.close()
-        if first_choice and not run.config_path.exists():
+        if not first_choice:
+            return None
+        if not has_config:
             raise RunDirectoryError(no_run_in(path))
-        if first_choice:
-            raise RunDirectoryError(f"{path} holds a run already; go on with it by --resume, or choose another --run")
-        return None
+        raise RunDirectoryError(f"{path} holds a run already; go on with it by --resume, or choose another --run")
 
     def event(self, kind: str, **details: Any) -> None:
         """Appends to events.jsonl: time, kind (of `telemetry.event_names`), details. Never raises for the disk."""
