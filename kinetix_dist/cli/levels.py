@@ -164,14 +164,14 @@ def _text(value: Any) -> str:
 
 def _validate(args: Validate) -> int:
     from kinetix_dist.level.proof import is_proof_document, read_proof
+    from kinetix_dist.level.sets import data_files
     from kinetix_dist.level.validate import read_document
 
     files: list[Path] = []
     for given in args.files:
         if not given.exists():
             raise UserError(f"there is no {given}; give files of levels or proofs, or directories of them")
-        found = sorted(given.glob("**/*.json")) if given.is_dir() else [given]
-        files += [path for path in found if path.name != "schema.json" and path.is_file()]
+        files += data_files(given, "**/*.json") if given.is_dir() else [given]
     if not files:
         raise UserError("no level files to check; give files or directories that hold .json files")
     num_wrong = 0

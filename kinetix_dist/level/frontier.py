@@ -4,7 +4,7 @@
 
 Of levels drawn from a stream of their own, those that random actions rarely solve and some stored policy sometimes
 does. A set without levels that nobody or everybody solves tells two policies apart with fewer attempts.
-levels/frontier.json has the indices into the stream and what was seen when they were chosen; `bench.frontier_sets`
+levels/frontier_sets.json has the indices into the stream and what was seen when they were chosen; `bench.frontier_sets`
 writes it.
 """
 
@@ -28,7 +28,7 @@ from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.paths import levels_root
 
 FRONTIER_STREAM = 0x46524F4E  # "FRON": a key of its own
-FILE_NAME = "frontier.json"
+FRONTIER_FILE = "frontier_sets.json"
 MAX_RANDOM_RATE = 0.2  # of random actions on a level: below it
 
 
@@ -50,7 +50,7 @@ class FrontierSet:
 
 def frontier_sets() -> dict[str, FrontierSet]:
     """By name; those that the level data has."""
-    file = levels_root() / FILE_NAME
+    file = levels_root() / FRONTIER_FILE
     return {made.name: made for made in read_frontier_sets(file).values()} if file.is_file() else {}
 
 

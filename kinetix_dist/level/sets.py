@@ -23,7 +23,7 @@ import numpy as np
 from jax2d.scene import Array, stack_worlds
 from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fit import LevelSizeError, capacity_of_size, fit_level, smallest_size
-from kinetix_dist.level.frontier import frontier_levels, frontier_sets
+from kinetix_dist.level.frontier import FRONTIER_FILE, frontier_levels, frontier_sets
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.kinetix_format import is_kinetix_document, load_kinetix
 from kinetix_dist.level.level import SIZES, Level
@@ -163,9 +163,14 @@ def files_of_set(name: str) -> list[Path]:
 
 
 def level_files(directory: Path, pattern: str) -> list[Path]:
-    """Files of a directory that should hold levels: not proofs that lie beside them, and not the schema."""
+    """Files of a directory that should hold levels: not proofs that lie beside them, and not other level data."""
+    return [path for path in data_files(directory, pattern) if not path.name.endswith(PROOF_SUFFIX)]
+
+
+def data_files(directory: Path, pattern: str) -> list[Path]:
+    """Files of a directory that should hold levels or proofs: all but those of the level data that describe them."""
     found = sorted(path for path in directory.glob(pattern) if path.is_file())
-    return [path for path in found if path.name != "schema.json" and not path.name.endswith(PROOF_SUFFIX)]
+    return [path for path in found if path.name not in ("schema.json", FRONTIER_FILE)]
 
 
 def file_of_level(name: str) -> Path:

@@ -23,9 +23,9 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Level data with a frontier set of size s, chosen with a policy that learned nothing."""
     root = tmp_path_factory.mktemp("data")
     levels = shutil.copytree(REPOSITORY / "levels", root / "levels")
-    (levels / "frontier.json").unlink(missing_ok=True)
+    (levels / "frontier_sets.json").unlink(missing_ok=True)
     save_run(root / "run", TINY_POLICY, EnvConfig(size="s"))
-    arguments = ["--sizes", "s", "--policies", str(root / "run"), "--json", str(levels / "frontier.json")]
+    arguments = ["--sizes", "s", "--policies", str(root / "run"), "--json", str(levels / "frontier_sets.json")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "sys.argv", ["frontier_sets", *arguments, "--num-levels", "2", "--batch", "32", "--attempts", "8"]
@@ -37,7 +37,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_set_is_drawn_again_from_its_indices(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(LEVELS_VARIABLE, str(data))
-    made = read_frontier_sets(data / "frontier.json")["s"]
+    made = read_frontier_sets(data / "frontier_sets.json")["s"]
     assert len(made.indices) == 2 and max(made.random_solved) < 0.2 * made.attempts
     levels, names = load_level_set("frontier_s")
     assert names == [f"frontier_s_{index}" for index in made.indices]
@@ -50,7 +50,7 @@ def test_the_set_is_drawn_again_from_its_indices(data: Path, monkeypatch: pytest
 
 def test_without_the_file_there_is_no_such_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     levels = shutil.copytree(REPOSITORY / "levels", tmp_path / "levels")
-    (levels / "frontier.json").unlink(missing_ok=True)
+    (levels / "frontier_sets.json").unlink(missing_ok=True)
     monkeypatch.setenv(LEVELS_VARIABLE, str(levels))
     with pytest.raises(ValueError, match="unknown level set 'frontier_s'"):
         load_level_set("frontier_s")
