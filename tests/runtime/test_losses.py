@@ -150,6 +150,26 @@ def test_losses_in_an_update_a_save_a_recording_and_the_report_change_nothing(ba
 
 
 @pytest.mark.slow
+def test_a_worker_that_stands_still_for_less_than_the_heartbeat_costs_nothing(backend, tmp_path, monkeypatch):
+    """Longer than the 30 s after which its group would end, if the limit of the run did not reach JAX."""
+    path, left = tmp_path / "run", ["run_update"] * 3
+
+    def stop(method, trainer):
+        if not left or left[0] != method:
+            return
+        left.pop(0)
+        if not left:  # what the first update compiles is there
+            pid = trainer._handles[1].pid
+            os.kill(pid, signal.SIGSTOP)
+            threading.Timer(45.0, os.kill, (pid, signal.SIGCONT)).start()
+
+    _before_calls(monkeypatch, stop)
+    _train(_config(placement="colocated", num_workers=2), path)
+    assert not left and not events(path, "process_lost")
+    assert [row["update"] for row in rows(path)] == list(range(1, NUM_UPDATES + 1))
+
+
+@pytest.mark.slow
 def test_more_losses_than_allowed_end_the_run_with_one_line(backend, tmp_path, monkeypatch):
     Killer(["evaluate", "recover"]).install(monkeypatch)
     with pytest.raises(

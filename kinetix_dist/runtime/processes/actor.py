@@ -29,7 +29,6 @@ from kinetix_dist.telemetry.sizes import bytes_of
 
 # Package and file of Python frames in which a program is traced, lowered or compiled.
 COMPILING = (("jax", "partial_eval.py"), ("jax", "mlir.py"), ("jax", "compiler.py"), ("warp", "build.py"))
-HEARTBEAT_TIMEOUT_S = 30  # after which jax.distributed ends the survivors of a broken group
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,8 +107,11 @@ class ProcessActor:
             probe.bind((host, 0))
             return f"{host}:{probe.getsockname()[1]}"
 
-    def join(self, coordinator: str, num_processes: int, rank: int) -> None:
-        """Forms one JAX world with the other processes of the group. Waits for all of them."""
+    def join(self, rank: int, coordinator: str, num_processes: int, heartbeat_timeout_s: int) -> None:
+        """Forms one JAX world with the other processes of the group. Waits for all of them.
+
+        heartbeat_timeout_s: after which JAX ends the others of a group that has a silent one.
+        """
         import jax
 
         with self._failures("join"):
@@ -119,7 +121,7 @@ class ProcessActor:
                 rank,
                 coordinator_bind_address=coordinator,  # of rank 0; else it would listen on all interfaces
                 cluster_detection_method="deactivate",
-                heartbeat_timeout_seconds=HEARTBEAT_TIMEOUT_S,
+                heartbeat_timeout_seconds=heartbeat_timeout_s,
             )
 
     def build(self) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import itertools
 import logging
+import math
 import os
 import signal
 import time
@@ -34,6 +35,7 @@ from kinetix_dist.runtime.processes.watchdog import Watchdog, is_alive
 
 FREE_TIMEOUT_S = 10.0  # for GPUs and CPU slots of a cluster that others still hold
 CPUS_POLL_S = 0.2
+GROUP_GRACE_S = 30.0  # a silent process is this backend's to notice; so much later JAX ends the others of its group
 # Settings of the driver's shell that its processes get on every node: how collectives find and use the network.
 PASSED_ON = ("NCCL_", "GLOO_")
 
@@ -249,7 +251,8 @@ class RayBackend:
             members = [handle.actor for handle in group]
             if _joins(group):
                 coordinator = self._all(members[:1], [members[0].free_address.remote()])[0]
-                joined = [actor.join.remote(coordinator, len(members), rank) for rank, actor in enumerate(members)]
+                told = (coordinator, len(members), math.ceil(self._heartbeat_seconds + GROUP_GRACE_S))
+                joined = [actor.join.remote(rank, *told) for rank, actor in enumerate(members)]
                 calls += zip(joined, members, strict=True)
             calls += [(actor.build.remote(), actor) for actor in members]
         self._supervisor.gather(calls)
