@@ -368,6 +368,25 @@ def test_a_curriculum_that_leaves_episodes_out_of_the_counts_is_refused(tmp_path
     run.close()
 
 
+def test_evaluations_before_training_are_there_once_after_an_end_before_the_first_checkpoint(tmp_path):
+    run = RunDirectory.create(tmp_path / "run", numbered=False)
+
+    def session(*phases, loses_a_worker=False):
+        data = RunData(_config(), run, QuietReporter())
+        data.start({}, {}, num_updates=0)
+        for phase in phases:
+            data.evaluated(phase, 0, {"s": {"levels": {}}}, reported_at=0)
+        if loses_a_worker:  # training goes on from nothing, and what was evaluated stays
+            data.start({}, {}, num_updates=0)
+        data.close(0)
+        return [row["phase"] for row in read_lines(run.evaluation_rows).rows]
+
+    assert session("random_policy") == ["random_policy"]
+    assert session("random_policy", "before", loses_a_worker=True) == ["random_policy", "before"]
+    assert session() == []
+    run.close()
+
+
 @pytest.mark.slow  # starts three processes
 def test_in_processes_of_their_own_the_same_is_written(logged, tmp_path):
     from kinetix_dist.runtime.processes.ray_backend import RayBackend

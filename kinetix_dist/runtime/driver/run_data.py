@@ -61,7 +61,10 @@ class RunData:
         self._news = SinkNews(run, reporter.note)
         self._sinks: dict[Path, BackgroundSink[Any]] = {}
         self._num_dropped = 0  # by sinks that are closed
-        self._resume_at = 0  # updates done when this session, or the part of it since the last loss, began
+        # Updates done when this session, or the part of it since the last loss, began; -1: with nothing, evaluations
+        # before training included.
+        self._resume_at = -1
+        self._has_evaluated = False
         self._processes_at = 0.0  # s of time.monotonic(), of the last line
         self._pids: set[tuple[str, int]] = set()  # in the last line
 
@@ -69,7 +72,7 @@ class RunData:
         """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
         is removed."""
         self._close_sinks()
-        self._resume_at = num_updates
+        self._resume_at = num_updates if num_updates or self._has_evaluated else -1
         for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
             if os.path.exists(path):  # what cannot be looked at fails, and is told, with the first row
                 self._sink(path, opens_at_once=True)
@@ -135,7 +138,7 @@ class RunData:
             "reported_at": reported_at,
             "sets": {name: rate["levels"] for name, rate in rates.items()},
         }
-
+        self._has_evaluated = True
         self._sink(self._run.evaluation_rows).write(reported_at, row)
 
     def processes(self, num_updates: int, processes: Sequence[Mapping[str, Any]]) -> None:
