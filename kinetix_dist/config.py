@@ -14,7 +14,7 @@ import json
 import math
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from jax2d.settings import preset
@@ -238,6 +238,9 @@ class TrainConfig:
     run: RunConfig
 
     def __post_init__(self) -> None:
+        for field, value in numbers_in(self):
+            if not math.isfinite(value):
+                raise ConfigError(f"{field} is {value}; it must be a finite number")
         order = list(SIZES)
         if too_large := [
             size for size in sizes_drawn(self.curriculum.sizes) if order.index(size) > order.index(self.env.size)
@@ -341,6 +344,22 @@ class TrainConfig:
         """16 hexadecimal digits over `numbers_of(self)`."""
         text = json.dumps(numbers_of(self), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def numbers_in(section: Any, field: str = "") -> Iterator[tuple[str, float]]:
+    """(field, value) of all floats of a dataclass and of what is in it."""
+    if isinstance(section, float):
+        yield field, section
+        return
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(section, tuple | list):
+        items = enumerate(section)
+    elif isinstance(section, Mapping):
+        items = section.items()
+    elif dataclasses.is_dataclass(section):
+        items = [(each.name, getattr(section, each.name)) for each in dataclasses.fields(section)]
+    for name, item in items:
+        yield from numbers_in(item, f"{field}.{name}".removeprefix("."))
 
 
 def numbers_of(config: TrainConfig) -> dict[str, Any]:

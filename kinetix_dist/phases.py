@@ -96,8 +96,8 @@ class Schedule:
 def read_phases(path: Path) -> list[dict[str, Any]]:
     """The phases in a file, as plain values: TOML with a table `[[phases]]` for each, or JSON, {"phases": [...]} or the
     list alone. Raises ValueError or OSError, one line each."""
-    text = path.read_text()
     try:
+        text = path.read_text(encoding="utf-8")
         content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as {'JSON' if path.suffix == '.json' else 'TOML'}: {error}") from error

@@ -161,6 +161,7 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
 
 def _each(args: Args, config: TrainConfig) -> int:
     from kinetix_dist.finetune.each import train_each
+    from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StopRequested, StopSignals
     from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     assert args.train is not None
@@ -170,7 +171,12 @@ def _each(args: Args, config: TrainConfig) -> int:
     enable_compile_cache(config.run.compile_cache)
     starts = " and ".join(start.label for start in args.starts)
     print(f"one specialist a level of {config.curriculum.levels}, {starts}, in {path}", flush=True)
-    train_each(config, args.starts, path, stop_at=args.stop_at, report=lambda line: print(line, flush=True))
+    with StopSignals(limit_s=config.run.stop_seconds, hint="; the same command goes on") as stop:
+        try:
+            train_each(config, args.starts, path, stop_at=args.stop_at, report=lambda line: print(line, flush=True))
+        except StopRequested:
+            say(f"kinetix-dist: stopped by {stop.requested}; the same command goes on", sys.stderr)
+            return EXIT_STOPPED
     return _show(path)
 
 

@@ -16,7 +16,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.last_words import say
 
 if TYPE_CHECKING:
-    from kinetix_dist.config import TrainConfig
+    from kinetix_dist.config import RunConfig, TrainConfig
     from kinetix_dist.runtime.driver.run_directory import RunDirectory
     from kinetix_dist.runtime.driver.stopping import StopSignals
 
@@ -113,6 +113,10 @@ def parse(
         base = dataclasses.replace(base, run=dataclasses.replace(base.run, start_from=start_from))
     phases = None
     if known.phases is not None:
+        if single := [option for option in overrides if option.startswith("--phases.")]:
+            raise UserError(
+                f"--phases FILE has all phases, and {single[0]} is of one; change the file, or leave it out"
+            )
         with user_errors(ValueError, OSError):
             phases = read_phases(known.phases)
         base = dataclasses.replace(base, phases=())
@@ -184,7 +188,7 @@ def _run(args: Args, stop: StopSignals) -> None:
             CheckpointError, DeviceMemoryError, KernelError, PlacementError, PortTakenError, FileNotFoundError
         ):
             report = train(config, directory, resume=args.resume, stop=stop, fork_server=fork_server)
-        _print_report(report, directory.path)
+        _print_report(report, directory.path, config.run)
     finally:
         if directory is not None:
             directory.close()
@@ -249,7 +253,7 @@ def _open(args: Args) -> RunDirectory:
     return RunDirectory.create(RUNS / args.config.run.name, numbered=True)
 
 
-def _print_report(report: dict[str, Any], run: Path) -> None:
+def _print_report(report: dict[str, Any], run: Path, ended_by: RunConfig) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -280,9 +284,19 @@ def _print_report(report: dict[str, Any], run: Path) -> None:
     lines = [
         captured.get().rstrip("\n"),
         f"replay     kinetix-dist replay {path} --view",
-        f"train on   kinetix-dist train --run {path} --resume --run.total_env_steps {2 * report['env_steps']}",
+        f"train on   kinetix-dist train --run {path} --resume {longer(ended_by, report)}",
     ]
     say("\n".join(lines), sys.stdout)
+
+
+def longer(run: RunConfig, report: Mapping[str, Any]) -> str:
+    """Options with which a run that came to its end goes on for as long again: of what ended it."""
+    steps, seconds = report["env_steps"], report["training_seconds"]
+    is_done = 0 < run.total_env_steps <= steps
+    options = [f"--run.total_env_steps {2 * steps}"] if is_done else []
+    if run.max_seconds and (seconds >= run.max_seconds or not is_done):
+        options.append(f"--run.max_seconds {2 * run.max_seconds:g}")
+    return " ".join(options)
 
 
 def _cell(rates: dict[str, dict[str, float]] | None, name: str) -> str:

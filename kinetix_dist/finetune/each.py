@@ -112,6 +112,10 @@ def _alone(config: TrainConfig) -> TrainConfig:
         )
     if config.phases:
         raise UserError("phases are of runs, and specialists are compiled once; leave --phases or --each out")
+    if config.run.start_optimizer:
+        raise UserError(
+            "run.start_optimizer is True, but specialists start with an optimiser of their own; leave it out"
+        )
     if config.evaluation.every < 1:
         raise UserError(
             "evaluation.every is 0, but samples to a solve rate are counted by evaluations; give --evaluation.every 4"

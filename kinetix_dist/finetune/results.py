@@ -39,6 +39,16 @@ DESIGN_NAME = "design.json"
 THRESHOLDS = (0.5, 0.9)  # solve rates whose samples are compared
 
 Record = dict[str, Any]
+_OF_A_DESIGN: dict[str, type] = {"levels": dict}  # what a file has to have to be read
+_OF_A_SPECIALIST: dict[str, type] = {
+    "level": str,
+    "start": str,
+    "label": str,
+    "env_steps_to": dict,
+    "final": dict,
+    "seconds": dict,
+    "curve": list,
+}
 
 
 def design_of(config: TrainConfig, levels: Level, names: Sequence[str], *, stop_at: float) -> Record:
@@ -191,4 +201,7 @@ def _read_json(file: Path) -> Record:
         raise UserError(f"{file} cannot be read ({one_line(error)}); {advice}") from None
     if not isinstance(content, dict):
         raise UserError(f"{file} holds no object; {advice}")
+    for name, kind in (_OF_A_DESIGN if is_design else _OF_A_SPECIALIST).items():
+        if not isinstance(content.get(name), kind):
+            raise UserError(f"{file} is damaged: {name!r} is missing or of another kind; {advice}")
     return content

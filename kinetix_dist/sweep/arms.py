@@ -12,6 +12,7 @@ from typing import Any
 
 from kinetix_dist.config import ConfigError, TrainConfig, flat, from_dict, to_dict
 from kinetix_dist.errors import one_line
+from kinetix_dist.level.sets import files_of_set, size_of_drawn_set
 from kinetix_dist.recipes import recipe
 from kinetix_dist.sweep.design import Design, DesignError, Options
 from kinetix_dist.sweep.factorial import TwoLevelDesign, two_level_design
@@ -168,5 +169,18 @@ def _words_of(value: Any) -> list[str]:
 def hash_of(design: Design, runs: list[Run]) -> str:
     """16 hexadecimal digits over everything that results depend on. start_seconds is for the plan alone."""
     content = to_dict(dataclasses.replace(design, start_seconds=0.0))
-    text = json.dumps([content, {run.name: run.config.hash for run in runs}], sort_keys=True)
+    known: list[Any] = [content, {run.name: run.config.hash for run in runs}]
+    if digests := {name: digest for name in design.objective.sets if (digest := _digest_of_files(name)) is not None}:
+        known.append(digests)
+    text = json.dumps(known, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _digest_of_files(level_set: str) -> str | None:
+    """Of the level files of a set; None for one that is drawn."""
+    if size_of_drawn_set(level_set):
+        return None
+    digest = hashlib.sha256()
+    for file in files_of_set(level_set):
+        digest.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()

@@ -117,6 +117,7 @@ def test_what_cannot_be_is_one_line(
         (("--stop-at", "1.5"), "--stop-at is 1.5"),
         (("--curriculum.name", "plr", "--curriculum.levels", ""), "curriculum.name is 'plr'"),
         (("--run", "a_run"), "a_run holds a run"),
+        (("--from", "sfl_s", "--run.start_optimizer", "True"), "run.start_optimizer is True"),
     ],
 )
 def test_what_specialists_do_not_have_is_one_line(
@@ -130,3 +131,9 @@ def test_what_specialists_do_not_have_is_one_line(
 
 def test_a_directory_without_results_cannot_be_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "holds no results of specialists (no design.json)" in _refusal(capsys, "--draw", str(tmp_path))
+    (tmp_path / "design.json").write_text("{}")
+    assert "design.json is damaged: 'levels' is missing" in _refusal(capsys, "--draw", str(tmp_path))
+    (tmp_path / "design.json").write_text('{"levels": {"kick": ""}}')
+    (tmp_path / "scratch").mkdir()
+    (tmp_path / "scratch" / "kick.json").write_text('{"level": "kick", "start": "scratch", "label": 3}')
+    assert "kick.json is damaged: 'label' is missing or of another kind" in _refusal(capsys, "--draw", str(tmp_path))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import signal
 from pathlib import Path
 
 import jax
@@ -17,6 +19,7 @@ from kinetix_dist.finetune.specialists import Specialist
 from kinetix_dist.learner.sharding import data_mesh, local_values
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.runtime.cores.worker import Worker
+from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED
 from tests.finetune.small import (
     NAMES,
     NUM_UPDATES,
@@ -94,14 +97,15 @@ def test_an_interrupted_command_goes_on_and_a_second_start_gives_one_picture(
 
     def add_one(self, start, level, *rest):
         if added:
-            raise KeyboardInterrupt
+            os.kill(os.getpid(), signal.SIGTERM)
         added.append(level)
         return original(self, start, level, *rest)
 
     original = ResultsDirectory.add
     with monkeypatch.context() as patch:
         patch.setattr(ResultsDirectory, "add", add_one)
-        assert main(command) == 130
+        assert main(command) == EXIT_STOPPED
+    assert capsys.readouterr().err.endswith("kinetix-dist: stopped by SIGTERM; the same command goes on\n")
     before = _records(out)
     assert list(before) == [f"scratch/{NAMES[0]}"] and not (out / "samples.png").exists()
 

@@ -240,6 +240,13 @@ def test_events_wait_in_memory_and_are_written_in_order(tmp_path):
     run.close()
 
 
+def test_a_run_cannot_begin_on_a_full_disk(capsys, tmp_path):
+    with full_disk():
+        assert main(["train", "--recipe", "tiny", "--run", str(tmp_path / "run")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f"cannot write to run directory {tmp_path / 'run'}: File too large")
+
+
 def test_a_recording_that_cannot_be_written_is_an_event(tmp_path):
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     run.recordings.write_text("")

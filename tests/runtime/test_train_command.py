@@ -13,7 +13,7 @@ import pytest
 from jax2d import PRESETS, Settings, preset
 from kinetix_dist.checkpoint import CheckpointError, save_checkpoint
 from kinetix_dist.cli.main import main
-from kinetix_dist.cli.train import parse
+from kinetix_dist.cli.train import longer, parse
 from kinetix_dist.config import differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
@@ -149,6 +149,20 @@ def test_numbers_of_a_run_that_make_no_sense(capsys, field, value, says):
     assert says in _refusal(capsys, "--recipe", "tiny", f"--run.{field}", value)
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("ppo.max_grad_norm", "inf"),
+        ("ppo.anneal.clip", "inf"),
+        ("evaluation.every_seconds", "nan"),
+        ("curriculum.generator.hidden_fine", "nan"),
+    ],
+)
+def test_numbers_that_are_not_finite(capsys, field, value):
+    line = _refusal(capsys, "--recipe", "tiny", f"--{field}={value}")
+    assert f"{field} is {value}; it must be a finite number" in line
+
+
 def test_an_address_of_ray_that_is_none(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "not an address")
     line = _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / "run", "--run.placement", "colocated")
@@ -252,6 +266,18 @@ def test_phases_of_a_file_that_cannot_run(capsys, tmp_path, text, message):
     assert message in _refusal(capsys, "--recipe", "tiny", "--phases", tmp_path / "phases.toml")
 
 
+def test_a_file_of_phases_that_is_no_text(capsys, tmp_path):
+    (tmp_path / "phases.toml").write_bytes(b"\xff\xfe\x00")
+    line = _refusal(capsys, "--recipe", "tiny", "--phases", tmp_path / "phases.toml")
+    assert "phases.toml cannot be read as TOML: 'utf-8' codec" in line
+
+
+def test_phases_are_those_of_a_file_or_of_the_command_line(capsys, tmp_path):
+    (tmp_path / "phases.toml").write_text("[[phases]]\nstart = 256\nclip = 0.1\n")
+    line = _refusal(capsys, "--recipe", "tiny", "--phases", tmp_path / "phases.toml", "--phases.0.clip", "0.2")
+    assert "--phases FILE has all phases, and --phases.0.clip is of one" in line
+
+
 def test_a_file_of_phases_that_is_not_there(capsys):
     assert "nowhere.toml" in _refusal(capsys, "--recipe", "tiny", "--phases", "nowhere.toml")
 
@@ -326,6 +352,21 @@ FROM_SFL_S = ["--from", "sfl_s", "--run.placement", "local"]
 
 
 # Physics
+
+
+@pytest.mark.parametrize(
+    ("ends", "steps", "seconds", "options"),
+    [
+        ({"total_env_steps": 100}, 128, 5.0, "--run.total_env_steps 256"),
+        ({"total_env_steps": 0, "max_seconds": 30.0}, 128, 30.5, "--run.max_seconds 60"),
+        ({"total_env_steps": 1000, "max_seconds": 30.0}, 128, 30.5, "--run.max_seconds 60"),
+        ({"total_env_steps": 100, "max_seconds": 30.0}, 128, 5.0, "--run.total_env_steps 256"),
+        ({"total_env_steps": 100, "max_seconds": 30.0}, 128, 31.0, "--run.total_env_steps 256 --run.max_seconds 60"),
+    ],
+)
+def test_a_run_goes_on_past_what_ended_it(ends, steps, seconds, options):
+    run = dataclasses.replace(recipe("tiny").run, **ends)
+    assert longer(run, {"env_steps": steps, "training_seconds": seconds}) == options
 
 
 def test_a_preset_is_replaced_first_and_single_fields_after_it_in_any_order():

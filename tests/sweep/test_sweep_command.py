@@ -13,7 +13,7 @@ from kinetix_dist.cli.train import parse
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import PUBLIC_SOURCE
-from kinetix_dist.sweep.arms import SET_BY_SWEEP, runs_of, train_arguments
+from kinetix_dist.sweep.arms import SET_BY_SWEEP, hash_of, runs_of, train_arguments
 from kinetix_dist.sweep.design import read_design
 from kinetix_dist.sweep.lanes import cpu_lanes, free_gpus
 from tests.helpers import REPOSITORY
@@ -67,7 +67,22 @@ def test_sets_that_results_are_reported_on_cannot(capsys, tmp_path, name):
 
 def test_own_level_files_can_be_an_objective(tmp_path):
     shutil.copy(levels_root() / "s" / "kick.json", tmp_path / "mine.json")
-    assert len(runs_of(design(tmp_path, text(sets='{"mine.json" = 1.0}')))) == 4
+    planned = design(tmp_path, text(sets='{"mine.json" = 1.0}'))
+    runs = runs_of(planned)
+    assert len(runs) == 4
+    # Another level is another objective: results of both are not compared.
+    before = hash_of(planned, runs)
+    assert hash_of(planned, runs) == before
+    shutil.copy(levels_root() / "s" / "hop_home.json", tmp_path / "mine.json")
+    assert hash_of(planned, runs) != before
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_numbers_of_a_design_are_finite(capsys, tmp_path, value):
+    assert f"seconds is {value}; it must be a finite number" in refusal(
+        capsys, tmp_path, text(seconds=f"seconds = {value}")
+    )
+    assert "finite" in refusal(capsys, tmp_path, text().replace("start_seconds = 10", f"start_seconds = {value}"))
 
 
 @pytest.mark.parametrize(

@@ -281,7 +281,10 @@ def lock_directory(path: Path, option: str = "--run") -> IO[str]:
                 f"run directory {path} is in use by process {holder}; wait for it, or choose another {option}"
             ) from None
         raise RunDirectoryError(f"cannot lock run directory {path}: {error.strerror}") from error
-    file.truncate(0)
-    file.write(f"{os.getpid()}\n")
-    file.flush()
+    try:
+        file.truncate(0)
+        os.write(file.fileno(), f"{os.getpid()}\n".encode())
+    except OSError as error:
+        file.close()
+        raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
     return file
