@@ -82,7 +82,7 @@ class Drill:
         try:
             file = max(files, key=lambda path: path.stat().st_size)
             content = bytearray(file.read_bytes())
-            content[len(content) // 2] ^= 1
+            content[self.choose.randrange(len(content))] ^= 1  # the same one twice would mend it
             file.write_bytes(content)
         except FileNotFoundError:  # just pruned
             return 0

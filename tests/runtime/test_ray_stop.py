@@ -1,17 +1,20 @@
-"""`ray stop --force` on the machine of a run: it ends with one line, leaves nothing, and goes on bit for bit."""
+"""`ray stop --force` beside a run, or the end of a server of Ray: the run ends with one line and leaves nothing."""
 
 import json
 import os
 import shutil
 import subprocess
 import sys
+import time
 
+import psutil
 import pytest
 
 from tests.helpers import REPOSITORY, python_path
-from tests.runtime.ray_stop_program import OPTIONS
+from tests.runtime.ray_stop_program import GONE_S, OPTIONS
 from tests.runtime.runs import assert_same_bits, final_arrays
-from tests.runtime.train_process import STEPS_PER_UPDATE, events, finish, rows, start
+from tests.runtime.sockets import family
+from tests.runtime.train_process import LIMIT_S, STEPS_PER_UPDATE, events, finish, rows, start, wait_for
 
 # It ends all Ray processes that it can see: of this test alone.
 ALONE = ["unshare", "--pid", "--fork", "--mount-proc", "--kill-child"]
@@ -43,3 +46,24 @@ def test_a_run_whose_ray_is_stopped_ends_with_one_line_and_goes_on_bit_for_bit(t
     shutil.copy(run / "adoptions.json", whole)
     finish(start(whole, *OPTIONS, "--run.total_env_steps", total))
     assert_same_bits(final_arrays(run), final_arrays(whole))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["raylet", "gcs_server"])
+def test_a_run_that_loses_a_server_of_ray_ends_with_one_line_and_leaves_nothing(name, tmp_path):
+    run = tmp_path / "run"
+    process = start(run, *OPTIONS, "--run.total_env_steps", str(10**6 * STEPS_PER_UPDATE))
+    wait_for(lambda: len(rows(run)) >= 7, process, "update 7")
+    everyone = family(process.pid)
+    (server,) = [one for one in everyone if one.name() == name]
+    server.kill()
+    began = time.monotonic()
+    _, errors = process.communicate(timeout=LIMIT_S)
+    assert time.monotonic() - began < 30.0
+    assert process.returncode == 1 and "Traceback" not in errors
+    line = errors.strip().splitlines()[-1]
+    assert line.startswith(f"kinetix-dist: Ray was ended on this machine ({name})"), errors
+    assert line.endswith(f"try again with --run {run} --resume")
+    _, left = psutil.wait_procs(everyone, timeout=GONE_S)
+    assert not left
+    finish(start(run, "--resume", "--run.total_env_steps", str((rows(run)[-1]["update"] + 2) * STEPS_PER_UPDATE)))

@@ -49,6 +49,21 @@ def test_where_all_checkpoints_are_bad_the_run_is_refused_and_nothing_is_overwri
     assert [row["checkpoint"] for row in _events(copy, "checkpoint_rejected")] == ["00000004", "00000002"]
 
 
+def test_a_checkpoint_that_was_passed_over_does_not_come_back_when_it_can_be_read_again(copy):
+    """The run has gone on from the one before: rows of metrics between the two were removed."""
+    newest = list_checkpoints(copy / "checkpoints")[-1]
+    manifest = (newest / "manifest.json").read_bytes()
+    (newest / "manifest.json").unlink()
+    assert _resume(copy) == 0
+    aside = newest.with_name(f"{newest.name}.rejected")
+    (aside / "manifest.json").write_bytes(manifest)
+    again = NUM_UPDATES + 3
+    assert main(["train", "--run", str(copy), "--resume", "--run.total_env_steps", str(again * STEPS)]) == 0
+    assert [row["update"] for row in read_lines(copy / "metrics" / "metrics.jsonl").rows] == list(range(1, again + 1))
+    assert [row["update"] for row in _events(copy, "resumed")] == [2, NUM_UPDATES + 2]
+    assert [row["checkpoint"] for row in _events(copy, "checkpoint_rejected")] == [newest.name]
+
+
 def test_a_checkpoint_says_what_made_it_and_the_same_devices_go_on_without_a_word(copy, capsys):
     description = load_checkpoint(list_checkpoints(copy / "checkpoints")[-1]).description
     assert {"python", "engine", "kinetix-dist", "jax", "numpy"} <= description["versions"].keys()

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 from kinetix_dist.checkpoint import Checkpoint, CheckpointError, newest_good
 from kinetix_dist.config import ConfigError, TrainConfig, differences, from_dict
+from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.roles import Reporter
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 
 def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter) -> Checkpoint | None:
-    """None where none was written yet. Bad ones are passed over, with an event and a note.
+    """None where none was written yet. Bad ones are passed over, with an event and a note, and set aside.
 
     Raises CheckpointError where all are bad, or where the newest good one is of another config, or of a version with
     other fields.
@@ -25,6 +29,8 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
             f"changed: put back a good copy of one, or start a new run with another --run"
         )
     if checkpoint is None or checkpoint.description["config_hash"] == config.hash:
+        for bad in rejected:
+            _set_aside(bad.path, reporter)
         return checkpoint
     try:
         theirs = from_dict(checkpoint.description["config"])
@@ -36,3 +42,14 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
         f"checkpoint {checkpoint.path} was written by an older version, whose config had other fields: what it does "
         "may have changed, so that training cannot go on from it; start a new run (`kinetix-dist eval` still plays it)"
     )
+
+
+def _set_aside(path: Path, reporter: Reporter) -> None:
+    """A checkpoint that the run does not go on from: rows of metrics after the older one are removed, so it is not to
+    come back by itself, should it be readable later."""
+    aside = path.with_name(f"{path.name}.rejected")
+    try:
+        shutil.rmtree(aside, ignore_errors=True)
+        path.rename(aside)
+    except OSError as error:
+        reporter.note(f"checkpoint {path.name} cannot be renamed to {aside.name}: {one_line(error)}")
