@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
+from jax.experimental.layout import Layout, with_layout_constraint
 
 from jax2d.scene import Array
 from kinetix_dist.actors.outcomes import add_step, no_outcomes
@@ -72,7 +73,7 @@ def unroll(
         actions, log_prob = distribution.sample(outputs, uniforms, **counted)
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
         taken = Trajectory(
-            dynamic_obs=obs,
+            dynamic_obs=jax.tree.map(_world_by_world, obs),
             actions=actions.astype(distribution.stored_dtype),
             log_probs=log_prob,
             values=value,
@@ -112,6 +113,15 @@ def score(
     carry = (env_state, obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
     (_, _, _, outcome), _ = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
     return outcome
+
+
+def _world_by_world(x: Array) -> Array:
+    """`x` as the learner takes it, each world's numbers side by side in memory.
+
+    Without it XLA keeps the trajectory as the engine's tables are, worlds last, and transposes it after the last step:
+    a second one beside it, which is twice the memory of a rollout.
+    """
+    return with_layout_constraint(x, Layout(major_to_minor=tuple(range(x.ndim))))
 
 
 def _num_worlds(obs: Any) -> int:

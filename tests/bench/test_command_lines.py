@@ -35,6 +35,7 @@ from bench import (
     scoring,
     size_arrays,
     soak,
+    training_memory,
 )
 from jax2d.fidelity import hard_table, references
 from tests.helpers import REPOSITORY
@@ -65,6 +66,7 @@ PROGRAMS = [
     size_arrays.main,
     scoring.main,
     soak.main,
+    training_memory.main,
 ]
 
 
@@ -126,6 +128,9 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (learner_traffic.main, ["--networks", "nosuch"], "--networks has 'nosuch'"),
         (learner_traffic.main, ["--minibatch", "1000"], "--minibatch is 1000; give a multiple of the 2,048 worlds"),
         (learner_traffic.main, ["--encoder-size", "0"], "--encoder-size is 0"),
+        (training_memory.main, ["--worlds", "1"], "--worlds is 1"),
+        (training_memory.main, ["--worlds", "1000"], "is not a multiple of num_groups 64"),
+        (training_memory.main, ["--recipes", "nosuch"], "unknown recipe 'nosuch'"),
         (paper_single_steps.main, ["--levels", "none"], "no public levels in none/s"),
         (plot_runs.main, ["--set", "random_s", "--to", "a.png", "a=nosuch.jsonl"], "nosuch.jsonl"),
         (plot_runs.main, ["--set", "random_s", "--to", "a.png", "a=text.npz"], "text.npz"),

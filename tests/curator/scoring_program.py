@@ -16,7 +16,7 @@ from kinetix_dist.curator.config import CurriculumConfig, SlicesConfig
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.learner_core import _initial_state
+from kinetix_dist.runtime.cores.learner_core import initial_state
 from kinetix_dist.runtime.cores.levels import make_environment
 from tests.runtime.runs import tiny_config
 
@@ -42,7 +42,7 @@ def main() -> None:
     )
     env = make_environment(config)
     policy = make_policy(config.policy, env.action_distribution.head_sizes)
-    params = jax.device_get(jax.jit(lambda: _initial_state(config, env, policy))().params)
+    params = jax.device_get(jax.jit(lambda: initial_state(config, env, policy))().params)
     curriculum, buffers = make_curriculum(config, env, policy, data_mesh()), {}
     for count in counts:
         num_parts, num_devices = map(int, count.split("x"))

@@ -83,10 +83,10 @@ class LearnerCore:
 
 @functools.lru_cache(maxsize=MAX_KEPT)
 def _init_program(config: TrainConfig, env: Environment, policy: Any) -> Callable[[], LearnerState]:
-    return jax.jit(lambda: _initial_state(config, env, policy))
+    return jax.jit(lambda: initial_state(config, env, policy))
 
 
-def _initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
+def initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
     """Parameters drawn from the seed; the observation of any level gives the shapes."""
     key = stream(config.run.seed, INIT)
     obs = jax.eval_shape(lambda: some_observation(config, env))

@@ -66,7 +66,7 @@ class RolloutCore:
         self._first_group = groups.start
         self._groups_per_part = len(groups) // self.division.num_parts
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
-        self._play = jax.jit(
+        self.program = jax.jit(
             on_devices(
                 self._play_shard,
                 mesh,
@@ -80,7 +80,7 @@ class RolloutCore:
 
         state: of the curriculum. The first two lie in all places of the division; what is there once more is in no sum.
         """
-        return self._play(params, state, jnp.uint32(num_updates))
+        return self.program(params, state, jnp.uint32(num_updates))
 
     def _play_shard(self, params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
         config, env = self._config, self._env
