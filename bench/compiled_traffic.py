@@ -163,7 +163,7 @@ def _launches(program: CompiledText, name: str, times: int) -> Iterator[Launch]:
 
 def _traffic(program: CompiledText, computation: Computation, instruction: Instruction) -> tuple[float, float]:
     """Bytes that a launch reads and writes."""
-    if instruction.opcode == "fusion":
+    if instruction.opcode in ("fusion", "fusion-start"):  # the latter beside other launches
         return _fusion_traffic(program.computations[_attribute(instruction, "calls")], computation, instruction)
     written = _result_bytes(instruction)
     if instruction.opcode in TAKES_A_PART:  # indices are small, but are read

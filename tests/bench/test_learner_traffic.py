@@ -79,6 +79,20 @@ def test_a_launch_is_counted_by_what_it_takes_and_gives():
     assert (product.read_bytes, product.written_bytes) == (2 * 1024, 1024)
 
 
+def test_a_launch_beside_others_is_counted_as_any():
+    """What is started and awaited later has its operands in its result, too."""
+    beside = TEXT.replace(
+        "%step = f32[256]{0} fusion(",
+        "%begun = ((f32[256]{0}, f32[3,256]{1,0}, s32[]), f32[256]{0}, u32[]) fusion-start(",
+    ).replace(
+        "  %square = f32[16,16]{1,0} bitcast(%step)",
+        "  %step = f32[256]{0} fusion-done(%begun)\n  %square = f32[16,16]{1,0} bitcast(%step)",
+    )
+    program = CompiledText(beside)
+    begun, _ = launches_of(program, loop_body(program))
+    assert (begun.name, begun.read_bytes, begun.written_bytes) == ("begun", 1024 + 1024 + 4, 1024)
+
+
 def test_a_loop_counts_its_iterations():
     assert [launch.times for launch in launches_of(CompiledText(TEXT))] == [3, 3]
     endless = TEXT.replace('{"known_trip_count":{"n":"3"}}', "{}")
