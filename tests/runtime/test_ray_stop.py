@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -35,7 +36,10 @@ def test_a_run_whose_ray_is_stopped_ends_with_one_line_and_goes_on_bit_for_bit(t
     told = json.loads(done.stdout.splitlines()[-1])
     assert told["status"] == 1, told
     line = told["errors"].strip().splitlines()[-1]
-    assert line.startswith("kinetix-dist: Ray was ended on this machine (gcs_server, raylet)"), told["errors"]
+    # Both servers are ended; which of them was gone when it was noticed is a matter of time.
+    assert re.match(r"kinetix-dist: Ray was ended on this machine \((gcs_server|raylet|gcs_server, raylet)\)", line), (
+        line
+    )
     assert line.endswith(f"try again with --run {run} --resume") and "Traceback" not in told["errors"]
     assert told["seconds"] < 30.0 and told["left"] == []
     assert events(run, "run_failed")

@@ -360,14 +360,17 @@ class RayBackend:
             raise RayFailedError(f"Ray was ended on this machine ({', '.join(lost)}), by `ray stop` for instance")
 
     def stop(self) -> None:
+        is_ray_there = not self._lost_servers()
         if not self._owns_ray:
             self.release()
-        elif not self._lost_servers():  # else it would end this process at once, with status 1: Python's exit calls it
+        elif is_ray_there:  # else it would end this process at once, with status 1: Python's exit calls it
             ray.shutdown()
         if self._fork_server is not None:
             self._fork_server.stop()
-        if self._watchdog is not None:
+        if self._watchdog is not None and is_ray_there:
             self._watchdog.stop()
+        elif self._watchdog is not None:  # agents of a Ray without its servers stay for minutes
+            self._watchdog.end_what_is_left()
 
 
 def _joins(group: Sequence[RayHandle]) -> bool:

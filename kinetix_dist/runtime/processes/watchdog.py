@@ -40,6 +40,11 @@ class Watchdog:
         self._process.kill()
         self._process.wait()
 
+    def end_what_is_left(self) -> None:
+        """Of the driver's descendants, though the driver goes on: Ray cannot, for one. Does not wait for it."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+
 
 def watch(driver_pid: int) -> None:
     """Returns when stdin has ended and the last descendant of the driver is gone."""
