@@ -42,7 +42,7 @@ KIB, GIB = 1 << 10, 1 << 30
 PARTS = {
     "policy": ("kinetix_dist/models", "flax"),
     "observation": ("kinetix_dist/env/observations",),
-    "engine": ("jax2d",),
+    "engine": ("jax2d", "warp"),
     "sampling, storing": ("kinetix_dist/actors", "kinetix_dist/env/action_spaces"),
     "outcome, restart": ("kinetix_dist/env",),
 }
