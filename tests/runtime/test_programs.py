@@ -44,7 +44,7 @@ def test_of_playing_and_of_learning(recurrent):
     config = dataclasses.replace(config, policy=dataclasses.replace(config.policy, recurrent=recurrent))
     worker = Worker(config, data_mesh(jax.devices()[:1]))
     worker.start(None)
-    learner, play = worker._learner, worker._playing.rollout(worker._config)._play
+    learner, play = worker._learner, worker._playing.rollout(worker._config).program
     playing = (learner.params, jax.eval_shape(worker._state._curriculum.init), jnp.uint32(0))
     assert faults_of(play, *playing) == []
     batch, _, _ = jax.eval_shape(play, *playing)
