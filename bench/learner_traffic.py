@@ -14,7 +14,7 @@ autotuning needs a device, and may choose others there that fuse with their neig
 from __future__ import annotations
 
 import dataclasses
-import json
+import itertools
 import os
 import sys
 import time
@@ -28,7 +28,7 @@ from jax.experimental import topologies
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from bench.compiled_traffic import CompiledText, Launch, launches_of, loop_body
-from bench.program import exit_code, output_file, parser_of
+from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.benchmarks.learner_step import LearnerProgram, Options, learner_program
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS
 from kinetix_dist.errors import UserError
@@ -115,23 +115,28 @@ def h200() -> Any:
 def compiled_update(program: LearnerProgram, config: PpoConfig, device: Any) -> str:
     """The text of the update of `bench learner`, compiled for `device`."""
     mesh = Mesh(np.array([device]), (DATA_AXIS,))
-
-    def shapes(tree: Any, *axes: str | None) -> Any:
-        sharding = NamedSharding(mesh, PartitionSpec(*axes))
-        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), tree)
-
     obs = program.first_obs()
     params = jax.eval_shape(lambda key: program.policy.init(key, obs), jax.random.key(0))
     state = jax.eval_shape(config.initial_state, params, jax.random.key(0))
     last_value = jax.ShapeDtypeStruct(program.trajectory.rewards.shape[1:], np.float32)
     update = make_update(program.policy, program.observation, ACTIONS, config, mesh)
-    lowered = update.lower(
-        shapes(state),
-        shapes(program.static, DATA_AXIS),
-        shapes(program.trajectory, None, DATA_AXIS),
-        shapes(last_value, DATA_AXIS),
-    )
-    return lowered.compile(compiler_options=COMPILER_OPTIONS).as_text()
+    return compiled(update, mesh, state, program.static, program.trajectory, last_value).as_text()
+
+
+def compiled(update: Any, mesh: Mesh, state: Any, static: Any, trajectory: Any, last_value: Any) -> Any:
+    """An update (`make_update`), compiled for the device of `mesh` and arguments like these."""
+    return update.lower(
+        shapes(mesh, state),
+        shapes(mesh, static, DATA_AXIS),
+        shapes(mesh, trajectory, None, DATA_AXIS),
+        shapes(mesh, last_value, DATA_AXIS),
+    ).compile(compiler_options=COMPILER_OPTIONS)
+
+
+def shapes(mesh: Mesh, tree: Any, *axes: str | None) -> Any:
+    """Shapes and types of `tree`, laid over these axes of the mesh."""
+    sharding = NamedSharding(mesh, PartitionSpec(*axes))
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), tree)
 
 
 def part_of(launch: Launch) -> str:
@@ -225,13 +230,9 @@ def main() -> int:
 
     def work() -> int:
         check(options)
-        device, records = h200(), []
-        for network in options.networks:
-            for size in options.sizes:
-                records.append(measure(size, network, options, device))
-                print(table(records[-1]), flush=True)
-                if options.json is not None:
-                    options.json.write_text(json.dumps(records, indent=1) + "\n")
+        device = h200()
+        asked = itertools.product(options.networks, options.sizes)
+        report_each((measure(size, network, options, device) for network, size in asked), options.json, text=table)
         return 0
 
     return exit_code(parser, work)

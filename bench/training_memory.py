@@ -1,7 +1,7 @@
 """Memory that training takes on an H200, and launches of a rollout's step. Needs no GPU.
 
     python -m bench.training_memory                                       # pretrain_s, pretrain_m, pretrain_l
-    python -m bench.training_memory --recipes pretrain_m --worlds 131072 --networks transformer --json runs/memory.json
+    python -m bench.training_memory --recipes pretrain_m --worlds 131072 --network transformer --json runs/memory.json
 
 Rollout and update of a recipe are compiled for a described device, as in `bench.learner_traffic`, which says what that
 needs. Memory is what XLA plans: arguments, results and temporary arrays at their peak. That of a rollout grows with
@@ -13,7 +13,6 @@ has not been run. Launches and bytes are those of one step of all worlds, see `b
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 import time
 from collections.abc import Iterable
@@ -22,11 +21,11 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 
 from bench.compiled_traffic import CompiledText, Launch, launches_of, loop_body
-from bench.learner_traffic import COMPILER_OPTIONS, COPY_BYTES_A_SECOND, h200
-from bench.program import exit_code, output_file, parser_of
+from bench.learner_traffic import COMPILER_OPTIONS, COPY_BYTES_A_SECOND, compiled, h200, shapes
+from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.learner.division import Division
@@ -71,19 +70,16 @@ class Programs:
         self._playing = Playing(config, self._mesh, division=self._division)
         self._env = self._playing.environment(config)
         self._core = self._playing.rollout(config)
-        self._curriculum = jax.eval_shape(self._playing.curriculum(config).init)
         self._state = jax.eval_shape(lambda: initial_state(config, self._env, self._playing.policy))
+        curriculum = jax.eval_shape(self._playing.curriculum(config).init)
+        self._arguments = (self._state.params, curriculum, jax.ShapeDtypeStruct((), np.uint32))
 
     def rollout(self) -> Any:
-        return self._core.program.lower(
-            self._shapes(self._state.params),
-            self._shapes(self._curriculum),
-            self._shapes(jax.ShapeDtypeStruct((), np.uint32)),
-        ).compile(compiler_options=COMPILER_OPTIONS)
+        arguments = shapes(self._mesh, self._arguments)
+        return self._core.program.lower(*arguments).compile(compiler_options=COMPILER_OPTIONS)
 
     def update(self) -> Any:
-        number = jax.ShapeDtypeStruct((), np.uint32)
-        batch, _, _ = jax.eval_shape(self._core.program, self._state.params, self._curriculum, number)
+        batch, _, _ = jax.eval_shape(self._core.program, *self._arguments)
         update = make_update(
             self._playing.policy,
             self._env.observation,
@@ -92,21 +88,12 @@ class Programs:
             self._mesh,
             division=self._division,
         )
-        return update.lower(
-            self._shapes(self._state),
-            self._shapes(batch.static, DATA_AXIS),
-            self._shapes(batch.trajectory, None, DATA_AXIS),
-            self._shapes(batch.last_value, DATA_AXIS),
-        ).compile(compiler_options=COMPILER_OPTIONS)
-
-    def _shapes(self, tree: Any, *axes: str | None) -> Any:
-        sharding = NamedSharding(self._mesh, PartitionSpec(*axes))
-        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding), tree)
+        return compiled(update, self._mesh, self._state, *batch)
 
 
-def planned(compiled: Any) -> int:
+def planned(program: Any) -> int:
     """Bytes of a compiled program at its peak, as XLA plans them."""
-    found = compiled.memory_analysis()
+    found = program.memory_analysis()
     whole = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     return int(whole - found.alias_size_in_bytes)
 
@@ -205,13 +192,9 @@ def main() -> int:
 
     def work() -> int:
         check(options)
-        device, records = h200(), []
+        device = h200()
         with jax.default_device(jax.devices("cpu")[0]):
-            for name in options.recipes:
-                records.append(measure(name, options, device))
-                print(table(records[-1]), flush=True)
-                if options.json is not None:
-                    options.json.write_text(json.dumps(records, indent=1) + "\n")
+            report_each((measure(name, options, device) for name in options.recipes), options.json, text=table)
         return 0
 
     return exit_code(parser, work)

@@ -14,7 +14,7 @@ import json
 import math
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jax2d.settings import preset
@@ -238,9 +238,7 @@ class TrainConfig:
     run: RunConfig
 
     def __post_init__(self) -> None:
-        for field, value in numbers_in(self):
-            if not math.isfinite(value):
-                raise ConfigError(f"{field} is {value}; it must be a finite number")
+        check_finite(self)
         order = list(SIZES)
         if too_large := [
             size for size in sizes_drawn(self.curriculum.sizes) if order.index(size) > order.index(self.env.size)
@@ -346,11 +344,10 @@ class TrainConfig:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def numbers_in(section: Any, field: str = "") -> Iterator[tuple[str, float]]:
-    """(field, value) of all floats of a dataclass and of what is in it."""
-    if isinstance(section, float):
-        yield field, section
-        return
+def check_finite(section: Any, field: str = "") -> None:
+    """Raises ConfigError for a float of a dataclass, or of what is in it, that is not finite."""
+    if isinstance(section, float) and not math.isfinite(section):
+        raise ConfigError(f"{field} is {section}; it must be a finite number")
     items: Iterable[tuple[Any, Any]] = ()
     if isinstance(section, tuple | list):
         items = enumerate(section)
@@ -359,7 +356,7 @@ def numbers_in(section: Any, field: str = "") -> Iterator[tuple[str, float]]:
     elif dataclasses.is_dataclass(section):
         items = [(each.name, getattr(section, each.name)) for each in dataclasses.fields(section)]
     for name, item in items:
-        yield from numbers_in(item, f"{field}.{name}".removeprefix("."))
+        check_finite(item, f"{field}.{name}".removeprefix("."))
 
 
 def numbers_of(config: TrainConfig) -> dict[str, Any]:

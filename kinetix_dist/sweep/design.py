@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.config import ConfigError, build, numbers_in
+from kinetix_dist.config import ConfigError, build, check_finite
 from kinetix_dist.errors import one_line
 
 FORMAT = 1
@@ -167,9 +167,7 @@ class Design:
     def __post_init__(self) -> None:
         if self.format != FORMAT:
             raise DesignError(f"format is {self.format}; this version reads format {FORMAT}")
-        for field, value in numbers_in(self):
-            if not math.isfinite(value):
-                raise DesignError(f"{field} is {value}; it must be a finite number")
+        check_finite(self)
         _check_names([self.name], "design")
         _check_options(self.options, "options")
         if (self.factorial is None) == (not self.arms):

@@ -87,13 +87,13 @@ def set_aside_unless_readable(path: Path) -> Path | None:
     return set_aside_file(path)
 
 
-def set_aside_file(path: Path) -> Path:
-    """The same in any case."""
-    aside = path.with_name(f"{path.name}.damaged")
+def set_aside_file(path: Path, word: str = "damaged") -> Path:
+    """The same in any case, for a directory too; word: that is added to the name."""
+    aside = path.with_name(f"{path.name}.{word}")
     number = 1
     while aside.exists():
         number += 1
-        aside = path.with_name(f"{path.name}.damaged-{number}")
+        aside = path.with_name(f"{path.name}.{word}-{number}")
     return path.rename(aside)
 
 

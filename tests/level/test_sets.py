@@ -129,7 +129,8 @@ def test_a_directory_of_public_levels_is_a_set(public_levels: Path) -> None:
 
 def test_wrong_names_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match=r"unknown level set 'designed_xl'; sets are designed_s.*dev_random_l.*, or give"
+        ValueError,
+        match=r"unknown level set 'designed_xl'; sets are designed_s.*dev_random_l, frontier_s, frontier_m, or give",
     ):
         load_level_set("designed_xl")
     with pytest.raises(ValueError, match="unknown size 'xl'; sizes are s, m, l"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 from kinetix_dist.checkpoint import Checkpoint, CheckpointError, newest_good
@@ -10,6 +9,7 @@ from kinetix_dist.config import ConfigError, TrainConfig, differences, from_dict
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.roles import Reporter
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.telemetry.json_lines import set_aside_file
 
 
 def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter) -> Checkpoint | None:
@@ -47,9 +47,7 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
 def _set_aside(path: Path, reporter: Reporter) -> None:
     """A checkpoint that the run does not go on from: rows of metrics after the older one are removed, so it is not to
     come back by itself, should it be readable later."""
-    aside = path.with_name(f"{path.name}.rejected")
     try:
-        shutil.rmtree(aside, ignore_errors=True)
-        path.rename(aside)
+        set_aside_file(path, "rejected")
     except OSError as error:
-        reporter.note(f"checkpoint {path.name} cannot be renamed to {aside.name}: {one_line(error)}")
+        reporter.note(f"checkpoint {path.name} cannot be set aside: {one_line(error)}")
