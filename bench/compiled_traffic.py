@@ -120,17 +120,22 @@ def launches_of(program: CompiledText, computation: str | None = None) -> list[L
     return list(_launches(program, computation or program.entry, 1))
 
 
-def loop_body(program: CompiledText) -> str:
-    """The body of the innermost loop that moves most bytes an iteration. Raises ValueError where there is none."""
+def loop_body(program: CompiledText, iterations: int | None = None) -> str:
+    """The body of the loop that moves most bytes an iteration, of those with no loop in them, or, where `iterations` is
+    given, of those that run so often. Raises ValueError where there is none."""
     bodies = {}
     for computation in program.computations.values():
         for instruction in computation.values():
             if instruction.opcode == "while":
                 body = _attribute(instruction, "body")
-                if not any(inner.opcode == "while" for inner in program.computations[body].values()):
+                if iterations is None:
+                    counts = not any(inner.opcode == "while" for inner in program.computations[body].values())
+                else:
+                    counts = _iterations(instruction) == iterations
+                if counts:
                     bodies[body] = sum(x.read_bytes + x.written_bytes for x in launches_of(program, body))
     if not bodies:
-        raise ValueError("the compiled program has no loop")
+        raise ValueError("the compiled program has no loop" + (f" of {iterations} iterations" if iterations else ""))
     return max(bodies, key=lambda body: bodies[body])
 
 
@@ -140,10 +145,10 @@ def _launches(program: CompiledText, name: str, times: int) -> Iterator[Launch]:
         if instruction.opcode in VIEWS or instruction.opcode.endswith("-done"):
             continue
         if instruction.opcode == "while":
-            count = re.search(r'"known_trip_count":\{"n":"(\d+)"\}', instruction.attributes)
+            count = _iterations(instruction)
             if count is None:
                 raise ValueError(f"{instruction.name}: a loop of an unknown number of iterations")
-            yield from _launches(program, _attribute(instruction, "body"), times * int(count[1]))
+            yield from _launches(program, _attribute(instruction, "body"), times * count)
         elif instruction.opcode == "call":
             yield from _launches(program, _attribute(instruction, "to_apply"), times)
         elif instruction.opcode == "conditional":
@@ -159,6 +164,12 @@ def _launches(program: CompiledText, name: str, times: int) -> Iterator[Launch]:
                 stack=program.stack(source),
                 scopes=program.scopes(source),
             )
+
+
+def _iterations(loop: Instruction) -> int | None:
+    """None: the compiler did not find it."""
+    count = re.search(r'"known_trip_count":\{"n":"(\d+)"\}', loop.attributes)
+    return int(count[1]) if count else None
 
 
 def _traffic(program: CompiledText, computation: Computation, instruction: Instruction) -> tuple[float, float]:

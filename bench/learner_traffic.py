@@ -123,14 +123,22 @@ def compiled_update(program: LearnerProgram, config: PpoConfig, device: Any) -> 
     return compiled(update, mesh, state, program.static, program.trajectory, last_value).as_text()
 
 
-def compiled(update: Any, mesh: Mesh, state: Any, static: Any, trajectory: Any, last_value: Any) -> Any:
+def compiled(
+    update: Any,
+    mesh: Mesh,
+    state: Any,
+    static: Any,
+    trajectory: Any,
+    last_value: Any,
+    compiler_options: dict[str, Any] = COMPILER_OPTIONS,
+) -> Any:
     """An update (`make_update`), compiled for the device of `mesh` and arguments like these."""
     return update.lower(
         shapes(mesh, state),
         shapes(mesh, static, DATA_AXIS),
         shapes(mesh, trajectory, None, DATA_AXIS),
         shapes(mesh, last_value, DATA_AXIS),
-    ).compile(compiler_options=COMPILER_OPTIONS)
+    ).compile(compiler_options=compiler_options)
 
 
 def shapes(mesh: Mesh, tree: Any, *axes: str | None) -> Any:

@@ -44,7 +44,6 @@ def config_of(name: str, level: str, worlds: int) -> TrainConfig:
         base,
         curriculum=dataclasses.replace(base.curriculum, name="fixed", levels=level),
         rollout=dataclasses.replace(base.rollout, num_envs=worlds),
-        curriculum_log=dataclasses.replace(base.curriculum_log, outcomes_every=0),
     )
 
 

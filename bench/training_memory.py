@@ -65,30 +65,36 @@ class Programs:
 
     def __init__(self, config: TrainConfig, device: Any) -> None:
         self.config = config
-        self._mesh = Mesh(np.array([device]), (DATA_AXIS,))
+        self.mesh = Mesh(np.array([device]), (DATA_AXIS,))
         self._division = Division(config.num_blocks, 1)
-        self._playing = Playing(config, self._mesh, division=self._division)
+        self._playing = Playing(config, self.mesh, division=self._division)
         self._env = self._playing.environment(config)
         self._core = self._playing.rollout(config)
-        self._state = jax.eval_shape(lambda: initial_state(config, self._env, self._playing.policy))
-        curriculum = jax.eval_shape(self._playing.curriculum(config).init)
-        self._arguments = (self._state.params, curriculum, jax.ShapeDtypeStruct((), np.uint32))
+        self._arguments = jax.eval_shape(self.arguments)
 
-    def rollout(self) -> Any:
-        arguments = shapes(self._mesh, self._arguments)
-        return self._core.program.lower(*arguments).compile(compiler_options=COMPILER_OPTIONS)
+    def state(self) -> Any:
+        """The learner's first."""
+        return initial_state(self.config, self._env, self._playing.policy)
 
-    def update(self) -> Any:
+    def arguments(self) -> tuple[Any, Any, Any]:
+        """What the rollout of the first update takes."""
+        return self.state().params, self._playing.curriculum(self.config).init(), np.uint32(0)
+
+    def rollout(self, compiler_options: dict[str, Any] = COMPILER_OPTIONS) -> Any:
+        arguments = shapes(self.mesh, self._arguments)
+        return self._core.program.lower(*arguments).compile(compiler_options=compiler_options)
+
+    def update(self, compiler_options: dict[str, Any] = COMPILER_OPTIONS) -> Any:
         batch, _, _ = jax.eval_shape(self._core.program, *self._arguments)
         update = make_update(
             self._playing.policy,
             self._env.observation,
             self._env.action_distribution,
             self.config.ppo,
-            self._mesh,
+            self.mesh,
             division=self._division,
         )
-        return compiled(update, self._mesh, self._state, *batch)
+        return compiled(update, self.mesh, jax.eval_shape(self.state), *batch, compiler_options=compiler_options)
 
 
 def planned(program: Any) -> int:
