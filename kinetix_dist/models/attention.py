@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.models.stored import stored
 
 MAX_TOKENS = 32  # one mask row is one 32-bit word
 _MASKED_SCORE = -1e30
@@ -38,11 +39,11 @@ def attend(qkv: Array, mask_words: Array) -> Array:
     mask_words: [M, B, n] uint32, bit j of word i: token i may look at token j. A token that may look at none gets 0.
     Returns [M, G, D, B, n] in the type of `qkv`.
     """
-    out, _ = _attend(qkv, mask_words)
-    return out
+    return _attend(qkv, mask_words)[0]
 
 
 def _attend(qkv: Array, mask_words: Array) -> tuple[Array, Array]:
+    """Output, and the logarithm of the sum of a token's exponentials [M, G, 1, B, n], 0 for one that looks at none."""
     query, key, value = (qkv[i].astype(jnp.float32) for i in range(3))
     num_tokens = qkv.shape[-1]
     words = mask_words[:, None, None]
@@ -60,11 +61,16 @@ def _attend(qkv: Array, mask_words: Array) -> tuple[Array, Array]:
     is_empty = words == 0
     total = jnp.where(is_empty, 1.0, total)
     log_sum_exp = jnp.where(is_empty, 0.0, highest + jnp.log(total))
-    return (weighted / total).astype(qkv.dtype), log_sum_exp
+    return (weighted / total).astype(qkv.dtype), log_sum_exp[:, :, :1]
+
+
+def _attend_in_two(qkv: Array, mask_words: Array) -> tuple[Array, Array]:
+    """The same, with a loop for each result: one for both is slower on a GPU than the two."""
+    return _attend(qkv, mask_words)[0], _attend(*stored((qkv, mask_words)))[1]
 
 
 def _attend_forward(qkv: Array, mask_words: Array) -> tuple[Array, tuple[Array, ...]]:
-    out, log_sum_exp = _attend(qkv, mask_words)
+    out, log_sum_exp = jax.lax.platform_dependent(qkv, mask_words, cpu=_attend, default=_attend_in_two)
     return out, (qkv, mask_words, out, log_sum_exp)
 
 

@@ -40,6 +40,7 @@ from kinetix_dist.models.gate import gate
 from kinetix_dist.models.gru import apply_towers
 from kinetix_dist.models.kernels.support import uses_mosaic
 from kinetix_dist.models.rows import add_rows, take_rows
+from kinetix_dist.models.stored import stored
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ class EntityTransformer(nn.Module):
         joints = self._encode("joint_encoder", obs.joints)
         thrusters = self._encode("thruster_encoder", obs.thrusters)
         dummy = jnp.ones((polygons.shape[0], 1, self.encoder_size), self.dtype)
-        x = jnp.concatenate([polygons, circles, dummy], axis=1)
+        x = _join_tokens(polygons, circles, dummy)
         token_mask, mask_words = _token_masks(obs.shape_mask, obs.attention_masks)
         # The share of a message that does not depend on the layer's tokens, for all layers at once.
         joint_kernel, joint_terms = self._message_terms("joint_messages", joints, num_ends=2)
@@ -93,11 +94,12 @@ class EntityTransformer(nn.Module):
             )
             x = add_rows(x, obs.joint_from, from_joints)
             x = add_rows(x, obs.thruster_owner, from_thrusters)
-        if not self.gated:
-            x = self._norm("pooling", x)
-        embedding = _masked_mean(x, token_mask).astype(self.dtype)
+        embedding = masked_mean(x if self.gated else normalise(x), token_mask)
+        if not self.gated:  # scale and offset of the norm: a mean of tokens takes them as each token would
+            scale, offset = self._norm("pooling")
+            embedding = scale * embedding + offset
         towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
-        return apply_towers(towers, embedding, memory, is_first, self.memory_size)
+        return apply_towers(towers, embedding.astype(self.dtype), memory, is_first, self.memory_size)
 
     def _encode(self, name: str, features: Array, kind_id: float | None = None) -> Array:
         width = self.encoder_size if kind_id is None else self.encoder_size - 1
@@ -112,8 +114,9 @@ class EntityTransformer(nn.Module):
         kernel = self.param(f"attention_{layer}_qkv_kernel", lecun_normal(), (size, 3 * features))
         bias = self.param(f"attention_{layer}_qkv_bias", zeros, (3 * features,))
         kernel, bias = self._fold_norm(f"attention_{layer}", kernel, bias)
+        x, normal = beside_norm(x)
         # Features first: [3 features, B, n], so that attention runs over worlds and tokens.
-        qkv = contract("bni,if->fbn", normalise(x), kernel) + bias[:, None, None].astype(self.dtype)
+        qkv = contract("bni,if->fbn", normal, kernel) + bias[:, None, None].astype(self.dtype)
         heads_a_mask = self.num_heads // NUM_MASKS
         out = attend(
             qkv.reshape(3, NUM_MASKS, heads_a_mask, features // self.num_heads, *qkv.shape[1:]), mask_words
@@ -128,22 +131,24 @@ class EntityTransformer(nn.Module):
         kernel = self.param(f"feed_forward_{layer}_kernel", lecun_normal(), (size, size))
         bias = self.param(f"feed_forward_{layer}_bias", zeros, (size,))
         kernel, bias = self._fold_norm(f"feed_forward_{layer}", kernel, bias)
-        update = linear(normalise(x), kernel) + bias.astype(self.dtype)
+        x, normal = beside_norm(x)
+        update = linear(normal, kernel) + bias.astype(self.dtype)
         if self.gated:
             return self._gate(f"feed_forward_{layer}", x, jax.nn.relu(update))
         out_kernel = self.param(f"feed_forward_{layer}_out_kernel", lecun_normal(), (size, size))
         out_bias = self.param(f"feed_forward_{layer}_out_bias", zeros, (size,))
         return x + linear(jax.nn.relu(update), out_kernel) + out_bias.astype(self.dtype)
 
-    def _norm(self, name: str, x: Array) -> Array:
-        scale = self.param(f"{name}_norm_scale", ones, (self.encoder_size,))
-        offset = self.param(f"{name}_norm_offset", zeros, (self.encoder_size,))
-        return normalise(x) * scale.astype(self.dtype) + offset.astype(self.dtype)
+    def _norm(self, name: str) -> tuple[Array, Array]:
+        """Scale and offset."""
+        return (
+            self.param(f"{name}_norm_scale", ones, (self.encoder_size,)),
+            self.param(f"{name}_norm_offset", zeros, (self.encoder_size,)),
+        )
 
     def _fold_norm(self, name: str, kernel: Array, bias: Array) -> tuple[Array, Array]:
         """Kernel and bias that act on `normalise(x)` as the given ones do on scale * normalise(x) + offset."""
-        scale = self.param(f"{name}_norm_scale", ones, (self.encoder_size,))
-        offset = self.param(f"{name}_norm_offset", zeros, (self.encoder_size,))
+        scale, offset = self._norm(name)
         return scale[:, None] * kernel, bias + jnp.sum(offset[:, None] * kernel, axis=0)
 
     def _gate(self, name: str, x: Array, update: Array) -> Array:
@@ -196,13 +201,38 @@ def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Arra
     return token_mask, jax.lax.optimization_barrier(words)
 
 
-def _masked_mean(x: Array, mask: Array) -> Array:
-    """Mean in float32 over the tokens that exist, [B, F]; the dummy token always does."""
-    weight = mask.astype(jnp.float32) / jnp.sum(mask, axis=1, keepdims=True)
+def _join_tokens(*parts: Array) -> Array:
+    """[B, n, F] of parts [B, k, F], in their order. A sum, which a GPU writes in half of a concatenation's time."""
+    counts = [part.shape[1] for part in parts]
+    befores = [sum(counts[:i]) for i in range(len(parts))]
+    padded = [
+        jnp.pad(part, ((0, 0), (before, sum(counts) - before - part.shape[1]), (0, 0)))
+        for part, before in zip(parts, befores, strict=True)
+    ]
+    return sum(padded[1:], padded[0])
+
+
+@jax.custom_vjp
+def masked_mean(x: Array, mask: Array) -> Array:
+    """Mean in float32 over the tokens that exist, [B, F] of [B, n, F]; at least one does (the dummy token)."""
+    return _masked_mean_forward(x, mask)[0]
+
+
+def _masked_mean_forward(x: Array, mask: Array) -> tuple[Array, tuple[Array, Array]]:
+    # Else XLA takes the division by a sum and what follows for a softmax.
+    x, weight = stored((x, mask.astype(jnp.float32) / jnp.sum(mask, axis=1, keepdims=True)))
     total = jnp.zeros((x.shape[0], x.shape[2]), jnp.float32)
     for token in range(x.shape[1]):
         total = total + weight[:, token, None] * x[:, token].astype(jnp.float32)
-    return total
+    return total, (weight, jnp.zeros(0, x.dtype))
+
+
+def _masked_mean_backward(residuals: tuple[Array, Array], grad: Array) -> tuple[Array, None]:
+    weight, like = residuals
+    return (weight[:, :, None] * grad[:, None]).astype(like.dtype), None
+
+
+masked_mean.defvjp(_masked_mean_forward, _masked_mean_backward)
 
 
 @jax.custom_vjp
@@ -211,20 +241,51 @@ def normalise(x: Array) -> Array:
     return _normalise_forward(x)[0]
 
 
+@jax.custom_vjp
+def beside_norm(x: Array) -> tuple[Array, Array]:
+    """`x` and `normalise(x)`, for a stream that goes on beside its norm: one loop adds up the gradients of both."""
+    return x, normalise(x)
+
+
 def _normalise_forward(x: Array) -> tuple[Array, tuple[Array, Array]]:
-    wide = x.astype(jnp.float32)
+    wide = _stored_rows(x)
     centred = wide - jnp.mean(wide, axis=-1, keepdims=True)
     inverse_std = jax.lax.rsqrt(jnp.mean(centred * centred, axis=-1, keepdims=True) + NORM_EPSILON)
-    normal = (centred * inverse_std).astype(x.dtype)
+    normal = (centred * inverse_std).astype(x.dtype).reshape(x.shape)
     return normal, (normal, inverse_std)
 
 
 def _normalise_backward(residuals: tuple[Array, Array], grad: Array) -> tuple[Array]:
-    normal, inverse_std = residuals[0].astype(jnp.float32), residuals[1]
-    wide = grad.astype(jnp.float32)
+    return (_as(grad, _grad_of_rows(residuals, grad)),)
+
+
+def _beside_norm_forward(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    normal, residuals = _normalise_forward(x)
+    return (x, normal), residuals
+
+
+def _beside_norm_backward(residuals: tuple[Array, Array], grads: tuple[Array, Array]) -> tuple[Array]:
+    of_stream, of_norm = grads
+    return (_as(of_stream, _stored_rows(of_stream) + _grad_of_rows(residuals, of_norm)),)
+
+
+def _grad_of_rows(residuals: tuple[Array, Array], grad: Array) -> Array:
+    """[rows, F] float32: of what was normalised."""
+    normal, inverse_std = _stored_rows(residuals[0]), residuals[1]
+    wide = _stored_rows(grad)
     along = jnp.mean(wide * normal, axis=-1, keepdims=True)
-    grad_x = (wide - jnp.mean(wide, axis=-1, keepdims=True) - normal * along) * inverse_std
-    return (grad_x.astype(grad.dtype),)
+    return (wide - jnp.mean(wide, axis=-1, keepdims=True) - normal * along) * inverse_std
+
+
+def _stored_rows(x: Array) -> Array:
+    """[..., F] as [rows, F] in float32, read from memory."""
+    return stored(x.reshape(-1, x.shape[-1])).astype(jnp.float32)
+
+
+def _as(like: Array, rows: Array) -> Array:
+    """[rows, F] in type and shape of `like`, stored."""
+    return stored(rows.astype(like.dtype)).reshape(like.shape)
 
 
 normalise.defvjp(_normalise_forward, _normalise_backward)
+beside_norm.defvjp(_beside_norm_forward, _beside_norm_backward)

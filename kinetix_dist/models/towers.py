@@ -12,6 +12,7 @@ from flax import linen as nn
 
 from jax2d.scene import Array
 from kinetix_dist.models.contraction import linear
+from kinetix_dist.models.stored import stored_gradient
 
 orthogonal = nn.initializers.orthogonal
 TANH_GAIN = math.sqrt(2.0)
@@ -36,7 +37,7 @@ class Towers(nn.Module):
 
     @nn.compact
     def __call__(self, embedding: Array) -> tuple[tuple[Array, ...], Array]:
-        both = jnp.stack([embedding, embedding])  # actor, critic
+        both = jnp.broadcast_to(embedding, (2, *embedding.shape))  # actor, critic
         for layer in range(self.hidden_layers):
             shape = (2, both.shape[-1], self.hidden_size)
             kernel = self.param(f"kernel_{layer}", stacked(orthogonal(TANH_GAIN)), shape)
@@ -45,5 +46,6 @@ class Towers(nn.Module):
         actor, critic = both.astype(jnp.float32)  # the last layer is small: float32 keeps log-probabilities exact
         logits = nn.Dense(sum(self.head_sizes), kernel_init=orthogonal(ACTOR_OUTPUT_GAIN), name="actor_output")(actor)
         value = nn.Dense(1, kernel_init=orthogonal(1.0), name="critic_output")(critic)
+        logits = stored_gradient(logits)  # else the sum over the batch computes the loss's for each of its columns
         ends = [sum(self.head_sizes[:i]) for i in range(1, len(self.head_sizes))]
         return tuple(jnp.split(logits, ends, axis=-1)), value[..., 0]
