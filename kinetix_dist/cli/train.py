@@ -85,6 +85,8 @@ def parse(
             f"fields and their values in recipe {known.recipe or default_recipe!r}:\n"
         )
     run = known.run
+    if run == Path() and not known.resume:  # also what an unset variable gives
+        raise UserError("--run is empty or the current directory; name a directory of the run's own, or leave it out")
     if known.resume and known.start_from is not None:
         raise UserError("--from is for a new run, and a run that is resumed goes on from its own checkpoints; give one")
     with user_errors(ValueError):
@@ -183,7 +185,7 @@ def _run(args: Args, stop: StopSignals) -> None:
             f"  physics {describe(config.env.physics)}",
             flush=True,
         )
-        print(f"watch it   kinetix-dist dashboard {directory.path}", flush=True)
+        print(f"watch it   kinetix-dist dashboard {shlex.quote(str(directory.path))}", flush=True)
         with user_errors(
             CheckpointError, DeviceMemoryError, KernelError, PlacementError, PortTakenError, FileNotFoundError
         ):
@@ -221,7 +223,10 @@ def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
         raise UserError(no_run_in(run))
     with user_errors(ValueError, prefix=f"{path}: "):
         try:
-            return run, from_dict(json.loads(path.read_text())["config"])
+            content = json.loads(path.read_text())
+            if not isinstance(content, dict):
+                raise TypeError(f"it holds a {type(content).__name__} and no configuration")
+            return run, from_dict(content["config"])
         except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(
                 f"it is damaged ({type(error).__name__}: {one_line(error)}); the checkpoint.json of each checkpoint "
@@ -281,11 +286,10 @@ def _print_report(report: dict[str, Any], run: Path, ended_by: RunConfig) -> Non
         )
         console.print(f"written    {', '.join(_written(run))}", highlight=False, soft_wrap=True)
     path = shlex.quote(str(run))
-    lines = [
-        captured.get().rstrip("\n"),
-        f"replay     kinetix-dist replay {path} --view",
-        f"train on   kinetix-dist train --run {path} --resume {longer(ended_by, report)}",
-    ]
+    lines = [captured.get().rstrip("\n")]
+    if any((run / "recordings").glob("*.mcap")):
+        lines.append(f"replay     kinetix-dist replay {path} --view")
+    lines.append(f"train on   kinetix-dist train --run {path} --resume {longer(ended_by, report)}")
     say("\n".join(lines), sys.stdout)
 
 

@@ -111,3 +111,28 @@ def test_a_save_goes_on_beside_training_and_its_failure_is_heard_at_the_next_upd
     assert [path.name for path in list_checkpoints(run.checkpoints)] == ["00000004", "00000006"]
     save_checkpoint(run.checkpoints, 8, arrays, {}, keep=1)
     run.close()
+
+
+def test_a_directory_that_is_replaced_during_a_run_can_be_gone_on_with(tmp_path):
+    """As a mount that drops and comes back empty: nothing is saved while it is gone, then with its configuration."""
+    run = RunDirectory.create(tmp_path / "run", numbered=False)
+    run.config = {"hash": "abc", "config": {}}
+    run.write_json(run.config_path, run.config)
+    reporter = NotingReporter()
+    saver = Saver(run, reporter, keep=2)
+    arrays = {"a": np.arange(4.0)}
+    run.path.rename(tmp_path / "moved")
+    saver.save(2, arrays, {})
+    saver.wait()
+    assert saver.saved_at is None and saver.error == (
+        f"run directory {run.path} is gone; put it back, nothing is saved until then"
+    )
+    assert not run.path.exists()
+    run.path.mkdir()
+    saver.save(4, arrays, {})
+    saver.save(6, arrays, {})
+    saver.close()
+    assert saver.saved_at == 6 and json.loads(run.config_path.read_text()) == run.config
+    assert len([note for note in reporter.notes if "config.json was gone and is written again" in note]) == 1
+    assert [row["file"] for row in _events(run.path, "file_failed")] == ["config.json"]
+    run.close()

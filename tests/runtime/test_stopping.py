@@ -159,6 +159,16 @@ def test_a_second_signal_ends_at_once():
         assert process.returncode == 128 + second and b"second signal" in errors
 
 
+def test_a_signal_sent_twice_at_the_same_time_is_one():
+    """As by timeout(1), which sends it to the process and to its group."""
+    process = _slow(1.5, "update")
+    process.send_signal(signal.SIGTERM)
+    time.sleep(0.02)
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == EXIT_STOPPED and b"not done 1.5 s after SIGTERM" in errors
+
+
 def test_an_update_that_does_not_end_is_given_up_and_waiting_is_left_at_once():
     process = _slow(0.5, "update")
     process.send_signal(signal.SIGTERM)

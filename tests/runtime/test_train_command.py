@@ -87,6 +87,18 @@ def test_a_run_directory_that_cannot_be_written(capsys, tmp_path):
     assert "/proc/run" in _refusal(capsys, "--recipe", "tiny", "--run", "/proc/run")
 
 
+def test_a_run_directory_without_a_name(capsys):
+    """As an unset variable gives."""
+    for name in ("", "."):
+        assert "--run is empty or the current directory" in _refusal(capsys, "--recipe", "tiny", "--run", name)
+
+
+def test_a_lock_that_is_no_file(capsys, tmp_path):
+    (tmp_path / "run" / "lock").mkdir(parents=True)
+    line = _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / "run")
+    assert "lock is a directory and should be a file; remove it" in line
+
+
 def test_a_run_directory_in_use(capsys, tmp_path):
     run = _a_run(tmp_path / "run")
     for extra in ((), ("--resume",)):

@@ -82,6 +82,7 @@ class RunDirectory:
 
     def __init__(self, path: Path, lock: IO[str]) -> None:
         self.path = path
+        self.config: dict[str, Any] | None = None  # what config.json holds, once this session has written it
         self._lock = lock
         self._event_log = EventLog(self.events)
 
@@ -244,6 +245,18 @@ class RunDirectory:
         self.event("file_set_aside", file=path.name, to=set_aside_file(path).name, reason=reason)
         return None
 
+    def restore_config(self) -> bool:
+        """Whether config.json was gone, without which nothing goes on from a checkpoint, and is written again.
+
+        For any thread. Raises OSError, also where the whole directory is gone.
+        """
+        if not self.path.is_dir():
+            raise FileNotFoundError(f"run directory {self.path} is gone; put it back, nothing is saved until then")
+        if self.config is None or self.config_path.exists():
+            return False
+        self.write_json(self.config_path, self.config)
+        return True
+
     def close(self) -> None:
         self._event_log.write_pending()
         self._lock.close()
@@ -269,6 +282,8 @@ def lock_directory(path: Path, option: str = "--run") -> IO[str]:
     try:
         file = (path / LOCK_NAME).open("a+")
     except OSError as error:
+        if error.errno == errno.EISDIR:
+            raise RunDirectoryError(f"{path / LOCK_NAME} is a directory and should be a file; remove it") from None
         raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

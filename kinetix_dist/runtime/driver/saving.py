@@ -31,7 +31,8 @@ class Saver:
         self._reporter = reporter
         self._keep = keep
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="checkpoint")
-        self._in_flight: tuple[int, Future[float]] | None = None  # update, seconds that it takes
+        # Update, and of its save the seconds and whether config.json had to be written again.
+        self._in_flight: tuple[int, Future[tuple[float, bool]]] | None = None
         self.saved_at: int | None = None  # update of the newest checkpoint of this session, or resumed from
         self.seconds: float | None = None  # that writing and verifying the last one took
         self.error: str | None = None  # why the last save failed; None where it did not
@@ -53,7 +54,14 @@ class Saver:
         (num_updates, future), self._in_flight = self._in_flight, None
         error = future.exception()
         if error is None:
-            self.saved_at, self.seconds, self.error = num_updates, future.result(), None
+            self.seconds, was_gone = future.result()
+            self.saved_at, self.error = num_updates, None
+            if was_gone:
+                self._run.event("file_failed", file=self._run.config_path.name, error="it was gone; written again")
+                self._reporter.note(
+                    f"{self._run.config_path} was gone and is written again: is this still the directory of the run? "
+                    "Metrics may go on elsewhere"
+                )
             self._run.event("checkpoint_saved", update=num_updates, seconds=round(self.seconds, 3))
             return
         # Whatever it is: Orbax has errors of many kinds for a disk that is full. Training goes on from memory.
@@ -66,12 +74,15 @@ class Saver:
         self.wait()
         self._thread.shutdown()
 
-    def _write(self, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any]) -> float:
+    def _write(
+        self, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any]
+    ) -> tuple[float, bool]:
         began = time.monotonic()
         if name := next((name for name in arrays if name.startswith(f"{LEARNER}/") and _has_nan(arrays[name])), None):
             raise ValueError(f"{name} is not finite: nothing could go on from it")
+        was_gone = self._run.restore_config()
         save_checkpoint(self._run.checkpoints, num_updates, arrays, description, keep=self._keep)
-        return time.monotonic() - began
+        return time.monotonic() - began, was_gone
 
 
 def _has_nan(array: np.ndarray) -> bool:

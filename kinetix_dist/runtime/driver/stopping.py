@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from types import FrameType
@@ -22,6 +23,7 @@ EXIT_STOPPED = 75  # sysexits.h EX_TEMPFAIL, "try again later": the run can go o
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _SWALLOWING = ("_xla_gc_callback", "__del__")  # the first is JAX's
 _AGAIN_S = 0.05
+_SAME_S = 0.2  # timeout(1) sends its signal to the process and then to its group: that is one
 _SHOW_CURSOR = "\x1b[?25h"  # the live line of the console hides it
 
 
@@ -131,12 +133,16 @@ class StopSignals:
     def _watch(self, pipe: int) -> None:
         """Ends the process at the second signal, or when the time after the first is over."""
         timer: threading.Timer | None = None
+        began = 0.0
         with os.fdopen(pipe, "rb", buffering=0) as numbers:
             while byte := numbers.read(1):
                 if byte[0] not in _SIGNALS:
                     continue
+                if timer is not None and time.monotonic() - began < _SAME_S:
+                    continue
                 if timer is not None:
                     _end(128 + byte[0], "ended at once by a second signal")
+                began = time.monotonic()
                 timer = threading.Timer(self._limit_s, self._reach_limit, (signal.Signals(byte[0]).name,))
                 timer.daemon = True
                 timer.start()

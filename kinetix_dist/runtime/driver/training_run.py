@@ -141,7 +141,7 @@ def _from_start_to_report(
     """The report. `started` gets what ends what was started, first to last."""
     began = time.monotonic()
     recorder = Recorder(run)
-    stored = {"hash": config.hash, "config": to_dict(config)}
+    stored = run.config = {"hash": config.hash, "config": to_dict(config)}
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
         _write_or_fail(run, run.config_path, stored)
     try:
