@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -156,7 +157,7 @@ def _train(args: Args, design: Design, runs: list[Run], lanes: list[Lane], path:
             return f"stopped after {args.minutes:g} minutes" if is_over else None
 
         print(f"sweep {path}  hash {sweep.hash}  lanes {', '.join(lane.name for lane in lanes)}", flush=True)
-        print(f"watch it   kinetix-dist dashboard {path / 'arms'}", flush=True)
+        print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
         status = 0
         try:
             sweep.train(lanes, tell=_tell, must_stop=must_stop)
