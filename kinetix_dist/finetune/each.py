@@ -120,9 +120,7 @@ def _alone(config: TrainConfig) -> TrainConfig:
         raise UserError(
             "evaluation.every is 0, but samples to a solve rate are counted by evaluations; give --evaluation.every 4"
         )
-    # Episodes are counted by evaluations alone. What parameters are at the start is no matter of the programs.
-    log = dataclasses.replace(config.curriculum_log, outcomes_every=0)
-    return dataclasses.replace(_starting(config, SCRATCH), curriculum_log=log)
+    return _starting(config, SCRATCH)  # what parameters are at the start is no matter of the programs
 
 
 def _starting(config: TrainConfig, start: Start) -> TrainConfig:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import signal
@@ -39,9 +38,7 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def specialists(directory: Path) -> dict[str, Specialist]:
     """By level, and "again": the first level after the others."""
-    config = config_of(directory)
-    config = dataclasses.replace(config, curriculum_log=dataclasses.replace(config.curriculum_log, outcomes_every=0))
-    trainer = shared_specialists(config)
+    trainer = shared_specialists(config_of(directory))
     levels = {name: load_level_set(str(directory / f"{name}.json"), "s")[0] for name in NAMES}
     trainer.compile(levels[NAMES[0]], None)
     order = {**{name: name for name in NAMES}, "again": NAMES[0]}

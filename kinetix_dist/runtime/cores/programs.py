@@ -10,11 +10,17 @@ from __future__ import annotations
 import dataclasses
 
 from kinetix_dist.config import EvaluationConfig, RecordingConfig, RunConfig, TrainConfig
+from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 MAX_KEPT = 8  # of each kind, those used last
 
 
 def settings_of_programs(config: TrainConfig) -> TrainConfig:
-    """The config without how long, where, on how many processes, and how often it is saved and evaluated."""
-    run = RunConfig(seed=config.run.seed, total_env_steps=1)
-    return dataclasses.replace(config, evaluation=EvaluationConfig(), recording=RecordingConfig(), run=run)
+    """The config without how long, where, on how many processes, and how often it is saved, evaluated and logged."""
+    return dataclasses.replace(
+        config,
+        curriculum_log=CurriculumLogConfig(),
+        evaluation=EvaluationConfig(),
+        recording=RecordingConfig(),
+        run=RunConfig(seed=config.run.seed, total_env_steps=1),
+    )

@@ -123,9 +123,9 @@ class RolloutCore:
         batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
         is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.places)
         sums = _sums(played.outcome, played.trajectory.rewards, is_counted)
-        if config.curriculum_log.outcomes_every:
-            source = proposal.source if proposal.source is not None else jnp.zeros(is_counted.shape, jnp.int32)
-            sums[EPISODES] = _episodes_by(source, played.outcome, is_counted, self._num_counted)
+        # Also where no outcomes.jsonl is written: another program may round otherwise.
+        source = proposal.source if proposal.source is not None else jnp.zeros(is_counted.shape, jnp.int32)
+        sums[EPISODES] = _episodes_by(source, played.outcome, is_counted, self._num_counted)
         if config.curriculum.sizes:
             size = size_numbers(proposal.levels)
             sums[SIZES_PLAYED] = {

@@ -149,4 +149,4 @@ class Worker(LearnerWorker):
             jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
         learned = time.monotonic()
         metrics = self._metrics(num_updates, sums, learner_metrics)
-        return metrics, {"rollout": played - began, "learn": learned - played}, sums.get(EPISODES, {})
+        return metrics, {"rollout": played - began, "learn": learned - played}, sums[EPISODES]

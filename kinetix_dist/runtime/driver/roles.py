@@ -33,7 +33,7 @@ class Trainer(Protocol):
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         """One rollout and one policy update: (metrics, seconds by role, episodes "solved" and "finished" by
-        `Proposal.source`, empty where they are not counted). Raises WorkerLostError."""
+        `Proposal.source`). Raises WorkerLostError."""
 
     def probe(self, num_levels: int) -> Any:
         """Levels of the buffer in use, or a reference to them, for `Curator.request`."""

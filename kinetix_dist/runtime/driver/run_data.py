@@ -114,7 +114,7 @@ class RunData:
     ) -> None:
         """Episodes of the update that led to `num_updates`, see `Trainer.run_update`; num_finished: in all; buffer: see
         `OutcomeWindow`. Raises ValueError where the curriculum left some out."""
-        if self._window is None or not episodes:
+        if self._window is None:
             return
         if (counted := int(episodes["finished"].sum())) != num_finished:
             raise ValueError(

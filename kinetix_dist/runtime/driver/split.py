@@ -146,8 +146,8 @@ class SplitTrainer:
         }
         seconds = {"learn": learned, "rollout": played}
         slowest = {role: max(stamp["seconds"] for stamp in stamps) for role, stamps in seconds.items()}
-        by_part = [part[EPISODES] for part in sums if EPISODES in part]
-        episodes = {name: sum(part[name] for part in by_part) for name in by_part[0]} if by_part else {}
+        by_part = [part[EPISODES] for part in sums]
+        episodes = {name: sum(part[name] for part in by_part) for name in by_part[0]}
         return metrics, slowest, episodes
 
     def check(self) -> None:
