@@ -27,6 +27,7 @@ from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.size_mixture import sizes_drawn
+from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
 from kinetix_dist.phases import PhaseConfig, Schedule
 from kinetix_dist.registry import import_plugins
@@ -258,6 +259,8 @@ class TrainConfig:
                 f"ppo.mask_unbound_heads is True, but no dimension of {self.env.action_space!r} actions is of one "
                 "colour; set it to False or use another env.action_space"
             )
+        if self.policy.read_out == "colour":
+            check_heads(ACTION_SPACES[self.env.action_space].distribution.head_sizes)
         gives, takes = OBSERVATIONS[self.env.observation].gives, NETWORKS[self.policy.network].takes
         if gives != takes:
             fitting = [name for name in NETWORKS if NETWORKS[name].takes == gives]
@@ -365,6 +368,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     kept = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
     if config.policy.recurrent == "none":  # hashes are those of versions without memory
         del kept["policy"]["recurrent"], kept["policy"]["memory_size"]
+    if config.policy.read_out == "pooled":  # hashes are those of versions without another
+        del kept["policy"]["read_out"]
     del kept["env"]["effect_groups"]  # a matter of time: engines agree bit for bit within their effects
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:

@@ -15,7 +15,8 @@ place of six of a layer's nine, and tokens are normalised once more before pooli
     layer       x = x + attention(norm(x))
                 x = x + Dense(relu(Dense(norm(x))))
                 messages as above
-    towers      actor and critic, see towers.py; a memory before them, see gru.py
+    towers      actor and critic, see towers.py; a memory before them, see gru.py. Where heads read by colour, they
+                are given the tokens at joints and thrusters besides, see colour_readout.py
 
 What bounds it on a GPU is memory traffic between small operations, not arithmetic. So products of one input are
 one product (queries, keys and values; the gates, see gate.py), the scale and offset of a norm are folded into the
@@ -26,6 +27,7 @@ Observations enter in float32: bfloat16 would round positions in a 5 m box to ce
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +36,9 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
+from kinetix_dist.env.observations.entities import JOINT_COLOUR, THRUSTER_COLOUR
 from kinetix_dist.models.attention import attend, pack_mask
+from kinetix_dist.models.colour_readout import sum_by_colour
 from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
 from kinetix_dist.models.gru import apply_towers
@@ -67,6 +71,7 @@ class EntityTransformer(nn.Module):
     shape_ids: tuple[float, float] | None = None  # of polygons and of circles
     memory_size: int = 0  # see gru.py; 0: none
     gated: bool = True
+    by_colour: bool = False  # heads read what obeys them, see colour_readout.py
     kernels: str = "xla"  # of the gates, see kernels/support.py
 
     @nn.compact
@@ -75,8 +80,11 @@ class EntityTransformer(nn.Module):
         polygon_id, circle_id = self.shape_ids or (None, None)
         polygons = self._encode("polygon_encoder", obs.polygons, polygon_id)
         circles = self._encode("circle_encoder", obs.circles, circle_id)
-        joints = self._encode("joint_encoder", obs.joints)
-        thrusters = self._encode("thruster_encoder", obs.thrusters)
+        # A colour that only its head reads: then no colour is another one.
+        joint_rows = obs.joints.at[..., JOINT_COLOUR].set(0.0) if self.by_colour else obs.joints
+        thruster_rows = obs.thrusters.at[..., THRUSTER_COLOUR].set(0.0) if self.by_colour else obs.thrusters
+        joints = self._encode("joint_encoder", joint_rows)
+        thrusters = self._encode("thruster_encoder", thruster_rows)
         dummy = jnp.ones((polygons.shape[0], 1, self.encoder_size), self.dtype)
         x = _join_tokens(polygons, circles, dummy)
         token_mask, mask_words = _token_masks(obs.shape_mask, obs.attention_masks)
@@ -98,7 +106,14 @@ class EntityTransformer(nn.Module):
         if not self.gated:  # scale and offset of the norm: a mean of tokens takes them as each token would
             scale, offset = self._norm("pooling")
             embedding = scale * embedding + offset
-        towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
+        towers: Callable[..., Any] = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
+        if self.by_colour:
+            normal = normalise(x)
+            motors = obs.joints[..., JOINT_COLOUR] * obs.joint_mask[..., None]
+            thrusts = obs.thrusters[..., THRUSTER_COLOUR] * obs.thruster_mask[..., None]
+            of_joints = self._told("joint", normal, ends, joints, motors)
+            of_thrusters = self._told("thruster", normal, obs.thruster_owner, thrusters, thrusts)
+            towers = functools.partial(towers, by_colour=(of_joints, of_thrusters))
         return apply_towers(towers, embedding.astype(self.dtype), memory, is_first, self.memory_size)
 
     def _encode(self, name: str, features: Array, kind_id: float | None = None) -> Array:
@@ -181,6 +196,13 @@ class EntityTransformer(nn.Module):
         terms = linear(entities, of_entity) + jnp.concatenate(biases).astype(self.dtype)
         of_ends = jnp.stack([kernel[: num_ends * size] for kernel in kernels])
         return of_ends, jnp.split(terms, layers, axis=-1)
+
+    def _told(self, kind: str, x: Array, ends: Array, entities: Array, colours: Array) -> Array:
+        """[B, colours, hidden_size]: what joints or thrusters tell the heads of their colours (colour_readout.py)."""
+        rows = jnp.concatenate([take_rows(x, ends).reshape(*entities.shape[:2], -1), entities], axis=-1)
+        kernel = self.param(f"{kind}_told_kernel", lecun_normal(), (rows.shape[-1], self.hidden_size))
+        bias = self.param(f"{kind}_told_bias", zeros, (self.hidden_size,))
+        return sum_by_colour(jnp.tanh(linear(rows, kernel) + bias.astype(self.dtype)), colours)
 
 
 def _messages(x: Array, ends: Array, kernel: Array, terms: Array, mask: Array) -> Array:

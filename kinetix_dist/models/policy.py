@@ -18,6 +18,7 @@ from flax import linen as nn
 
 from jax2d.scene import Array
 from kinetix_dist.env.observations import ENTITIES, IMAGE, VECTOR
+from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.entity_transformer import NUM_MASKS, EntityTransformer
 from kinetix_dist.models.flat_mlp import FlatMlp
 from kinetix_dist.models.kernels.support import KERNELS
@@ -25,6 +26,7 @@ from kinetix_dist.models.pixel_cnn import SAMPLE_BYTES, PixelCnn
 from kinetix_dist.registry import Registry
 
 RECURRENT = ("none", "gru")
+READ_OUTS = ("pooled", "colour")
 DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 
@@ -40,6 +42,7 @@ class PolicyConfig:
     hidden_size: int = 128  # of actor and critic
     hidden_layers: int = 5  # before the output layer
     flat_size: int = 512  # encoder of the flat network
+    read_out: str = "pooled"  # or "colour": heads read the joints and thrusters of their colour; transformers alone
     recurrent: str = "none"  # or "gru": a memory between the embedding and actor and critic
     memory_size: int = 256  # of it
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
@@ -52,6 +55,14 @@ class PolicyConfig:
             raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
         if self.kernels not in KERNELS:
             raise ValueError(f"PolicyConfig.kernels is {self.kernels!r}; choose one of {', '.join(KERNELS)}")
+        if self.read_out not in READ_OUTS:
+            raise ValueError(f"PolicyConfig.read_out is {self.read_out!r}; choose one of {', '.join(READ_OUTS)}")
+        if self.read_out == "colour" and not NETWORKS[self.network].reads_by_colour:
+            able = [name for name in NETWORKS if NETWORKS[name].reads_by_colour]
+            raise ValueError(
+                f"PolicyConfig.read_out is 'colour', but network {self.network!r} has no tokens to read; "
+                f"set it to 'pooled' or use network {' or '.join(map(repr, able))}"
+            )
         if self.recurrent not in RECURRENT:
             raise ValueError(f"PolicyConfig.recurrent is {self.recurrent!r}; choose one of {', '.join(RECURRENT)}")
         sizes = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
@@ -74,6 +85,7 @@ class Network:
 
     takes: str  # the kind of policy input, see `Observation.gives`
     build: Callable[[PolicyConfig, tuple[int, ...]], nn.Module]  # (config, sizes of the heads) -> a flax module
+    reads_by_colour: bool = False  # whether it has `PolicyConfig.read_out` "colour"
     sample_bytes: int = 0  # of device memory for a sample of a minibatch, gradients included; 0: too few to count
 
 
@@ -99,6 +111,9 @@ def _transformer(
     shape_ids: tuple[float, float] | None = None,
     gated: bool = True,
 ) -> nn.Module:
+    by_colour = config.read_out == "colour"
+    if by_colour:
+        check_heads(head_sizes)
     return EntityTransformer(
         encoder_size=config.encoder_size,
         attention_features=config.attention_features,
@@ -106,6 +121,7 @@ def _transformer(
         num_layers=config.num_layers,
         shape_ids=shape_ids,
         gated=gated,
+        by_colour=by_colour,
         kernels=config.kernels,
         **_common(config, head_sizes),
     )
@@ -120,9 +136,12 @@ def _cnn(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
 
 
 NETWORKS: Registry[Network] = Registry("network")
-NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer))
+NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer, reads_by_colour=True))
 # Plain residuals for gates: fewer and smaller products, see entity_transformer.py.
-NETWORKS.register("transformer_lean", Network(takes=ENTITIES, build=functools.partial(_transformer, gated=False)))
+NETWORKS.register(
+    "transformer_lean",
+    Network(takes=ENTITIES, build=functools.partial(_transformer, gated=False), reads_by_colour=True),
+)
 NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
 NETWORKS.register("cnn", Network(takes=IMAGE, build=_cnn, sample_bytes=SAMPLE_BYTES))
 # Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.

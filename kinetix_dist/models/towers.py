@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
+from kinetix_dist.models.colour_readout import ColourReadOut
 from kinetix_dist.models.contraction import linear
 from kinetix_dist.models.stored import stored_gradient
 
@@ -36,7 +37,10 @@ class Towers(nn.Module):
     head_sizes: tuple[int, ...]
 
     @nn.compact
-    def __call__(self, embedding: Array) -> tuple[tuple[Array, ...], Array]:
+    def __call__(
+        self, embedding: Array, by_colour: tuple[Array, Array] | None = None
+    ) -> tuple[tuple[Array, ...], Array]:
+        """by_colour: what is told of motor colours and of thruster colours, where heads read it (colour_readout.py)."""
         both = jnp.broadcast_to(embedding, (2, *embedding.shape))  # actor, critic
         for layer in range(self.hidden_layers):
             shape = (2, both.shape[-1], self.hidden_size)
@@ -44,8 +48,11 @@ class Towers(nn.Module):
             bias = self.param(f"bias_{layer}", nn.initializers.zeros, (2, self.hidden_size))
             both = jnp.tanh(jax.vmap(linear)(both, kernel) + bias[:, None].astype(both.dtype))
         actor, critic = both.astype(jnp.float32)  # the last layer is small: float32 keeps log-probabilities exact
-        logits = nn.Dense(sum(self.head_sizes), kernel_init=orthogonal(ACTOR_OUTPUT_GAIN), name="actor_output")(actor)
         value = nn.Dense(1, kernel_init=orthogonal(1.0), name="critic_output")(critic)
+        if by_colour is not None:
+            read_out = ColourReadOut(self.hidden_size, self.head_sizes, ACTOR_OUTPUT_GAIN, name="read_out")
+            return read_out(*by_colour, both[0]), value[..., 0]
+        logits = nn.Dense(sum(self.head_sizes), kernel_init=orthogonal(ACTOR_OUTPUT_GAIN), name="actor_output")(actor)
         logits = stored_gradient(logits)  # else the sum over the batch computes the loss's for each of its columns
         ends = [sum(self.head_sizes[:i]) for i in range(1, len(self.head_sizes))]
         return tuple(jnp.split(logits, ends, axis=-1)), value[..., 0]

@@ -113,3 +113,13 @@ def test_a_space_of_one_head_cannot_be_masked():
     env = dataclasses.replace(config.env, action_space="discrete")
     with pytest.raises(ConfigError, match="mask_unbound_heads"):
         dataclasses.replace(config, ppo=ppo, env=env)
+
+
+@pytest.mark.parametrize("space", ["discrete", "continuous"])
+def test_a_space_without_an_output_a_colour_cannot_be_read_by_colour(space):
+    config = recipe("tiny")
+    policy = dataclasses.replace(config.policy, read_out="colour")
+    ppo = dataclasses.replace(config.ppo, mask_unbound_heads=False)
+    env = dataclasses.replace(config.env, action_space=space)
+    with pytest.raises(ValueError, match=r"not one a colour \(4 of motors, 2 of thrusters\).*'multi_discrete'"):
+        dataclasses.replace(config, policy=policy, env=env, ppo=ppo)

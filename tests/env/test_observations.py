@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,13 @@ import pytest
 
 from jax2d.fields import empty
 from jax2d.scene import Capacity, JointKind, Scene
+from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.env.observations.entities import (
+    JOINT_COLOUR,
+    THRUSTER_COLOUR,
     DynamicObs,
     EntityObs,
+    StaticObs,
     dynamic_obs,
     observe,
     static_obs,
@@ -22,7 +27,9 @@ from kinetix_dist.env.observations.flat import flat_size, flatten
 from kinetix_dist.env.observations.observation import Moving
 from kinetix_dist.level.canonical import swap_ends
 from kinetix_dist.level.connections import connections
-from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, SIZES, Level
 from kinetix_dist.level.roles import Role
 from tests.env.worlds import BOX, DISC_1, DISC_2, MOTOR_JOINT, RADIUS_M, THRUSTER, batch, small_level
 
@@ -166,6 +173,22 @@ def test_features_of_limits_and_the_rest_angle_of_a_hinge_without_limits_are_zer
 def test_speed_power_and_colour_of_a_motor_that_is_off_are_zero() -> None:
     row = observe_start(batch(small_level(joint={**MOTOR_JOINT, "joints.motor_on": False}))).joints[0, 0]
     np.testing.assert_array_equal(row[8:16], np.zeros(8))
+
+
+@pytest.mark.parametrize("observation", ["entity", "entity_kinetix"])
+def test_colours_are_where_the_read_out_by_colour_looks_for_them(observation: str) -> None:
+    levels = generate_levels(jax.random.key(0), 64, SIZES["s"], GeneratorConfig(thruster_chance=1.0))
+    static: Any = OBSERVATIONS[observation].static(levels)
+    rows: StaticObs = getattr(static, "entities", static)
+    joints = levels.scene.joints
+    drives = joints.active & joints.motor_on & (joints.kind == JointKind.REVOLUTE)
+    motors = jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS)
+    for half in np.split(np.asarray(rows.joints[..., JOINT_COLOUR]), 2, axis=1):
+        np.testing.assert_array_equal(half[drives], motors[drives])
+    thrusters = levels.scene.thrusters.active
+    of_thrusters = jax.nn.one_hot(levels.thruster_colour, NUM_THRUSTER_COLOURS)
+    np.testing.assert_array_equal(rows.thrusters[..., THRUSTER_COLOUR][thrusters], of_thrusters[thrusters])
+    assert drives.sum() > 20 and thrusters.sum() > 20
 
 
 def test_thruster_row_has_the_8_features_in_the_published_order() -> None:

@@ -23,10 +23,15 @@ SMALL = PolicyConfig(
 )
 
 
-@pytest.fixture(scope="module", params=["transformer", "transformer_lean"])
+@pytest.fixture(
+    scope="module",
+    params=[("transformer", "pooled"), ("transformer_lean", "pooled"), ("transformer_lean", "colour")],
+    ids="-".join,
+)
 def small(request):
     obs = random_obs(6, CAPACITY)
-    policy = make_policy(dataclasses.replace(SMALL, network=request.param), HEAD_SIZES)
+    network, read_out = request.param
+    policy = make_policy(dataclasses.replace(SMALL, network=network, read_out=read_out), HEAD_SIZES)
     return policy, _perturbed(init_params(policy, obs, jax.random.key(0))), obs
 
 
@@ -60,10 +65,11 @@ def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders()
     assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417 + 3 * 128
 
 
-def test_a_lean_layer_is_what_its_formula_says():
+@pytest.mark.parametrize("read_out", ["pooled", "colour"])
+def test_a_lean_layer_is_what_its_formula_says(read_out):
     """In numpy, in float64, world by world and token by token."""
     obs = random_obs(4, CAPACITY, seed=3)
-    config = dataclasses.replace(SMALL, network="transformer_lean", num_layers=1)
+    config = dataclasses.replace(SMALL, network="transformer_lean", num_layers=1, read_out=read_out)
     policy = make_policy(config, HEAD_SIZES)
     params = _perturbed(init_params(policy, obs, jax.random.key(0)))
     found = _as_vector(policy.apply(params, obs))
@@ -85,8 +91,12 @@ def _lean_world(p, o) -> np.ndarray:
     def encode(name, x):
         return np.tanh(x @ p[name]["kernel"] + p[name]["bias"])
 
+    seen = o
+    if "read_out" in p["towers"]:  # nothing but the read-out sees colours
+        seen = jax.tree.map(np.copy, o)
+        seen.joints[:, 12:16], seen.thrusters[:, 3:5] = 0.0, 0.0
     x = np.concatenate([encode("polygon_encoder", o.polygons), encode("circle_encoder", o.circles), np.ones((1, size))])
-    joints, thrusters = encode("joint_encoder", o.joints), encode("thruster_encoder", o.thrusters)
+    joints, thrusters = encode("joint_encoder", seen.joints), encode("thruster_encoder", seen.thrusters)
     exists = np.append(o.shape_mask, True)
     sees = np.zeros((4, len(x), len(x)), bool)
     sees[:, :-1, :-1] = o.attention_masks
@@ -120,8 +130,30 @@ def _lean_world(p, o) -> np.ndarray:
     for layer in range(SMALL.hidden_layers):
         kernel, bias = towers[f"kernel_{layer}"], towers[f"bias_{layer}"]
         both = np.tanh(np.einsum("ti,tio->to", both, kernel) + bias)
+    value = both[1] @ towers["critic_output"]["kernel"] + towers["critic_output"]["bias"]
+    if "read_out" in towers:
+        return np.append(_read_by_colour(p, o, x, joints, thrusters, actor=both[0]), value)
     logits = both[0] @ towers["actor_output"]["kernel"] + towers["actor_output"]["bias"]
-    return np.append(logits, both[1] @ towers["critic_output"]["kernel"] + towers["critic_output"]["bias"])
+    return np.append(logits, value)
+
+
+def _read_by_colour(p, o, x, joints, thrusters, *, actor):
+    normal = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-6)
+    logits, q = [], p["towers"]["read_out"]
+    for kind, entity, count in (("motor", "joint", 4), ("thruster", "thruster", 2)):
+        for colour in range(count):
+            total = np.zeros(SMALL.hidden_size)
+            for row in range(len(joints) if entity == "joint" else len(thrusters)):
+                if entity == "joint":
+                    exists, is_mine = o.joint_mask[row], o.joints[row, 12 + colour]
+                    told = np.concatenate([normal[o.joint_from[row]], normal[o.joint_to[row]], joints[row]])
+                else:
+                    exists, is_mine = o.thruster_mask[row], o.thrusters[row, 3 + colour]
+                    told = np.concatenate([normal[o.thruster_owner[row]], thrusters[row]])
+                total += exists * is_mine * np.tanh(told @ p[f"{entity}_told_kernel"] + p[f"{entity}_told_bias"])
+            hidden = np.tanh(total @ q[f"{kind}_sum_kernel"] + actor @ q[f"{kind}_actor_kernel"] + q[f"{kind}_bias"])
+            logits.append(hidden @ q[f"{kind}_output"]["kernel"] + q[f"{kind}_output"]["bias"])
+    return np.concatenate(logits)
 
 
 def test_the_cnn_has_the_convolutions_of_the_paper():
@@ -228,6 +260,25 @@ def test_each_mask_joint_and_thruster_has_influence(small):
         assert np.all(np.max(np.abs(_as_vector(_apply(policy)(params, other)) - base), axis=1) > 1e-5)
 
 
+@pytest.mark.parametrize("network", ["transformer", "transformer_lean"])
+def test_read_by_colour_no_colour_is_another_one(network):
+    """Levels that differ by a permutation of colours have the same logits, permuted, and the same value."""
+    obs = random_obs(6, CAPACITY)
+    policy = make_policy(dataclasses.replace(SMALL, network=network, read_out="colour"), HEAD_SIZES)
+    params = _perturbed(init_params(policy, obs, jax.random.key(0)))
+    motors, thrusters = np.array([2, 0, 3, 1]), np.array([1, 0])
+    swapped = dataclasses.replace(
+        obs,
+        joints=obs.joints.at[..., 12:16].set(obs.joints[..., 12 + motors]),
+        thrusters=obs.thrusters.at[..., 3:5].set(obs.thrusters[..., 3 + thrusters]),
+    )
+    (logits, value), (others, other_value) = (_apply(policy)(params, x) for x in (obs, swapped))
+    np.testing.assert_allclose(other_value, value, atol=1e-6)
+    for head, source in enumerate([*motors, *(4 + thrusters)]):
+        np.testing.assert_allclose(others[head], logits[source], atol=1e-5)
+    assert float(jnp.abs(logits[0] - logits[1]).max()) > 1e-2  # or all heads could be alike
+
+
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
@@ -237,8 +288,16 @@ def test_each_mask_joint_and_thruster_has_influence(small):
         ("attention_features", 12, "12; it must be a multiple of num_heads, 8"),
         ("encoder_size", 0, "0; it must be 1 or more"),
         ("num_layers", 0, "0; it must be 1 or more"),
+        ("read_out", "entity", "'entity'; choose one of pooled, colour"),
     ],
 )
 def test_a_bad_configuration_is_refused(field, value, message):
     with pytest.raises(ValueError, match=message):
         PolicyConfig(**{field: value})
+
+
+def test_reading_by_colour_is_refused_where_there_is_nothing_to_read():
+    with pytest.raises(ValueError, match=r"network 'flat' has no tokens to read; .*'transformer_lean'"):
+        PolicyConfig(network="flat", read_out="colour")
+    with pytest.raises(ValueError, match=r"\(6, 6\) numbers and not one a colour .*use env.action_space"):
+        make_policy(PolicyConfig(read_out="colour"), (6, 6))

@@ -1,4 +1,4 @@
-"""Runs of a policy that remembers: they train, resume bit for bit, are evaluated and recorded; on Ray too."""
+"""Runs of a policy that remembers and reads by colour: they train, resume bit for bit, are evaluated; on Ray too."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 from kinetix_dist.checkpoint import load_checkpoint
 from kinetix_dist.cli.main import main
-from kinetix_dist.config import TrainConfig
+from kinetix_dist.config import TrainConfig, numbers_of
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -30,7 +30,7 @@ def config_of(num_updates: int, curriculum: str = "fixed", **run: Any) -> TrainC
     return dataclasses.replace(
         config,
         env=dataclasses.replace(config.env, max_steps=5),  # rollouts are 8 steps: episodes end within them
-        policy=dataclasses.replace(config.policy, recurrent="gru", memory_size=8),
+        policy=dataclasses.replace(config.policy, recurrent="gru", memory_size=8, read_out="colour"),
         curriculum=CurriculumConfig(name=curriculum, levels=KICK if curriculum == "fixed" else ""),
     )
 
@@ -89,6 +89,12 @@ def test_hashes_of_configurations_without_memory_do_not_know_of_it() -> None:
     config = tiny_config(num_updates=1)
     other = dataclasses.replace(config, policy=dataclasses.replace(config.policy, memory_size=8))
     assert config.hash == other.hash != config_of(1).hash
+
+
+def test_hashes_of_configurations_with_the_heads_of_the_paper_do_not_know_of_others() -> None:
+    config = tiny_config(num_updates=1)
+    other = dataclasses.replace(config, policy=dataclasses.replace(config.policy, read_out="colour"))
+    assert "read_out" not in numbers_of(config)["policy"] and config.hash != other.hash
 
 
 @pytest.mark.slow  # another curriculum: two students and a teacher without memory

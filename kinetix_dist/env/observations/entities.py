@@ -57,6 +57,8 @@ NUM_BODY_FEATURES = 7
 NUM_CIRCLE_FEATURES = 19
 NUM_JOINT_FEATURES = 25
 NUM_THRUSTER_FEATURES = 8
+JOINT_COLOUR = slice(12, 12 + NUM_MOTOR_COLOURS)  # columns of the one-hot colour, in `kinetix_entities.py` too
+THRUSTER_COLOUR = slice(3, 3 + NUM_THRUSTER_COLOURS)
 NUM_ATTENTION_MASKS = 4
 INVERSE_MASS_SCALE = 0.2  # 0.2 log(1 + 2,500) = 1.6
 ANGULAR_VELOCITY_SCALE = 10.0  # rad/s; tanh squashes what spins faster
