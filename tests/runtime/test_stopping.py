@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 
 from kinetix_dist.checkpoint import list_checkpoints, newest_good
@@ -20,6 +21,7 @@ from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.runtime.processes.ray_private import SERVERS
 from tests.helpers import PATIENCE_S, REPOSITORY
 from tests.runtime.conftest import NUM_UPDATES, STEPS
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
@@ -112,6 +114,28 @@ def test_while_its_processes_on_ray_start_a_run_ends_at_once(tmp_path):
     assert (status, seconds < LIMIT_S) == (EXIT_STOPPED, True)
     assert line == f"kinetix-dist: stopped by SIGTERM outside of updates; go on with --run {run} --resume"
     assert parse(["--run", str(run), "--resume"]).run == run  # as the line says
+
+
+@pytest.mark.parametrize("reaches", ["the process group", "the servers of Ray as well"])
+def test_with_processes_on_ray_a_signal_to_all_saves_the_update(tmp_path, reaches):
+    """timeout(1) signals its process group, Slurm at the end of a job everything in it. Ray's servers end themselves
+    then, and no process that they are asked to end."""
+    run = tmp_path / "run"
+    process = start(run, *TINY, *FOR_EVER, "--run.placement", "colocated", new_session=True)
+    wait_for(lambda: len(rows(run)) >= 3, process, "three updates")
+    family = psutil.Process(process.pid).children(recursive=True)
+    servers = [child for child in family if child.name() in SERVERS]
+    assert len(servers) == 2
+    if reaches == "the servers of Ray as well":
+        for server in servers:
+            server.terminate()
+    status, seconds, line = _stopped(process, signal.SIGTERM, group=True)
+    assert (status, seconds < LIMIT_S) == (EXIT_STOPPED, True)
+    number = rows(run)[-1]["update"]
+    assert line == (
+        f"kinetix-dist: stopped by SIGTERM after update {number}, which is saved; go on with --run {run} --resume"
+    )
+    assert psutil.wait_procs(family, timeout=LIMIT_S)[1] == []
 
 
 def test_a_signal_while_an_object_is_collected_is_not_swallowed():

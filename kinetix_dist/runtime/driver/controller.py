@@ -388,6 +388,7 @@ class Controller:
                 f"({self.save_error}); go on from the checkpoint before it"
             )
         what = f"after update {self.num_updates}, which is saved" if is_saved else "before the first update"
+        self.stop.reached = what
         raise StoppedError(f"stopped by {self.stop.requested} {what}")
 
     @property

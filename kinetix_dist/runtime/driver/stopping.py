@@ -56,7 +56,8 @@ class StopSignals:
     def __init__(self, *, limit_s: float = 25.0, hint: str = "") -> None:
         """limit_s: after which the process ends, wherever it is; hint: how to go on, for the line that is said then."""
         self._limit_s = limit_s
-        self._hint = hint
+        self.hint = hint
+        self.reached = "where it was"  # for the same line: after what the process ended
         self._is_deferred = False
         self._former: dict[int, Any] = {}
         self._pipe: tuple[int, int] | None = None
@@ -150,7 +151,7 @@ class StopSignals:
             timer.cancel()
 
     def _reach_limit(self, name: str) -> None:
-        _end(EXIT_STOPPED, f"not done {self._limit_s:g} s after {name}: ended where it was{self._hint}")
+        _end(EXIT_STOPPED, f"not done {self._limit_s:g} s after {name}: ended {self.reached}{self.hint}")
 
 
 def _is_swallowed(frame: FrameType | None) -> bool:

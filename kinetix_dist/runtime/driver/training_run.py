@@ -71,6 +71,7 @@ def train(
     RunFailedError where a process failed, and StoppedError where `stop` was asked for.
     """
     stop = stop or StopSignals()
+    stop.hint = f"; go on with --run {run.path} --resume"
     total_env_steps = config.run.total_env_steps
     console = console or ConsoleSink(total_env_steps=total_env_steps or None)
     reporter = RunReporter(run, console, total_env_steps=total_env_steps, metrics_port=config.run.metrics_port)
@@ -115,12 +116,10 @@ def _train(
     except StopFailedError as error:
         raise RunFailedError(f"{error} with --run {run.path} --resume") from error
     except StoppedError as error:
-        raise StoppedError(f"{error}; go on with --run {run.path} --resume") from None
+        raise StoppedError(f"{error}{stop.hint}") from None
     except StopRequested:
         run.event("stopped", signal=stop.requested, update=None, saved=False)
-        raise StoppedError(
-            f"stopped by {stop.requested} outside of updates; go on with --run {run.path} --resume"
-        ) from None
+        raise StoppedError(f"stopped by {stop.requested} outside of updates{stop.hint}") from None
     finally:
         with stop.deferred():
             for end in started:

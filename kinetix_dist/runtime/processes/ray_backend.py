@@ -11,7 +11,7 @@ import os
 import signal
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import psutil
@@ -26,7 +26,13 @@ from kinetix_dist.runtime.processes.fork_server import ForkServer
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
-from kinetix_dist.runtime.processes.ray_private import own_servers, own_signals, print_nothing, without_services
+from kinetix_dist.runtime.processes.ray_private import (
+    own_servers,
+    own_signals,
+    print_nothing,
+    servers_in_their_own_groups,
+    without_services,
+)
 from kinetix_dist.runtime.processes.readings import Readings
 from kinetix_dist.runtime.processes.room import Room, free_room, needed_by, nodes_in_words, total_room
 from kinetix_dist.runtime.processes.sections import Sections
@@ -146,7 +152,11 @@ class RayBackend:
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
             print_nothing()
-            with own_signals(), contextlib.nullcontext() if address else without_services():
+            with contextlib.ExitStack() as changes:
+                changes.enter_context(own_signals())
+                if not address:
+                    changes.enter_context(without_services())
+                    changes.enter_context(servers_in_their_own_groups())
                 ray.init(**options)
         self._servers = {} if address else own_servers()
 
@@ -338,14 +348,17 @@ class RayBackend:
         self._supervisor.forget([handle.actor for handle in handles])
         self._readings.forget([handle.actor for handle in handles])
         is_ray_there = not self._lost_servers()  # without it the call would wait for a minute
-        for handle in handles:
-            if is_ray_there:
+        pids = [handle.pid for handle in handles if handle.pid is not None]
+        is_on_this_machine = self._owns_ray and not os.environ.get("RAY_ADDRESS")
+        if is_ray_there:
+            for handle in handles:
                 ray.kill(handle.actor, no_restart=True)
-            elif handle.pid is not None:
-                with contextlib.suppress(ProcessLookupError):  # Ray's processes may have ended themselves
-                    os.kill(handle.pid, signal.SIGKILL)
-        if self._owns_ray and not os.environ.get("RAY_ADDRESS"):
-            left = wait_until_gone([handle.pid for handle in handles if handle.pid is not None])
+            own = {process.pid for process in psutil.Process().children(recursive=True)}
+            _kill_all(own.intersection(pids))  # a Ray that was told to end does nothing more, and may take long
+        else:
+            _kill_all(pids)
+        if is_on_this_machine:
+            left = wait_until_gone(pids)
             if left:
                 raise WorkerLostError(f"processes {left} could not be ended; end them by hand, then --resume")
         else:
@@ -353,6 +366,13 @@ class RayBackend:
 
     def _lost_servers(self) -> list[str]:
         return [server for server, process in self._servers.items() if not is_alive(process)]
+
+    def _descendants_of_servers(self) -> list[psutil.Process]:
+        found: list[psutil.Process] = []
+        for server in self._servers.values():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                found += server.children(recursive=True)
+        return found
 
     def _check_ray(self) -> None:
         """Raises RayFailedError where Ray itself is gone: it would end this process, a minute later and by itself."""
@@ -364,13 +384,23 @@ class RayBackend:
         if not self._owns_ray:
             self.release()
         elif is_ray_there:  # else it would end this process at once, with status 1: Python's exit calls it
+            family = self._descendants_of_servers()
             ray.shutdown()
+            for process in family:  # agents of a raylet that somebody else had told to end stay for minutes
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    process.kill()
         if self._fork_server is not None:
             self._fork_server.stop()
         if self._watchdog is not None and is_ray_there:
             self._watchdog.stop()
         elif self._watchdog is not None:  # agents of a Ray without its servers stay for minutes
             self._watchdog.end_what_is_left()
+
+
+def _kill_all(pids: Iterable[int]) -> None:
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):  # some have ended themselves
+            os.kill(pid, signal.SIGKILL)
 
 
 def _joins(group: Sequence[RayHandle]) -> bool:

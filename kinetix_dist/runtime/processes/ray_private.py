@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 from collections.abc import Generator
 from pathlib import Path
@@ -33,6 +34,16 @@ def own_signals() -> Generator[None]:
     from ray._private import utils
 
     with _replaced(utils, "set_sigterm_handler", lambda handler: None):
+        yield
+
+
+@contextlib.contextmanager
+def servers_in_their_own_groups() -> Generator[None]:
+    """Around a `ray.init` that starts Ray: a signal to the process group of the driver, as timeout(1) sends it, is not
+    for Ray's servers, which would end themselves while the run finishes its update and saves."""
+    from ray._private import services
+
+    with _replaced(services, "ConsolePopen", functools.partial(services.ConsolePopen, process_group=0)):
         yield
 
 
