@@ -137,9 +137,10 @@ def _paper(curriculum: str, size: str) -> TrainConfig:
 def _pretrain(size: str) -> TrainConfig:
     """Every sample used once, from eight times as many worlds, and what is known to pay (docs/training.md)."""
     paper = _paper("sfl", size)
+    network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
     return dataclasses.replace(
         paper,
-        policy=PolicyConfig(network="transformer_lean", dtype="bfloat16"),
+        policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour"),
         ppo=PpoConfig(
             epochs=1,
             minibatches=256,
@@ -149,7 +150,7 @@ def _pretrain(size: str) -> TrainConfig:
             max_grad_norm=1.0,
             mask_unbound_heads=True,
         ),
-        curriculum=CurriculumConfig(buffer_size=4096, num_candidates=16_384, refresh_every=16),
+        curriculum=CurriculumConfig(buffer_size=4096, num_candidates=16_384, scoring_batch=16_384, refresh_every=16),
         rollout=RolloutConfig(num_envs=16_384),
         evaluation=dataclasses.replace(paper.evaluation, every=25),
         recording=RecordingConfig(every=200),
