@@ -3,7 +3,8 @@
     python bench/export_policy.py runs/sfl_s/checkpoints/00000343 pretrained/sfl_s
 
 Optimizer, curriculum and random streams stay behind, so the result (3 MB at the paper's sizes) can be evaluated and
-replayed but not resumed. Level sets given as paths are dropped from the configuration: they exist on one machine only.
+replayed but not resumed. Level sets given as paths are dropped from the configuration, and paths of ancestors are cut
+to RUN/checkpoints/NUMBER: they exist on one machine only.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, save_alone
 from kinetix_dist.errors import user_errors
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX, released_arrays
 
+NUM_PARTS = 3  # of a path to a checkpoint: run, "checkpoints", number
 KEPT = ("config", "config_hash", "env_steps", "training_seconds", "lineage")
 
 
@@ -35,9 +37,19 @@ def export(source: Path, to: Path) -> int:
     description = {name: checkpoint.description[name] for name in KEPT if name in checkpoint.description}
     evaluation = description["config"]["evaluation"]
     evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name]
+    run = description["config"]["run"]
+    run["start_from"] = _without_machine(run.get("start_from", ""))
+    description["lineage"] = [
+        ancestor | {"checkpoint": _without_machine(ancestor["checkpoint"])}
+        for ancestor in description.get("lineage", [])
+    ]
     shutil.rmtree(to, ignore_errors=True)
     save_alone(to, checkpoint.description["num_updates"], arrays, description)
     return 0
+
+
+def _without_machine(path: str) -> str:
+    return "/".join(Path(path).parts[-NUM_PARTS:])
 
 
 if __name__ == "__main__":

@@ -138,9 +138,10 @@ def _pretrain(size: str) -> TrainConfig:
     """Every sample used once, from eight times as many worlds, and what is known to pay (docs/training.md)."""
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
+    kernels = "auto" if size == "m" else "xla"  # at L compiling them takes minutes
     return dataclasses.replace(
         paper,
-        policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour"),
+        policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour", kernels=kernels),
         ppo=PpoConfig(
             epochs=1,
             minibatches=256,
