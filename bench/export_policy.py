@@ -4,7 +4,7 @@
 
 Optimizer, curriculum and random streams stay behind, so the result (3 MB at the paper's sizes) can be evaluated and
 replayed but not resumed. Level sets given as paths are dropped from the configuration, and paths of ancestors are cut
-to RUN/checkpoints/NUMBER: they exist on one machine only.
+to RUN/checkpoints/NUMBER: they exist on one machine only. config_hash stays that of the run.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def export(source: Path, to: Path) -> int:
 
 
 def _without_machine(path: str) -> str:
-    return "/".join(Path(path).parts[-NUM_PARTS:])
+    parts = Path(path).parts
+    return "/".join([part for part in parts if part != Path(path).anchor][-NUM_PARTS:])
 
 
 if __name__ == "__main__":

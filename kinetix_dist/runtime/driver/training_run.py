@@ -110,6 +110,11 @@ def _train(
     except (ProcessFailedError, TooManyLossesError) as error:
         raise _failed_run(run, error) from error
     except RayFailedError as error:
+        if stop.requested is not None:  # Ray's servers got the signal too
+            run.event("stopped", signal=stop.requested, update=None, saved=False)
+            raise StoppedError(
+                f"stopped by {stop.requested} in an update, which was lost ({error}){stop.hint}"
+            ) from error
         raise RunFailedError(f"{error}; try again with --run {run.path} --resume") from error
     except NotFiniteError as error:
         raise RunFailedError(f"{error}; checkpoints before them are kept in {run.checkpoints}") from error

@@ -8,7 +8,6 @@ import itertools
 import logging
 import math
 import os
-import signal
 import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -74,8 +73,15 @@ class RayHandle:
         self.plan = plan
         self.actor = actor
         self.pid = pid
+        self.process: psutil.Process | None = None  # the same, where it is known and on this machine
         self.starting: list[Any] = []  # references to what it is told at the start, where nobody waits for that
         self._backend = backend
+
+    def started_as(self, pid: int) -> None:
+        self.pid = pid
+        if self._backend.is_on_this_machine:
+            with contextlib.suppress(psutil.NoSuchProcess):  # it has ended already
+                self.process = psutil.Process(pid)
 
     def call(self, method: str, *arguments: Any) -> RayTicket:
         return RayTicket(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
@@ -159,6 +165,11 @@ class RayBackend:
                     changes.enter_context(servers_in_their_own_groups())
                 ray.init(**options)
         self._servers = {} if address else own_servers()
+
+    @property
+    def is_on_this_machine(self) -> bool:
+        """Whether all processes are: a Ray that was started here has one node."""
+        return self._owns_ray and not self.has_joined_a_cluster
 
     @property
     def num_gpus(self) -> int:
@@ -251,7 +262,7 @@ class RayBackend:
         actors = [handle.actor for handle in handles]
         # Pings first: what dies while it is told more could not be seen to be gone by its number.
         for handle, pid in zip(handles, self._all(actors, [actor.ping.remote() for actor in actors]), strict=True):
-            handle.pid = pid
+            handle.started_as(pid)
         started = self._all(actors, [actor.prepare.remote() for actor in actors])
         for handle, where in zip(handles, started, strict=True):
             self._note_started(handle, where)
@@ -299,7 +310,7 @@ class RayBackend:
         """Tells of a process that has started while nobody waited for it."""
         if handle.pid is None and ray.wait(handle.starting[:1], timeout=0)[0]:
             where = self._supervisor.gather([(handle.starting[0], handle.actor)])[0]
-            handle.pid = where["pid"]
+            handle.started_as(where["pid"])
             self._note_started(handle, where)
 
     def _note_started(self, handle: RayHandle, where: dict[str, Any]) -> None:
@@ -347,18 +358,13 @@ class RayBackend:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
         self._supervisor.forget([handle.actor for handle in handles])
         self._readings.forget([handle.actor for handle in handles])
-        is_ray_there = not self._lost_servers()  # without it the call would wait for a minute
-        pids = [handle.pid for handle in handles if handle.pid is not None]
-        is_on_this_machine = self._owns_ray and not os.environ.get("RAY_ADDRESS")
-        if is_ray_there:
+        if not self._lost_servers():  # without them the call would wait for a minute
             for handle in handles:
                 ray.kill(handle.actor, no_restart=True)
-            own = {process.pid for process in psutil.Process().children(recursive=True)}
-            _kill_all(own.intersection(pids))  # a Ray that was told to end does nothing more, and may take long
-        else:
-            _kill_all(pids)
-        if is_on_this_machine:
-            left = wait_until_gone(pids)
+        if self.is_on_this_machine:
+            processes = [handle.process for handle in handles if handle.process is not None]
+            _kill_all(processes)  # a Ray that was told to end does nothing more, and may take long
+            left = wait_until_gone(processes)
             if left:
                 raise WorkerLostError(f"processes {left} could not be ended; end them by hand, then --resume")
         else:
@@ -370,7 +376,7 @@ class RayBackend:
     def _descendants_of_servers(self) -> list[psutil.Process]:
         found: list[psutil.Process] = []
         for server in self._servers.values():
-            with contextlib.suppress(psutil.NoSuchProcess):
+            with contextlib.suppress(psutil.Error):
                 found += server.children(recursive=True)
         return found
 
@@ -380,27 +386,36 @@ class RayBackend:
             raise RayFailedError(f"Ray was ended on this machine ({', '.join(lost)}), by `ray stop` for instance")
 
     def stop(self) -> None:
-        is_ray_there = not self._lost_servers()
+        is_over = False
+        try:
+            is_over = self._leave_ray()
+        finally:
+            if self._fork_server is not None:
+                self._fork_server.stop()
+            if self._watchdog is not None and is_over:
+                self._watchdog.stop()
+            elif self._watchdog is not None:  # agents of a Ray without its servers stay for minutes
+                self._watchdog.end_what_is_left()
+
+    def _leave_ray(self) -> bool:
+        """Whether Ray has ended its processes, where they are this backend's to end."""
         if not self._owns_ray:
             self.release()
-        elif is_ray_there:  # else it would end this process at once, with status 1: Python's exit calls it
-            family = self._descendants_of_servers()
+            return True
+        if self._lost_servers():  # Ray would end this process at once, with status 1: Python's exit calls it
+            return False
+        family = self._descendants_of_servers()
+        try:
             ray.shutdown()
-            for process in family:  # agents of a raylet that somebody else had told to end stay for minutes
-                with contextlib.suppress(psutil.NoSuchProcess):
-                    process.kill()
-        if self._fork_server is not None:
-            self._fork_server.stop()
-        if self._watchdog is not None and is_ray_there:
-            self._watchdog.stop()
-        elif self._watchdog is not None:  # agents of a Ray without its servers stay for minutes
-            self._watchdog.end_what_is_left()
+        finally:
+            _kill_all(family)  # agents of a raylet that somebody else had told to end stay for minutes
+        return True
 
 
-def _kill_all(pids: Iterable[int]) -> None:
-    for pid in pids:
-        with contextlib.suppress(ProcessLookupError):  # some have ended themselves
-            os.kill(pid, signal.SIGKILL)
+def _kill_all(processes: Iterable[psutil.Process]) -> None:
+    for process in processes:
+        with contextlib.suppress(psutil.Error):  # it has ended itself; another one that got its number is spared
+            process.kill()
 
 
 def _joins(group: Sequence[RayHandle]) -> bool:

@@ -8,16 +8,17 @@ afresh from a checkpoint.
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from collections.abc import Sequence
 from typing import Any
 
+import psutil
 import ray
 
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError, silent
 from kinetix_dist.runtime.processes.sections import Sections
+from kinetix_dist.runtime.processes.watchdog import is_alive
 
 POLL_S = 1.0
 PING_EVERY_S = 5.0
@@ -187,32 +188,18 @@ class _GroupLostError(WorkerLostError):
     """A process that is well, and lost another one of its group."""
 
 
-def wait_until_gone(pids: Sequence[int]) -> list[int]:
-    """Polls until the processes have ended; returns those that have not in time (or run on another host)."""
+def wait_until_gone(processes: Sequence[psutil.Process]) -> list[int]:
+    """Polls until the processes have ended (a zombie holds no memory and no GPU); the pids of those that have not in
+    time."""
     deadline = time.monotonic() + GONE_TIMEOUT_S
-    left = list(pids)
+    left = list(processes)
     while left and time.monotonic() < deadline:
-        left = [pid for pid in left if _exists(pid)]
+        left = [process for process in left if is_alive(process)]
         time.sleep(0.05 if left else 0.0)
-    return left
+    return [process.pid for process in left]
 
 
 def _exit_of(error: Exception) -> str:
     """What Ray knows about the end of a process, in a few words: its texts are advice for the most part."""
     found = re.search(r"exit detail: (.+?)(?:\. |$)", " ".join(str(error).split()))
     return f" ({found[1][:100]})" if found else ""
-
-
-def _exists(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    # A zombie holds no memory and no GPU: its parent has yet to collect it.
-    try:
-        with open(f"/proc/{pid}/stat") as stat:
-            return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
