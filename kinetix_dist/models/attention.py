@@ -2,13 +2,19 @@
 
 Heads here are 2 wide and a world has at most 32 tokens. Batched matrix products do that shape badly, so scores and
 sums are written out as multiply-adds over tokens: everything between the projections fuses into one elementwise loop
-over [heads, features, worlds, tokens], no [tokens, tokens] matrix is ever stored, and the backward pass recomputes
-the weights from the saved log-sum-exp. Worlds and tokens are the fastest axes, so that loads are contiguous.
+over [heads, worlds, tokens], no [tokens, tokens] matrix is ever stored, and the backward pass recomputes the weights
+from the saved log-sum-exp. Worlds and tokens are the fastest axes, so that loads are contiguous; features are the
+slowest, so that a result is one concatenation along them: a thread of a GPU writes all features of a token and head,
+and computes their weights once.
 
     score_ij = q_i . k_j / sqrt(D)     weight_ij = mask_ij exp(score_ij - lse_i)     out_i = sum_j weight_ij v_j
 """
 
 from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -35,72 +41,88 @@ def pack_mask(mask: Array) -> Array:
 def attend(qkv: Array, mask_words: Array) -> Array:
     """Multi-head attention in float32, each group of heads with its own mask.
 
-    qkv: [3, M, G, D, B, n] queries, keys, values; M masks, G heads a mask, D features a head, B worlds, n tokens.
+    qkv: [3, D, M, G, B, n] queries, keys, values; D features a head, M masks, G heads a mask, B worlds, n tokens.
     mask_words: [M, B, n] uint32, bit j of word i: token i may look at token j. A token that may look at none gets 0.
-    Returns [M, G, D, B, n] in the type of `qkv`.
+    Returns [D, M, G, B, n] in the type of `qkv`.
     """
-    return _attend(qkv, mask_words)[0]
+    return _attend(qkv, mask_words)
 
 
-def _attend(qkv: Array, mask_words: Array) -> tuple[Array, Array]:
-    """Output, and the logarithm of the sum of a token's exponentials [M, G, 1, B, n], 0 for one that looks at none."""
-    query, key, value = (qkv[i].astype(jnp.float32) for i in range(3))
-    num_tokens = qkv.shape[-1]
-    words = mask_words[:, None, None]
-    scores = [_dot(query, key[..., j : j + 1]) for j in range(num_tokens)]
-    scores = [jnp.where(_bit(words, j), score, _MASKED_SCORE) for j, score in enumerate(scores)]
-    highest = scores[0]
-    for score in scores[1:]:
-        highest = jnp.maximum(highest, score)
-    total = jnp.zeros_like(query)
-    weighted = jnp.zeros_like(query)
+def _attend(qkv: Array, mask_words: Array) -> Array:
+    _, _, value = _features(qkv)
+    words = mask_words[:, None]
+    scores, highest = _scores(qkv, words)
+    total = jnp.zeros_like(highest)
+    weighted = [total] * len(value)
     for j, score in enumerate(scores):
         weight = _masked_exp(_bit(words, j), score - highest)
         total = total + weight
-        weighted = weighted + weight * value[..., j : j + 1]
+        weighted = [sums + weight * feature[..., j : j + 1] for sums, feature in zip(weighted, value, strict=True)]
+    total = jnp.where(words == 0, 1.0, total)
+    return jnp.stack([sums / total for sums in weighted]).astype(qkv.dtype)
+
+
+def _log_sum_exp(qkv: Array, mask_words: Array) -> Array:
+    """Of a token's scores, [M, G, B, n] float32; 0 for one that looks at none."""
+    words = mask_words[:, None]
+    scores, highest = _scores(qkv, words)
+    total = sum(_masked_exp(_bit(words, j), score - highest) for j, score in enumerate(scores))
     is_empty = words == 0
-    total = jnp.where(is_empty, 1.0, total)
-    log_sum_exp = jnp.where(is_empty, 0.0, highest + jnp.log(total))
-    return (weighted / total).astype(qkv.dtype), log_sum_exp[:, :, :1]
-
-
-def _attend_in_two(qkv: Array, mask_words: Array) -> tuple[Array, Array]:
-    """The same, with a loop for each result: one for both is slower on a GPU than the two."""
-    return _attend(qkv, mask_words)[0], _attend(*stored((qkv, mask_words)))[1]
+    return jnp.where(is_empty, 0.0, highest + jnp.log(jnp.where(is_empty, 1.0, total)))
 
 
 def _attend_forward(qkv: Array, mask_words: Array) -> tuple[Array, tuple[Array, ...]]:
-    out, log_sum_exp = jax.lax.platform_dependent(qkv, mask_words, cpu=_attend, default=_attend_in_two)
-    return out, (qkv, mask_words, out, log_sum_exp)
+    # A loop for each result: one for both is slower on a GPU than the two.
+    out = _attend(qkv, mask_words)
+    return out, (qkv, mask_words, out, _log_sum_exp(*stored((qkv, mask_words))))
 
 
 def _attend_backward(residuals: tuple[Array, ...], grad_out: Array) -> tuple[Array, None]:
     qkv, mask_words, out, log_sum_exp = residuals
-    query, key, value = (qkv[i].astype(jnp.float32) for i in range(3))
-    grad = grad_out.astype(jnp.float32)
-    scale = qkv.shape[3] ** -0.5
+    query, key, value = _features(qkv)
+    grad = _wide(grad_out)
+    scale = len(query) ** -0.5
     num_tokens = qkv.shape[-1]
-    words = mask_words[:, None, None]
-    delta = _sum_over_features(grad * out.astype(jnp.float32))
+    words = mask_words[:, None]
+    delta = _dot(grad, _wide(out))
     tokens = jnp.arange(num_tokens, dtype=jnp.uint32)
-    grad_query = jnp.zeros_like(query)
-    grad_key = jnp.zeros_like(query)
-    grad_value = jnp.zeros_like(query)
+    nothing = jnp.zeros_like(log_sum_exp)
+    grad_query, grad_key, grad_value = ([nothing] * len(query) for _ in range(3))
     for t in range(num_tokens):
         at = slice(t, t + 1)
+        query_t, key_t, value_t, grad_t = ([x[..., at] for x in xs] for xs in (query, key, value, grad))
         # Rows i of the weights, at column t.
-        weight = _masked_exp(_bit(words, t), _dot(query, key[..., at]) - log_sum_exp)
-        grad_score = weight * (_sum_over_features(grad * value[..., at]) - delta) * scale
-        grad_query = grad_query + grad_score * key[..., at]
+        weight = _masked_exp(_bit(words, t), scale * _dot(query, key_t) - log_sum_exp)
+        grad_score = weight * (_dot(grad, value_t) - delta) * scale
+        grad_query = [sums + grad_score * feature for sums, feature in zip(grad_query, key_t, strict=True)]
         # Columns j of the weights, at row t.
-        weight = _masked_exp(_bit(words[..., at], tokens), _dot(query[..., at], key) - log_sum_exp[..., at])
-        grad_score = weight * (_sum_over_features(grad[..., at] * value) - delta[..., at]) * scale
-        grad_key = grad_key + grad_score * query[..., at]
-        grad_value = grad_value + weight * grad[..., at]
-    return jnp.stack([grad_query, grad_key, grad_value]).astype(qkv.dtype), None
+        weight = _masked_exp(_bit(words[..., at], tokens), scale * _dot(query_t, key) - log_sum_exp[..., at])
+        grad_score = weight * (_dot(grad_t, value) - delta[..., at]) * scale
+        grad_key = [sums + grad_score * feature for sums, feature in zip(grad_key, query_t, strict=True)]
+        grad_value = [sums + weight * feature for sums, feature in zip(grad_value, grad_t, strict=True)]
+    return jnp.stack([*grad_query, *grad_key, *grad_value]).reshape(qkv.shape).astype(qkv.dtype), None
 
 
 attend.defvjp(_attend_forward, _attend_backward)
+
+
+def _wide(x: Array) -> list[Array]:
+    """Features of [D, ...] in float32."""
+    return [feature.astype(jnp.float32) for feature in x]
+
+
+def _features(qkv: Array) -> tuple[list[Array], ...]:
+    """Those of queries, of keys and of values: lists of D arrays [M, G, B, n] float32."""
+    return tuple(map(_wide, qkv))
+
+
+def _scores(qkv: Array, words: Array) -> tuple[list[Array], Array]:
+    """[M, G, B, n] of all tokens with each one, and the highest of a token."""
+    query, key, _ = _features(qkv)
+    scale = len(query) ** -0.5
+    dots = (scale * _dot(query, [feature[..., j : j + 1] for feature in key]) for j in range(qkv.shape[-1]))
+    scores = [jnp.where(_bit(words, j), score, _MASKED_SCORE) for j, score in enumerate(dots)]
+    return scores, functools.reduce(jnp.maximum, scores)
 
 
 def _bit(words: Array, index: int | Array) -> Array:
@@ -112,13 +134,6 @@ def _masked_exp(is_seen: Array, exponent: Array) -> Array:
     return jnp.exp(jnp.where(is_seen, exponent, _MASKED_SCORE))
 
 
-def _dot(query: Array, key: Array) -> Array:
-    return _sum_over_features(query * key) * query.shape[2] ** -0.5
-
-
-def _sum_over_features(x: Array) -> Array:
-    """Sum over D of [M, G, D, B, n], repeated along D so that consumers fuse without a reduction."""
-    total = x[:, :, 0:1]
-    for d in range(1, x.shape[2]):
-        total = total + x[:, :, d : d + 1]
-    return jnp.broadcast_to(total, x.shape)
+def _dot(a: Sequence[Array], b: Sequence[Array]) -> Array:
+    """Sum over features."""
+    return functools.reduce(operator.add, map(operator.mul, a, b))

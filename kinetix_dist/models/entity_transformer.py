@@ -37,21 +37,20 @@ from flax import linen as nn
 
 from jax2d.scene import Array
 from kinetix_dist.env.observations.entities import JOINT_COLOUR, THRUSTER_COLOUR
-from kinetix_dist.models.attention import attend, pack_mask
+from kinetix_dist.models.attention import pack_mask
 from kinetix_dist.models.colour_readout import sum_by_colour
-from kinetix_dist.models.contraction import contract, linear
-from kinetix_dist.models.gate import gate
+from kinetix_dist.models.contraction import linear
 from kinetix_dist.models.gru import apply_towers
-from kinetix_dist.models.kernels.support import uses_mosaic
-from kinetix_dist.models.rows import add_rows, take_rows
-from kinetix_dist.models.stored import stored
+from kinetix_dist.models.kernels.support import LayerShape, uses_mosaic
+from kinetix_dist.models.layer import XLA, LayerParts, attention_update, feed_forward_update, joint_ends
+from kinetix_dist.models.norms import masked_mean, normalise
+from kinetix_dist.models.rows import take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
 if TYPE_CHECKING:
     from kinetix_dist.env.observations.entities import EntityObs
 
 NUM_MASKS = 4
-NORM_EPSILON = 1e-6
 lecun_normal = nn.initializers.lecun_normal
 zeros = nn.initializers.zeros
 ones = nn.initializers.ones
@@ -72,7 +71,7 @@ class EntityTransformer(nn.Module):
     memory_size: int = 0  # see gru.py; 0: none
     gated: bool = True
     by_colour: bool = False  # heads read what obeys them, see colour_readout.py
-    kernels: str = "xla"  # of the gates, see kernels/support.py
+    kernels: str = "xla"  # of the layers, see kernels/support.py
 
     @nn.compact
     def __call__(self, obs: EntityObs, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
@@ -88,20 +87,19 @@ class EntityTransformer(nn.Module):
         dummy = jnp.ones((polygons.shape[0], 1, self.encoder_size), self.dtype)
         x = _join_tokens(polygons, circles, dummy)
         token_mask, mask_words = _token_masks(obs.shape_mask, obs.attention_masks)
-        # The share of a message that does not depend on the layer's tokens, for all layers at once.
-        joint_kernel, joint_terms = self._message_terms("joint_messages", joints, num_ends=2)
-        thruster_kernel, thruster_terms = self._message_terms("thruster_messages", thrusters, num_ends=1)
-        ends = jnp.stack([obs.joint_from, obs.joint_to], axis=-1).reshape(x.shape[0], -1)
+        parts = self._parts(obs)
+        ends = parts.ends(obs)
+        # The share of a message that does not depend on the layer's tokens.
+        joint_kernels, joint_terms = self._message_terms("joint_messages", joints, parts, num_ends=2)
+        thruster_kernels, thruster_terms = self._message_terms("thruster_messages", thrusters, parts, num_ends=1)
         for layer in range(self.num_layers):
-            x = self._attention(layer, x, mask_words)
-            x = self._feed_forward(layer, x)
-            # Messages along joints and from thrusters, both from the tokens before either is added.
-            from_joints = _messages(x, ends, joint_kernel[layer], joint_terms[layer], obs.joint_mask)
-            from_thrusters = _messages(
-                x, obs.thruster_owner, thruster_kernel[layer], thruster_terms[layer], obs.thruster_mask
+            x = self._attention(layer, x, mask_words, parts)
+            x = self._feed_forward(layer, x, parts)
+            terms, kernels = (
+                (joint_terms[layer], thruster_terms[layer]),
+                (joint_kernels[layer], thruster_kernels[layer]),
             )
-            x = add_rows(x, obs.joint_from, from_joints)
-            x = add_rows(x, obs.thruster_owner, from_thrusters)
+            x = parts.add_messages(x, ends, *terms, *kernels)
         embedding = masked_mean(x if self.gated else normalise(x), token_mask)
         if not self.gated:  # scale and offset of the norm: a mean of tokens takes them as each token would
             scale, offset = self._norm("pooling")
@@ -111,7 +109,7 @@ class EntityTransformer(nn.Module):
             normal = normalise(x)
             motors = obs.joints[..., JOINT_COLOUR] * obs.joint_mask[..., None]
             thrusts = obs.thrusters[..., THRUSTER_COLOUR] * obs.thruster_mask[..., None]
-            of_joints = self._told("joint", normal, ends, joints, motors)
+            of_joints = self._told("joint", normal, joint_ends(obs), joints, motors)
             of_thrusters = self._told("thruster", normal, obs.thruster_owner, thrusters, thrusts)
             towers = functools.partial(towers, by_colour=(of_joints, of_thrusters))
         return apply_towers(towers, embedding.astype(self.dtype), memory, is_first, self.memory_size)
@@ -124,35 +122,48 @@ class EntityTransformer(nn.Module):
             return tokens
         return jnp.concatenate([tokens, jnp.full_like(tokens[..., :1], kind_id)], axis=-1)
 
-    def _attention(self, layer: int, x: Array, mask_words: Array) -> Array:
-        size, features = self.encoder_size, self.attention_features
-        kernel = self.param(f"attention_{layer}_qkv_kernel", lecun_normal(), (size, 3 * features))
-        bias = self.param(f"attention_{layer}_qkv_bias", zeros, (3 * features,))
-        kernel, bias = self._fold_norm(f"attention_{layer}", kernel, bias)
-        x, normal = beside_norm(x)
-        # Features first: [3 features, B, n], so that attention runs over worlds and tokens.
-        qkv = contract("bni,if->fbn", normal, kernel) + bias[:, None, None].astype(self.dtype)
-        heads_a_mask = self.num_heads // NUM_MASKS
-        out = attend(
-            qkv.reshape(3, NUM_MASKS, heads_a_mask, features // self.num_heads, *qkv.shape[1:]), mask_words
-        ).reshape(features, *qkv.shape[1:])
-        out_kernel = self.param(f"attention_{layer}_out_kernel", lecun_normal(), (features, size))
-        out_bias = self.param(f"attention_{layer}_out_bias", zeros, (size,))
-        update = contract("fbn,fo->bno", out, out_kernel) + out_bias.astype(self.dtype)
-        return self._gate(f"attention_{layer}", x, jax.nn.relu(update)) if self.gated else x + update
+    def _parts(self, obs: EntityObs) -> LayerParts:
+        """How the parts of a layer are computed."""
+        layer = LayerShape(
+            width=self.encoder_size,
+            dtype=jnp.dtype(self.dtype).name,
+            is_gated=self.gated,
+            num_heads=self.num_heads,
+            attention_features=self.attention_features,
+            num_tokens=obs.shape_mask.shape[1] + 1,
+            num_joints=obs.joint_mask.shape[1],
+            num_thrusters=obs.thruster_mask.shape[1],
+        )
+        if not uses_mosaic(self.kernels, layer):
+            return XLA
+        from kinetix_dist.models.kernels.layer import MOSAIC  # of a jax that has these kernels
 
-    def _feed_forward(self, layer: int, x: Array) -> Array:
-        size = self.encoder_size
-        kernel = self.param(f"feed_forward_{layer}_kernel", lecun_normal(), (size, size))
-        bias = self.param(f"feed_forward_{layer}_bias", zeros, (size,))
-        kernel, bias = self._fold_norm(f"feed_forward_{layer}", kernel, bias)
-        x, normal = beside_norm(x)
-        update = linear(normal, kernel) + bias.astype(self.dtype)
+        return MOSAIC
+
+    def _attention(self, layer: int, x: Array, mask_words: Array, parts: LayerParts) -> Array:
+        size, features, name = self.encoder_size, self.attention_features, f"attention_{layer}"
+        kernel = self.param(f"{name}_qkv_kernel", lecun_normal(), (size, 3 * features))
+        bias = self.param(f"{name}_qkv_bias", zeros, (3 * features,))
+        out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (features, size))
+        out_bias = self.param(f"{name}_out_bias", zeros, (size,))
+        heads = (NUM_MASKS, self.num_heads // NUM_MASKS)
+        arguments = (mask_words, *self._fold_norm(name, kernel, bias), out_kernel, out_bias, heads)
         if self.gated:
-            return self._gate(f"feed_forward_{layer}", x, jax.nn.relu(update))
-        out_kernel = self.param(f"feed_forward_{layer}_out_kernel", lecun_normal(), (size, size))
-        out_bias = self.param(f"feed_forward_{layer}_out_bias", zeros, (size,))
-        return x + linear(jax.nn.relu(update), out_kernel) + out_bias.astype(self.dtype)
+            return self._gate(name, *parts.beside_attention(x, *arguments), parts)
+        x, update = attention_update(x, *arguments)
+        return x + update
+
+    def _feed_forward(self, layer: int, x: Array, parts: LayerParts) -> Array:
+        size, name = self.encoder_size, f"feed_forward_{layer}"
+        kernel = self.param(f"{name}_kernel", lecun_normal(), (size, size))
+        bias = self.param(f"{name}_bias", zeros, (size,))
+        kernel, bias = self._fold_norm(name, kernel, bias)
+        if self.gated:
+            return self._gate(name, *parts.beside_feed_forward(x, kernel, bias), parts)
+        x, update = feed_forward_update(x, kernel, bias)
+        out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (size, size))
+        out_bias = self.param(f"{name}_out_bias", zeros, (size,))
+        return x + linear(update, out_kernel) + out_bias.astype(self.dtype)
 
     def _norm(self, name: str) -> tuple[Array, Array]:
         """Scale and offset."""
@@ -166,9 +177,9 @@ class EntityTransformer(nn.Module):
         scale, offset = self._norm(name)
         return scale[:, None] * kernel, bias + jnp.sum(offset[:, None] * kernel, axis=0)
 
-    def _gate(self, name: str, x: Array, update: Array) -> Array:
+    def _gate(self, name: str, x: Array, update: Array, parts: LayerParts) -> Array:
         size = self.encoder_size
-        return self._gate_function()(
+        return parts.gate(
             x,
             update,
             self.param(f"{name}_gate_update_kernel", lecun_normal(), (size, 3 * size)),
@@ -177,25 +188,25 @@ class EntityTransformer(nn.Module):
             self.param(f"{name}_gate_bias", zeros, (size,)),
         )
 
-    def _gate_function(self) -> Callable[..., Array]:
-        if not uses_mosaic(self.kernels, self.encoder_size, jnp.dtype(self.dtype).name):
-            return gate
-        from kinetix_dist.models.kernels.gate import gate as mosaic_gate  # of a jax that has these kernels
-
-        return mosaic_gate
-
-    def _message_terms(self, name: str, entities: Array, *, num_ends: int) -> tuple[Array, Array]:
-        """Kernels for the tokens at the ends [layers, ends E, E], and the entities' terms, [B, K, E] a layer."""
-        size, layers = self.encoder_size, self.num_layers
+    def _message_terms(
+        self, name: str, entities: Array, parts: LayerParts, *, num_ends: int
+    ) -> tuple[list[Array], list[Array]]:
+        """Of each layer: the kernel for the tokens at the ends [ends E, E], and the entities' terms [B, K, E]."""
+        size, layers = self.encoder_size, range(self.num_layers)
         kernels = [
-            self.param(f"{name}_{layer}_kernel", lecun_normal(), ((num_ends + 1) * size, size))
-            for layer in range(layers)
+            self.param(f"{name}_{layer}_kernel", lecun_normal(), ((num_ends + 1) * size, size)) for layer in layers
         ]
-        biases = [self.param(f"{name}_{layer}_bias", zeros, (size,)) for layer in range(layers)]
-        of_entity = jnp.concatenate([kernel[num_ends * size :] for kernel in kernels], axis=1)
-        terms = linear(entities, of_entity) + jnp.concatenate(biases).astype(self.dtype)
-        of_ends = jnp.stack([kernel[: num_ends * size] for kernel in kernels])
-        return of_ends, jnp.split(terms, layers, axis=-1)
+        biases = [self.param(f"{name}_{layer}_bias", zeros, (size,)) for layer in layers]
+        of_entity = [kernel[num_ends * size :] for kernel in kernels]
+        if parts.joins_terms:
+            joined = linear(entities, jnp.concatenate(of_entity, axis=1)) + jnp.concatenate(biases).astype(self.dtype)
+            terms = jnp.split(joined, self.num_layers, axis=-1)
+        else:
+            terms = [
+                linear(entities, kernel) + bias.astype(self.dtype)
+                for kernel, bias in zip(of_entity, biases, strict=True)
+            ]
+        return [kernel[: num_ends * size] for kernel in kernels], terms
 
     def _told(self, kind: str, x: Array, ends: Array, entities: Array, colours: Array) -> Array:
         """[B, colours, hidden_size]: what joints or thrusters tell the heads of their colours (colour_readout.py)."""
@@ -203,12 +214,6 @@ class EntityTransformer(nn.Module):
         kernel = self.param(f"{kind}_told_kernel", lecun_normal(), (rows.shape[-1], self.hidden_size))
         bias = self.param(f"{kind}_told_bias", zeros, (self.hidden_size,))
         return sum_by_colour(jnp.tanh(linear(rows, kernel) + bias.astype(self.dtype)), colours)
-
-
-def _messages(x: Array, ends: Array, kernel: Array, terms: Array, mask: Array) -> Array:
-    """[B, K, E]: what each of K joints or thrusters tells, zero for those that do not exist. ends: [B, K x ends]."""
-    rows = take_rows(x, ends).reshape(*mask.shape, -1)
-    return (linear(rows, kernel) + terms) * mask[..., None].astype(x.dtype)
 
 
 def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Array]:
@@ -232,82 +237,3 @@ def _join_tokens(*parts: Array) -> Array:
         for part, before in zip(parts, befores, strict=True)
     ]
     return sum(padded[1:], padded[0])
-
-
-@jax.custom_vjp
-def masked_mean(x: Array, mask: Array) -> Array:
-    """Mean in float32 over the tokens that exist, [B, F] of [B, n, F]; at least one does (the dummy token)."""
-    return _masked_mean_forward(x, mask)[0]
-
-
-def _masked_mean_forward(x: Array, mask: Array) -> tuple[Array, tuple[Array, Array]]:
-    # Else XLA takes the division by a sum and what follows for a softmax.
-    x, weight = stored((x, mask.astype(jnp.float32) / jnp.sum(mask, axis=1, keepdims=True)))
-    total = jnp.zeros((x.shape[0], x.shape[2]), jnp.float32)
-    for token in range(x.shape[1]):
-        total = total + weight[:, token, None] * x[:, token].astype(jnp.float32)
-    return total, (weight, jnp.zeros(0, x.dtype))
-
-
-def _masked_mean_backward(residuals: tuple[Array, Array], grad: Array) -> tuple[Array, None]:
-    weight, like = residuals
-    return (weight[:, :, None] * grad[:, None]).astype(like.dtype), None
-
-
-masked_mean.defvjp(_masked_mean_forward, _masked_mean_backward)
-
-
-@jax.custom_vjp
-def normalise(x: Array) -> Array:
-    """Layer norm without scale and offset: zero mean and unit variance over the last axis, computed in float32."""
-    return _normalise_forward(x)[0]
-
-
-@jax.custom_vjp
-def beside_norm(x: Array) -> tuple[Array, Array]:
-    """`x` and `normalise(x)`, for a stream that goes on beside its norm: one loop adds up the gradients of both."""
-    return x, normalise(x)
-
-
-def _normalise_forward(x: Array) -> tuple[Array, tuple[Array, Array]]:
-    wide = _stored_rows(x)
-    centred = wide - jnp.mean(wide, axis=-1, keepdims=True)
-    inverse_std = jax.lax.rsqrt(jnp.mean(centred * centred, axis=-1, keepdims=True) + NORM_EPSILON)
-    normal = (centred * inverse_std).astype(x.dtype).reshape(x.shape)
-    return normal, (normal, inverse_std)
-
-
-def _normalise_backward(residuals: tuple[Array, Array], grad: Array) -> tuple[Array]:
-    return (_as(grad, _grad_of_rows(residuals, grad)),)
-
-
-def _beside_norm_forward(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    normal, residuals = _normalise_forward(x)
-    return (x, normal), residuals
-
-
-def _beside_norm_backward(residuals: tuple[Array, Array], grads: tuple[Array, Array]) -> tuple[Array]:
-    of_stream, of_norm = grads
-    return (_as(of_stream, _stored_rows(of_stream) + _grad_of_rows(residuals, of_norm)),)
-
-
-def _grad_of_rows(residuals: tuple[Array, Array], grad: Array) -> Array:
-    """[rows, F] float32: of what was normalised."""
-    normal, inverse_std = _stored_rows(residuals[0]), residuals[1]
-    wide = _stored_rows(grad)
-    along = jnp.mean(wide * normal, axis=-1, keepdims=True)
-    return (wide - jnp.mean(wide, axis=-1, keepdims=True) - normal * along) * inverse_std
-
-
-def _stored_rows(x: Array) -> Array:
-    """[..., F] as [rows, F] in float32, read from memory."""
-    return stored(x.reshape(-1, x.shape[-1])).astype(jnp.float32)
-
-
-def _as(like: Array, rows: Array) -> Array:
-    """[rows, F] in type and shape of `like`, stored."""
-    return stored(rows.astype(like.dtype)).reshape(like.shape)
-
-
-normalise.defvjp(_normalise_forward, _normalise_backward)
-beside_norm.defvjp(_beside_norm_forward, _beside_norm_backward)

@@ -9,8 +9,8 @@ import pytest
 
 from kinetix_dist.models.attention import attend, pack_mask
 from kinetix_dist.models.contraction import contract
-from kinetix_dist.models.entity_transformer import NORM_EPSILON, normalise
 from kinetix_dist.models.gate import gate
+from kinetix_dist.models.norms import NORM_EPSILON, normalise
 from kinetix_dist.models.rows import add_rows, take_rows
 
 ATOL = 1e-5  # float32, sums of at most a few hundred terms of order one
@@ -39,18 +39,18 @@ def test_attention_is_the_masked_softmax_formula():
 
     def reference(qkv):
         query, key, value = qkv
-        scores = jnp.einsum("mgdbi,mgdbj->mgbij", query, key) / jnp.sqrt(2.0)
+        scores = jnp.einsum("dmgbi,dmgbj->mgbij", query, key) / jnp.sqrt(3.0)
         weights = jax.nn.softmax(jnp.where(mask[:, None], scores, -jnp.inf), axis=-1)
-        return jnp.einsum("mgbij,mgdbj->mgdbi", weights, value)
+        return jnp.einsum("mgbij,dmgbj->dmgbi", weights, value)
 
     _assert_same_with_gradients(
-        lambda qkv: attend(qkv, words), reference, _random(1, 3, 4, 2, 2, num_worlds, num_tokens)
+        lambda qkv: attend(qkv, words), reference, _random(1, 3, 3, 4, 2, num_worlds, num_tokens)
     )
 
 
 def test_a_token_that_may_look_at_nobody_gets_zero_and_gives_no_gradient():
     words = jnp.zeros((4, 1, 3), jnp.uint32).at[:, :, 0].set(0b011)
-    qkv = _random(2, 3, 4, 1, 2, 1, 3)
+    qkv = _random(2, 3, 2, 4, 1, 1, 3)
     out = attend(qkv, words)
     assert jnp.all(out[..., 1:] == 0)
     grad = jax.grad(lambda x: jnp.sum(attend(x, words) ** 2))(qkv)
@@ -59,7 +59,7 @@ def test_a_token_that_may_look_at_nobody_gets_zero_and_gives_no_gradient():
 
 
 def test_attention_does_not_overflow_with_huge_scores():
-    qkv = 1e4 * _random(3, 3, 4, 1, 2, 2, 4)
+    qkv = 1e4 * _random(3, 3, 2, 4, 1, 2, 4)
     words = jnp.full((4, 2, 4), 0b1111, jnp.uint32)
     assert jnp.all(jnp.isfinite(jax.grad(lambda x: jnp.sum(attend(x, words)))(qkv)))
 

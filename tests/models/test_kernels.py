@@ -5,6 +5,7 @@ In the CPU interpreter everything but the products is what runs on a GPU: tiles,
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 
 import jax
@@ -130,23 +131,43 @@ def test_kernels_on_a_gpu_are_no_worse_than_xla_and_the_same_every_time(num_rows
             np.testing.assert_array_equal(first, again)
 
 
-@pytest.mark.parametrize(
-    ("width", "dtype", "says"),
-    [(64, "bfloat16", "policy.encoder_size is 64"), (E, "float32", "policy.dtype is float32")],
+LAYER = support.LayerShape(
+    width=E,
+    dtype="bfloat16",
+    is_gated=True,
+    num_heads=8,
+    attention_features=16,
+    num_tokens=10,
+    num_joints=4,
+    num_thrusters=2,
 )
-def test_a_network_that_the_kernels_do_not_fit_is_refused(width: int, dtype: str, says: str):
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"width": 64}, "policy.encoder_size is 64"),
+        ({"dtype": "float32"}, "policy.dtype is float32"),
+        ({"num_heads": 4}, "policy.num_heads is 4"),
+        ({"attention_features": 32}, "policy.attention_features is 32"),
+        ({"is_gated": False}, "policy.network has no gates"),
+        ({"num_tokens": 40, "num_joints": 3}, "worlds have 40 tokens, 3 ends of joints and 2 thrusters"),
+    ],
+)
+def test_a_network_that_the_kernels_do_not_fit_is_refused(changed, says: str):
+    layer = dataclasses.replace(LAYER, **changed)
     with pytest.raises(support.KernelError, match=says) as refused:
-        support.uses_mosaic("mosaic", width, dtype)
+        support.uses_mosaic("mosaic", layer)
     assert str(refused.value).endswith("use 'auto' or 'xla'")
-    assert not support.uses_mosaic("auto", width, dtype)
+    assert not support.uses_mosaic("auto", layer)
 
 
 def test_a_device_that_the_kernels_are_not_written_for_is_refused():
     if jax.local_devices()[0].platform == "gpu":
         pytest.skip("a GPU")
     with pytest.raises(support.KernelError, match=r"policy.kernels is 'mosaic', but (jax is|the device is a CPU)"):
-        support.uses_mosaic("mosaic", E, "bfloat16")
-    assert not support.uses_mosaic("auto", E, "bfloat16")
+        support.uses_mosaic("mosaic", LAYER)
+    assert not support.uses_mosaic("auto", LAYER)
 
 
 def test_kernels_that_are_not_known_are_refused():

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kinetix_dist.models.entity_transformer import NORM_EPSILON, beside_norm, masked_mean, normalise
+from kinetix_dist.models.norms import NORM_EPSILON, beside_norm, masked_mean, normalise
 from kinetix_dist.models.stored import stored, stored_gradient
 
 X = np.random.default_rng(0).normal(1.0, 2.0, (3, 5, 8))

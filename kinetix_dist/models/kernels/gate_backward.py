@@ -27,6 +27,7 @@ _WHERE += [(OWN, part, column) for part in (0, 1, 2, 3, 4) for column in _HALVES
 _RX, _Y_OF_R, _Y_OF_Z, _Y_OF_H, _X_OF_R, _X_OF_Z = 0, 4, 6, 8, 10, 12
 
 
+@functools.partial(jax.jit, static_argnames="interpret")
 def gate_backward(
     grad: Array, x: Array, r: Array, z: Array, h: Array, weights: Array, *, interpret: bool = False
 ) -> tuple[Array, Array, Array, Array, Array]:

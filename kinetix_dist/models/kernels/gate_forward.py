@@ -34,6 +34,7 @@ _WHERE += [(row, part, OWN) for part in (1, 4, 2, 5) for row in _HALVES]
 _R_OF_Y, _R_OF_X, _Z_OF_Y, _Z_OF_X, _H_OF_Y, _H_OF_RX = 0, 4, 8, 10, 12, 14
 
 
+@functools.partial(jax.jit, static_argnames="interpret")
 def gate_forward(x: Array, y: Array, weights: Array, *, interpret: bool = False) -> tuple[Array, Array, Array, Array]:
     """(out, r, z, h), each [rows, 128] bfloat16 like x and y; rows a multiple of 64. weights: `gate.pack`."""
     like = jax.ShapeDtypeStruct(x.shape, x.dtype)

@@ -35,6 +35,7 @@ LOADS = 5  # copies of a step
 _REGISTERS_OF_A_SUM, _REGISTERS_OF_LOADING = 160, 32
 
 
+@functools.partial(jax.jit, static_argnames="interpret")
 def gate_weight_gradients(
     x: Array, y: Array, rx: Array, grad_rz: Array, grad_h: Array, *, interpret: bool = False
 ) -> tuple[Array, Array, Array]:

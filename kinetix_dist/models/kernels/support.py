@@ -1,31 +1,78 @@
 """Where the kernels of this folder run, and the setting that chooses them: `policy.kernels`.
 
-"xla"     models/gate.py, on any device; the reference
-"mosaic"  the kernels (Pallas Mosaic GPU, part of jax); refused where they cannot run
+"xla"     models/layer.py and models/gate.py, on any device; the reference
+"mosaic"  the kernels, refused where they cannot run: gates by Pallas Mosaic GPU, which is part of jax, the other parts
+          of a layer in CUDA C++, compiled by a library that comes with jax
 "auto"    the kernels where they can run, else XLA
 """
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
+
+from kinetix_dist.models.kernels.nvrtc import NvrtcError, library
 
 KERNELS = ("auto", "xla", "mosaic")
 WIDTH = 128  # of tokens
+HEADS, ATTENTION_FEATURES = 8, 16  # of all heads together
+MULTIPROCESSORS = 132  # of an H100 or H200
 DTYPE = "bfloat16"
-JAX_VERSIONS = ("0.11",)  # Pallas changes between minor versions
+JAX_VERSIONS = ("0.11",)  # Pallas, and what XLA takes as a kernel, change between minor versions
 CAPABILITY = "9.0"  # Hopper: wgmma and the copy engine
+# Tiles of messages (cuda/messages.cu): with these many rows of tokens, and of messages, two blocks of the kernels share
+# a multiprocessor's memory. Products have 16 rows.
+MAX_TOKEN_ROWS, MAX_MESSAGE_ROWS, PRODUCT_ROWS = 96, 80, 16
 
 
 class KernelError(ValueError):
     """Kernels were asked for that cannot run here."""
 
 
-def why_no_network(width: int, dtype: str) -> str:
-    """What keeps the kernels from a network whose tokens are so wide and of this type; empty: nothing."""
-    if width != WIDTH:
-        return f"policy.encoder_size is {width} and the kernels are written for {WIDTH}"
-    if dtype != DTYPE:
-        return f"policy.dtype is {dtype} and the kernels are written for {DTYPE}"
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LayerShape:
+    """What a layer is, as far as kernels are written for it."""
+
+    width: int
+    dtype: str
+    is_gated: bool
+    num_heads: int
+    attention_features: int
+    num_tokens: int  # of a world
+    num_joints: int  # messages along them: two each
+    num_thrusters: int
+
+
+def worlds_a_message_tile(num_tokens: int, num_joints: int, num_thrusters: int) -> int:
+    """So many that their products are as full as can be, as many as fit; 0: none do."""
+
+    def rows(worlds: int) -> int:
+        return sum(-(-worlds * count // PRODUCT_ROWS) * PRODUCT_ROWS for count in (num_joints, num_thrusters))
+
+    if not num_joints or not num_thrusters:
+        return 0
+    fitting = [worlds for worlds in range(1, MAX_TOKEN_ROWS // num_tokens + 1) if rows(worlds) <= MAX_MESSAGE_ROWS]
+    return max(fitting, key=lambda worlds: (worlds / rows(worlds), worlds), default=0)
+
+
+def why_no_network(layer: LayerShape) -> str:
+    """What keeps the kernels from a network with such layers; empty: nothing."""
+    if not layer.is_gated:
+        return "policy.network has no gates and the kernels are written for those that have"
+    for name, value, written_for in (
+        ("policy.encoder_size", layer.width, WIDTH),
+        ("policy.dtype", layer.dtype, DTYPE),
+        ("policy.num_heads", layer.num_heads, HEADS),
+        ("policy.attention_features", layer.attention_features, ATTENTION_FEATURES),
+    ):
+        if value != written_for:
+            return f"{name} is {value} and the kernels are written for {written_for}"
+    counts = (layer.num_tokens, layer.num_joints, layer.num_thrusters)
+    if not worlds_a_message_tile(*counts):
+        return "worlds have {} tokens, {} ends of joints and {} thrusters, which fill no tile of the kernels".format(
+            *counts
+        )
     return ""
 
 
@@ -39,14 +86,18 @@ def why_no_device() -> str:
     if device.compute_capability != CAPABILITY:
         found = f"{device.device_kind} has compute capability {device.compute_capability}"
         return f"{found} and the kernels need {CAPABILITY}"
+    try:
+        library()
+    except NvrtcError as error:
+        return str(error)
     return ""
 
 
-def uses_mosaic(kernels: str, width: int, dtype: str) -> bool:
+def uses_mosaic(kernels: str, layer: LayerShape) -> bool:
     """Whether a network is computed by the kernels. Raises KernelError where "mosaic" cannot be."""
     if kernels == "xla":
         return False
-    why_not = why_no_network(width, dtype) or why_no_device()
+    why_not = why_no_network(layer) or why_no_device()
     if kernels == "mosaic" and why_not:
         raise KernelError(f"policy.kernels is 'mosaic', but {why_not}; use 'auto' or 'xla'")
     return not why_not

@@ -21,13 +21,13 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import mosaic_gpu as plgpu
 
-from kinetix_dist.models.kernels.support import WIDTH
+from kinetix_dist.models.kernels.support import MULTIPROCESSORS, WIDTH
 
 HALF = 64  # columns of a granule: 128 bytes, the widest swizzle
 ROWS = 64  # of a tile: those of a product by one warpgroup
 WARPGROUPS = 2
 IN, OUT = 4, 2  # granules of a warpgroup
-PAIRS = 66  # of blocks: an H100 or H200 has 132 multiprocessors
+PAIRS = MULTIPROCESSORS // 2  # of blocks
 BLOCK_AXIS, WARPGROUP_AXIS = "block", "warpgroup"
 OWN, OTHER = 0, 1  # halves of the columns, as a block sees them
 

@@ -1,0 +1,42 @@
+"""The parts of a layer (models/layer.py, whose formulas and arguments these are) by kernels for Hopper GPUs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from jax2d.scene import Array
+from kinetix_dist.models.kernels.attention import beside_attention
+from kinetix_dist.models.kernels.feed_forward import beside_feed_forward
+from kinetix_dist.models.kernels.gate import gate
+from kinetix_dist.models.kernels.messages import add_messages, pack_ends
+from kinetix_dist.models.layer import LayerParts
+
+if TYPE_CHECKING:
+    from kinetix_dist.env.observations.entities import EntityObs
+
+
+def _beside_attention(x: Array, mask_words: Array, *arguments: Any) -> tuple[Array, Array]:
+    *parameters, heads = arguments
+    del heads  # those that `support` asks for
+    return beside_attention(x, mask_words, *parameters)
+
+
+def _ends(obs: EntityObs) -> tuple[Array, Array]:
+    return (
+        pack_ends(obs.joint_from, obs.joint_to, obs.joint_mask),
+        pack_ends(obs.thruster_owner, None, obs.thruster_mask),
+    )
+
+
+def _add_messages(x: Array, ends: tuple[Array, Array], *terms_and_kernels: Array) -> Array:
+    return add_messages(x, *ends, *terms_and_kernels)
+
+
+MOSAIC = LayerParts(
+    beside_attention=_beside_attention,
+    beside_feed_forward=beside_feed_forward,
+    gate=gate,
+    ends=_ends,
+    add_messages=_add_messages,
+    joins_terms=False,
+)

@@ -1,0 +1,121 @@
+"""The parts of a layer of the transformer, between a stream of tokens and what is let into it, by XLA.
+
+`LayerParts` are functions of the same formulas and arguments: `XLA` of this file, and kernels for Hopper GPUs
+(kernels/layer.py). Parameters are float32; activations are [B, n, F] in their type.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+from kinetix_dist.models.attention import attend
+from kinetix_dist.models.contraction import contract, linear
+from kinetix_dist.models.gate import gate
+from kinetix_dist.models.norms import beside_norm
+from kinetix_dist.models.rows import add_rows, take_rows
+
+if TYPE_CHECKING:
+    from kinetix_dist.env.observations.entities import EntityObs
+
+
+@dataclasses.dataclass(frozen=True)
+class LayerParts:
+    """`beside_...` give the stream as well, for what goes on beside its norm: the gradients of both are added there."""
+
+    # (x, mask words, kernel, bias, kernel of the output, bias of it, heads) -> x, relu(attention(normalise(x)))
+    beside_attention: Callable[..., tuple[Array, Array]]
+    # (x, kernel, bias) -> x, relu(normalise(x) kernel + bias)
+    beside_feed_forward: Callable[..., tuple[Array, Array]]
+    # (x, y, parameters of the gate) -> x with y let in, see gate.py
+    gate: Callable[..., Array]
+    # (observation) -> ends of joints and thrusters, for the next
+    ends: Callable[[EntityObs], Any]
+    # (x, ends, terms of joints, of thrusters, kernel of joints, of thrusters) -> x with messages added
+    add_messages: Callable[..., Array]
+    joins_terms: bool  # whether terms of all layers are one product: their slices cost nothing then
+
+
+def attention_update(
+    x: Array, mask_words: Array, kernel: Array, bias: Array, out_kernel: Array, out_bias: Array, heads: tuple[int, int]
+) -> tuple[Array, Array]:
+    """`x`, and attention over normalise(x), projected. kernel: [E, 3 F], bias: [3 F]; out_kernel: [F, E], out_bias:
+    [E]; mask_words: [M, B, n], see attention.py. heads: (M masks, heads a mask); their features are F / heads."""
+    size, features = kernel.shape[0], out_kernel.shape[0]
+    shape = (*heads, features // (heads[0] * heads[1]))
+    x, normal = beside_norm(x)
+    # Features first, [3 features, B, n]: attention runs over worlds and tokens, the features of a head slowest.
+    kernel = _feature_slowest(kernel.reshape(size, 3, *shape), 4).reshape(size, -1)
+    bias = _feature_slowest(bias.reshape(3, *shape), 3).reshape(-1)
+    qkv = contract("bni,if->fbn", normal, kernel) + bias[:, None, None].astype(x.dtype)
+    out = attend(qkv.reshape(3, shape[-1], *heads, *qkv.shape[1:]), mask_words).reshape(features, *qkv.shape[1:])
+    out_kernel = _feature_slowest(out_kernel.reshape(*shape, size), 2).reshape(features, size)
+    return x, contract("fbn,fo->bno", out, out_kernel) + out_bias.astype(x.dtype)
+
+
+def feed_forward_update(x: Array, kernel: Array, bias: Array) -> tuple[Array, Array]:
+    """`x`, and relu(normalise(x) kernel + bias)."""
+    x, normal = beside_norm(x)
+    return x, jax.nn.relu(linear(normal, kernel) + bias.astype(x.dtype))
+
+
+def _beside_attention(x: Array, *arguments: Any) -> tuple[Array, Array]:
+    x, update = attention_update(x, *arguments)
+    return x, jax.nn.relu(update)
+
+
+def _feature_slowest(x: Array, axis: int) -> Array:
+    """[..., M, G, D, ...] as [..., D, M, G, ...]; axis: that of D."""
+    return jnp.moveaxis(x, axis, axis - 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ends:
+    of_joints: Array  # [B, 2 J] tokens: from, to, from, to, ...
+    obs: EntityObs
+
+
+def joint_ends(obs: EntityObs) -> Array:
+    """[B, 2 J] tokens: from, to, from, to, ..."""
+    return jnp.stack([obs.joint_from, obs.joint_to], axis=-1).reshape(obs.joint_from.shape[0], -1)
+
+
+def _ends(obs: EntityObs) -> _Ends:
+    return _Ends(joint_ends(obs), obs)
+
+
+def _add_messages(
+    x: Array,
+    ends: _Ends,
+    joint_terms: Array,
+    thruster_terms: Array,
+    joint_kernel: Array,
+    thruster_kernel: Array,
+) -> Array:
+    """Messages along joints and from thrusters, both from the tokens before either is added."""
+    obs = ends.obs
+    from_joints = _messages(x, ends.of_joints, joint_kernel, joint_terms, obs.joint_mask)
+    from_thrusters = _messages(x, obs.thruster_owner, thruster_kernel, thruster_terms, obs.thruster_mask)
+    x = add_rows(x, obs.joint_from, from_joints)
+    return add_rows(x, obs.thruster_owner, from_thrusters)
+
+
+def _messages(x: Array, ends: Array, kernel: Array, terms: Array, mask: Array) -> Array:
+    """[B, K, E]: what each of K joints or thrusters tells, zero for those that do not exist. ends: [B, K x ends]."""
+    rows = take_rows(x, ends).reshape(*mask.shape, -1)
+    return (linear(rows, kernel) + terms) * mask[..., None].astype(x.dtype)
+
+
+XLA = LayerParts(
+    beside_attention=_beside_attention,
+    beside_feed_forward=feed_forward_update,
+    gate=gate,
+    ends=_ends,
+    add_messages=_add_messages,
+    joins_terms=True,
+)

@@ -1,0 +1,199 @@
+"""Kernels in CUDA C++ against plain formulas in float64, beside XLA in bfloat16.
+
+On a CPU their sources run by a C++ compiler (cuda_on_cpu), every thread of them: tiles, addresses, barriers, products.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from kinetix_dist.level.level import SIZES
+from kinetix_dist.models import layer as xla
+from kinetix_dist.models.kernels import cuda_kernel, support
+from kinetix_dist.models.kernels.attention import beside_attention
+from kinetix_dist.models.kernels.feed_forward import beside_feed_forward
+from kinetix_dist.models.kernels.messages import add_messages, pack_ends
+from kinetix_dist.models.norms import NORM_EPSILON
+from tests.models import cuda_on_cpu
+
+E = support.WIDTH
+MASKS, HEADS = 4, (4, 2)
+# Tokens of a world, ends of its joints, thrusters.
+COUNTS = {
+    size: (capacity.polygons + capacity.circles + 1, 2 * capacity.joints, capacity.thrusters)
+    for size, capacity in SIZES.items()
+}
+
+
+@pytest.fixture(params=["on a CPU", pytest.param("on a GPU", marks=pytest.mark.gpu)])
+def place(request, monkeypatch):
+    """Where kernels run; how many rows there are to be."""
+    if request.param == "on a GPU":
+        if why_not := support.why_no_device():
+            pytest.skip(why_not)
+        return request.param
+    if cuda_on_cpu.COMPILER is None:
+        pytest.skip("there is no C++ compiler")
+    monkeypatch.setattr(cuda_kernel, "call", cuda_on_cpu.call)
+    for module in ("attention", "feed_forward", "messages"):  # few blocks: some have several tiles, some one
+        for name in ("_FORWARD_BLOCKS", "_BACKWARD_BLOCKS", "_BLOCKS"):
+            monkeypatch.setattr(f"kinetix_dist.models.kernels.{module}.{name}", 2, raising=False)
+    return request.param
+
+
+def rounded(rng: np.random.Generator, *shape: int, scale: float = 1.0) -> np.ndarray:
+    """Numbers that bfloat16 has, as float32."""
+    return np.asarray(jnp.asarray(scale * rng.standard_normal(shape), jnp.bfloat16).astype(jnp.float32))
+
+
+def away_from_zero(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Biases before relu: a sum that is nearly 0 would fall on either side of it in bfloat16, by chance."""
+    return np.float32(rng.choice([-6, 6], shape))
+
+
+def normalised(x):
+    centred = x - x.mean(axis=-1, keepdims=True)
+    return centred / jnp.sqrt((centred * centred).mean(axis=-1, keepdims=True) + NORM_EPSILON)
+
+
+def results(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray], activations: set[str]) -> list:
+    """What a function gives and its gradients, with activations in bfloat16, as float32."""
+
+    def both(arguments, grads):
+        out, back = jax.vjp(function, *arguments)
+        return out, back(jax.tree.unflatten(jax.tree.structure(out), grads))
+
+    given = [
+        jnp.asarray(value, jnp.bfloat16 if name in activations else jnp.float32) for name, value in arguments.items()
+    ]
+    found = jax.jit(both)(given, [jnp.asarray(grad, jnp.bfloat16) for grad in grads])
+    return [np.asarray(leaf.astype(jnp.float32)) for leaf in jax.tree.leaves(found)]
+
+
+def in_float64(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray]) -> list[np.ndarray]:
+    with jax.enable_x64(True):
+        out, back = jax.vjp(function, *(jnp.asarray(value, jnp.float64) for value in arguments.values()))
+        found = (
+            out,
+            back(jax.tree.unflatten(jax.tree.structure(out), [jnp.asarray(grad, jnp.float64) for grad in grads])),
+        )
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(found)]
+
+
+def assert_no_worse(names: list[str], found: list, by_xla: list, exact: list) -> None:
+    for name, ours, theirs, wanted in zip(names, found, by_xla, exact, strict=True):
+        error, allowed = (np.linalg.norm(each - wanted) / np.linalg.norm(wanted) for each in (ours, theirs))
+        # 2 %: where both round the same sums once, in another order. 1e-6: sums of exact products in float32.
+        assert error <= 1.02 * allowed + 1e-6 < 0.05, f"{name}: {error:.3%}, XLA {allowed:.3%}"
+
+
+def assert_same_again(place: str, found: list, again) -> None:
+    if place == "on a GPU":
+        for _ in range(5):
+            for first, other in zip(found, again(), strict=True):
+                np.testing.assert_array_equal(first, other)
+
+
+@pytest.mark.parametrize("rows", [1, 150])
+def test_feed_forward(place, rows):
+    rows = rows if place == "on a CPU" else rows * 1_000
+    rng = np.random.default_rng(0)
+    arguments = {
+        "x": 3 * rounded(rng, 1, rows, E) + 1,
+        "kernel": rounded(rng, E, E, scale=E**-0.5),
+        "bias": away_from_zero(rng, E),
+    }
+    grads = [rounded(rng, 1, rows, E) for _ in range(2)]
+
+    def exact(x, kernel, bias):
+        return x, jax.nn.relu(normalised(x) @ kernel + bias)
+
+    found = results(beside_feed_forward, arguments, grads, {"x"})
+    by_xla = results(xla.feed_forward_update, arguments, grads, {"x"})
+    assert_no_worse(["x", "y", *arguments], found, by_xla, in_float64(exact, arguments, grads))
+    assert_same_again(place, found, lambda: results(beside_feed_forward, arguments, grads, {"x"}))
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("worlds", [1, 21])
+def test_attention(place, size, worlds):
+    tokens, worlds = COUNTS[size][0], worlds if place == "on a CPU" else worlds * 500
+    rng = np.random.default_rng(0)
+    mask = rng.random((MASKS, worlds, tokens, tokens)) < 0.5
+    mask[0, 0, 1] = False  # sees nothing
+    words = jnp.asarray((mask * (1 << np.arange(tokens))).sum(axis=-1), jnp.uint32)
+    arguments = {
+        "x": 3 * rounded(rng, worlds, tokens, E) + 1,
+        "kernel": rounded(rng, E, 48, scale=E**-0.5),
+        "bias": rounded(rng, 48, scale=0.3),
+        "out_kernel": rounded(rng, 16, E, scale=0.25),
+        "out_bias": away_from_zero(rng, E),
+    }
+    grads = [rounded(rng, worlds, tokens, E) for _ in range(2)]
+
+    def exact(x, kernel, bias, out_kernel, out_bias):
+        qkv = (normalised(x) @ kernel + bias).reshape(worlds, tokens, 3, *HEADS, 2)
+        scores = jnp.einsum("bimgd,bjmgd->mgbij", qkv[:, :, 0], qkv[:, :, 1]) / np.sqrt(2)
+        weights = jnp.where(mask[:, None], jnp.exp(scores), 0.0)
+        weights = weights / jnp.where(mask.any(axis=-1)[:, None], weights.sum(axis=-1), 1.0)[..., None]
+        out = jnp.einsum("mgbij,bjmgd->bimgd", weights, qkv[:, :, 2]).reshape(worlds, tokens, 16)
+        return x, jax.nn.relu(out @ out_kernel + out_bias)
+
+    def by_kernels(x, *parameters):
+        return beside_attention(x, words, *parameters)
+
+    def with_xla(x, *parameters):
+        x, update = xla.attention_update(x, words, *parameters, HEADS)
+        return x, jax.nn.relu(update)
+
+    found = results(by_kernels, arguments, grads, {"x"})
+    by_xla = results(with_xla, arguments, grads, {"x"})
+    assert_no_worse(["x", "y", *arguments], found, by_xla, in_float64(exact, arguments, grads))
+    assert_same_again(place, found, lambda: results(by_kernels, arguments, grads, {"x"}))
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("worlds", [1, 37])
+def test_messages(place, size, worlds):
+    (tokens, joints, thrusters), worlds = COUNTS[size], worlds if place == "on a CPU" else worlds * 500
+    rng = np.random.default_rng(0)
+    first, second = (rng.integers(0, tokens, (worlds, joints)) for _ in range(2))
+    owner = rng.integers(0, tokens, (worlds, thrusters))
+    of_joints, of_thrusters = (rng.random((worlds, count)) < 0.7 for count in (joints, thrusters))
+    of_joints[0, 0] = of_thrusters[0, 0] = True
+    arguments = {
+        "x": rounded(rng, worlds, tokens, E),
+        "joint_terms": rounded(rng, worlds, joints, E),
+        "thruster_terms": rounded(rng, worlds, thrusters, E),
+        "joint_kernel": rounded(rng, 2 * E, E, scale=E**-0.5),
+        "thruster_kernel": rounded(rng, E, E, scale=E**-0.5),
+    }
+    grads = [rounded(rng, worlds, tokens, E)]
+    ends = [jnp.asarray(each, jnp.int32) for each in (first, second, owner)]
+    words = (pack_ends(*ends[:2], jnp.asarray(of_joints)), pack_ends(ends[2], None, jnp.asarray(of_thrusters)))
+    activations = {"x", "joint_terms", "thruster_terms"}
+
+    def exact(x, joint_terms, thruster_terms, joint_kernel, thruster_kernel):
+        world = np.arange(worlds)[:, None]
+        rows = jnp.concatenate([x[world, first], x[world, second]], axis=-1)
+        from_joints = (rows @ joint_kernel + joint_terms) * of_joints[..., None]
+        from_thrusters = (x[world, owner] @ thruster_kernel + thruster_terms) * of_thrusters[..., None]
+        return x.at[world, first].add(from_joints).at[world, owner].add(from_thrusters)
+
+    class Obs:
+        joint_from, joint_to, thruster_owner = ends
+        joint_mask, thruster_mask = jnp.asarray(of_joints), jnp.asarray(of_thrusters)
+
+    def by_kernels(x, *others):
+        return add_messages(x, *words, *others)
+
+    def with_xla(x, *others):
+        return xla.XLA.add_messages(x, xla.XLA.ends(Obs), *others)
+
+    found = results(by_kernels, arguments, grads, activations)
+    by_xla = results(with_xla, arguments, grads, activations)
+    assert_no_worse(["out", *arguments], found, by_xla, in_float64(exact, arguments, grads))
+    assert_same_again(place, found, lambda: results(by_kernels, arguments, grads, activations))
