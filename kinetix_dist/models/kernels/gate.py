@@ -21,7 +21,9 @@ def gate(
     x: Array, y: Array, kernel_y: Array, kernel_x: Array, kernel_h: Array, bias: Array, interpret: bool = False
 ) -> Array:
     """`y` let into the stream `x`, both [..., 128] bfloat16. interpret: on a CPU, for tests."""
-    return _forward(x, y, kernel_y, kernel_x, kernel_h, bias, interpret)[0]
+    weights = pack(kernel_y, kernel_x, kernel_h, bias)
+    (out,) = gate_forward(_rows(x), _rows(y), weights, keep=False, interpret=interpret)
+    return _like(out, x)
 
 
 def pack(kernel_y: Array, kernel_x: Array, kernel_h: Array, bias: Array) -> Array:
@@ -40,7 +42,7 @@ def _forward(
 ) -> tuple[Array, tuple[Array, ...]]:
     weights = pack(kernel_y, kernel_x, kernel_h, bias)
     rows_x, rows_y = _rows(x), _rows(y)
-    out, r, z, h = gate_forward(rows_x, rows_y, weights, interpret=interpret)
+    out, r, z, h = gate_forward(rows_x, rows_y, weights, keep=True, interpret=interpret)
     return _like(out, x), (x, y, r, z, h, weights)
 
 

@@ -1,6 +1,7 @@
 """The gate's forward pass (models/gate.py) as one kernel: reads x and y, writes out and what the backward pass needs.
 
-Traffic: 6 arrays of rows, where XLA moves 23. Both blocks of a pair compute all of r: h of a half needs r x of both.
+Traffic: 6 arrays of rows, 3 where nothing is kept; XLA moves 23. Both blocks of a pair compute all of r: h of a half
+needs r x of both.
 """
 
 from __future__ import annotations
@@ -34,15 +35,16 @@ _WHERE += [(row, part, OWN) for part in (1, 4, 2, 5) for row in _HALVES]
 _R_OF_Y, _R_OF_X, _Z_OF_Y, _Z_OF_X, _H_OF_Y, _H_OF_RX = 0, 4, 8, 10, 12, 14
 
 
-@functools.partial(jax.jit, static_argnames="interpret")
-def gate_forward(x: Array, y: Array, weights: Array, *, interpret: bool = False) -> tuple[Array, Array, Array, Array]:
-    """(out, r, z, h), each [rows, 128] bfloat16 like x and y; rows a multiple of 64. weights: `gate.pack`."""
+@functools.partial(jax.jit, static_argnames=("keep", "interpret"))
+def gate_forward(x: Array, y: Array, weights: Array, *, keep: bool, interpret: bool = False) -> tuple[Array, ...]:
+    """(out, r, z, h), or (out,) where nothing is to be kept, each [rows, 128] bfloat16 like x and y; rows a multiple of
+    64. weights: `gate.pack`."""
     like = jax.ShapeDtypeStruct(x.shape, x.dtype)
     blocks, loads, stores, weights_barrier, barriers = scratch(len(_WHERE), len(_WHERE) + 1)
     bias = plgpu.SMEM((HALF,), jnp.bfloat16)
     kernel = call(
-        functools.partial(_body, interpret=interpret),
-        (like, like, like, like),
+        functools.partial(_body, keep=keep, interpret=interpret),
+        (like,) * (4 if keep else 1),
         [blocks, bias, loads, stores, weights_barrier, barriers],
         interpret,
     )
@@ -54,21 +56,13 @@ def _body(
     x: Any,
     y: Any,
     weights: Any,
-    # Rows out:
-    out: Any,
-    r_out: Any,
-    z_out: Any,
-    h_out: Any,
-    # Shared memory:
-    blocks: Any,
-    bias: Any,
-    loads: Any,
-    stores: Any,
-    weights_barrier: Any,
-    barriers: Any,
-    *,
+    # Rows out: out, then r, z and h if these are kept. Shared memory: blocks, bias, loads, stores; barriers.
+    *refs: Any,
+    keep: bool,
     interpret: bool,
 ) -> None:
+    out, *kept = refs[:-6]
+    blocks, bias, loads, stores, weights_barrier, barriers = refs[-6:]
     order = [(y, OWN), (y, OTHER), (x, OWN), (x, OTHER)]
     tiles = Tiles(x.shape[0], order, loads, stores, barriers)
     load_blocks(tiles, weights, blocks, weights_barrier, _WHERE)
@@ -79,6 +73,10 @@ def _body(
 
     plgpu.barrier_wait(weights_barrier)
     own = tiles.half(OWN)
+
+    def store(which: int, value: Any) -> None:
+        if keep:
+            tiles.give(kept[which], own, value)
 
     def tile(number: Any) -> None:
         products = Products(blocks, number, transposed=False, interpret=interpret)
@@ -98,7 +96,7 @@ def _body(
             def finish(total: Any) -> None:
                 r = _sigmoid(total)
                 if half == OWN:
-                    tiles.give(r_out, own, r)
+                    store(0, r)
                 rx_halves.append((r * x_halves[half].astype(jnp.float32)).astype(jnp.bfloat16))
 
             return finish
@@ -111,7 +109,7 @@ def _body(
             columns = plgpu.load(bias, (), layout=plgpu.Layout.WGMMA.reduce(0)).astype(jnp.float32)
             z = _sigmoid(total - jax.lax.broadcast_in_dim(columns, (ROWS, HALF), (1,))).astype(jnp.bfloat16)
             z_own.append(z)
-            tiles.give(z_out, own, z)
+            store(1, z)
 
         def issue_h(total: Any) -> None:
             products.add(total, y_halves, _H_OF_Y)
@@ -119,7 +117,7 @@ def _body(
 
         def finish_h(total: Any) -> None:
             h = jnp.tanh(total)
-            tiles.give(h_out, own, h)
+            store(2, h)
             x_own = x_halves[OWN].astype(jnp.float32)
             tiles.give(out, own, x_own + z_own[0].astype(jnp.float32) * (h - x_own))
 

@@ -23,7 +23,7 @@ JAX_VERSIONS = ("0.11",)  # Pallas, and what XLA takes as a kernel, change betwe
 CAPABILITY = "9.0"  # Hopper: wgmma and the copy engine
 # Tiles of messages (cuda/messages.cu): with these many rows of tokens, and of messages, two blocks of the kernels share
 # a multiprocessor's memory. Products have 16 rows.
-MAX_TOKEN_ROWS, MAX_MESSAGE_ROWS, PRODUCT_ROWS = 96, 80, 16
+MAX_TOKEN_ROWS, MAX_MESSAGE_ROWS, PRODUCT_ROWS = 160, 112, 16
 
 
 class KernelError(ValueError):

@@ -166,6 +166,8 @@ inline float number(const u32* words, int i) { return from_bits(words[i / 2] >> 
 
 }  // namespace on_cpu
 
+inline int __ffs(u32 bits) { return __builtin_ffs((int)bits); }
+inline void atomicOr(u32* word, u32 bits) { *word |= bits; }
 inline void __syncthreads() { on_cpu::wait(2); }
 inline float __uint_as_float(u32 bits) { return on_cpu::from_bits(bits); }
 inline float rsqrtf(float x) { return 1.0f / std::sqrt(x); }
