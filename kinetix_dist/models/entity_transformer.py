@@ -28,7 +28,7 @@ Observations enter in float32: bfloat16 would round positions in a 5 m box to ce
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -40,9 +40,17 @@ from kinetix_dist.env.observations.entities import JOINT_COLOUR, THRUSTER_COLOUR
 from kinetix_dist.models.attention import pack_mask
 from kinetix_dist.models.colour_readout import sum_by_colour
 from kinetix_dist.models.contraction import linear
+from kinetix_dist.models.dense import DenseParameters
 from kinetix_dist.models.gru import apply_towers
 from kinetix_dist.models.kernels.support import LayerShape, uses_mosaic
-from kinetix_dist.models.layer import XLA, LayerParts, attention_update, feed_forward_update, joint_ends
+from kinetix_dist.models.layer import (
+    XLA,
+    LayerParts,
+    attention_update,
+    encode_with_ids,
+    feed_forward_update,
+    joint_ends,
+)
 from kinetix_dist.models.norms import masked_mean, normalise
 from kinetix_dist.models.rows import take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers
@@ -75,19 +83,16 @@ class EntityTransformer(nn.Module):
 
     @nn.compact
     def __call__(self, obs: EntityObs, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
+        parts = self._parts(obs)
         # Encode: shapes become tokens, the dummy token is the last.
-        polygon_id, circle_id = self.shape_ids or (None, None)
-        polygons = self._encode("polygon_encoder", obs.polygons, polygon_id)
-        circles = self._encode("circle_encoder", obs.circles, circle_id)
+        shapes = {"polygon_encoder": obs.polygons, "circle_encoder": obs.circles}
+        x = self._encode(parts, shapes, num_others=1, kind_ids=self.shape_ids)
         # A colour that only its head reads: then no colour is another one.
         joint_rows = obs.joints.at[..., JOINT_COLOUR].set(0.0) if self.by_colour else obs.joints
         thruster_rows = obs.thrusters.at[..., THRUSTER_COLOUR].set(0.0) if self.by_colour else obs.thrusters
-        joints = self._encode("joint_encoder", joint_rows)
-        thrusters = self._encode("thruster_encoder", thruster_rows)
-        dummy = jnp.ones((polygons.shape[0], 1, self.encoder_size), self.dtype)
-        x = _join_tokens(polygons, circles, dummy)
+        joints = self._encode(parts, {"joint_encoder": joint_rows})
+        thrusters = self._encode(parts, {"thruster_encoder": thruster_rows})
         token_mask, mask_words = _token_masks(obs.shape_mask, obs.attention_masks)
-        parts = self._parts(obs)
         ends = parts.ends(obs)
         # The share of a message that does not depend on the layer's tokens.
         joint_kernels, joint_terms = self._message_terms("joint_messages", joints, parts, num_ends=2)
@@ -114,13 +119,21 @@ class EntityTransformer(nn.Module):
             towers = functools.partial(towers, by_colour=(of_joints, of_thrusters))
         return apply_towers(towers, embedding.astype(self.dtype), memory, is_first, self.memory_size)
 
-    def _encode(self, name: str, features: Array, kind_id: float | None = None) -> Array:
-        width = self.encoder_size if kind_id is None else self.encoder_size - 1
-        dense = nn.Dense(width, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name=name)
-        tokens = jnp.tanh(dense(features)).astype(self.dtype)
-        if kind_id is None:
-            return tokens
-        return jnp.concatenate([tokens, jnp.full_like(tokens[..., :1], kind_id)], axis=-1)
+    def _encode(
+        self,
+        parts: LayerParts,
+        features: Mapping[str, Array],
+        *,
+        num_others: int = 0,
+        kind_ids: tuple[float, float] | None = None,
+    ) -> Array:
+        """Tokens of groups, by the names of their encoders, then `num_others` that are ones."""
+        width = self.encoder_size if kind_ids is None else self.encoder_size - 1
+        init = nn.initializers.orthogonal(TANH_GAIN)
+        parameters = [DenseParameters(width, init, name=name)(each.shape[-1]) for name, each in features.items()]
+        kernels, biases = zip(*parameters, strict=True)
+        encode = parts.encode if kind_ids is None else functools.partial(encode_with_ids, kind_ids)
+        return encode(list(features.values()), list(kernels), list(biases), num_others, self.dtype)
 
     def _parts(self, obs: EntityObs) -> LayerParts:
         """How the parts of a layer are computed."""
@@ -226,14 +239,3 @@ def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Arra
     words = jnp.moveaxis(jnp.concatenate([words, of_dummy], axis=-1), 1, 0)
     # Stored once: fused into the loops of attention, words would be packed again for every pair of tokens.
     return token_mask, jax.lax.optimization_barrier(words)
-
-
-def _join_tokens(*parts: Array) -> Array:
-    """[B, n, F] of parts [B, k, F], in their order. A sum, which a GPU writes in half of a concatenation's time."""
-    counts = [part.shape[1] for part in parts]
-    befores = [sum(counts[:i]) for i in range(len(parts))]
-    padded = [
-        jnp.pad(part, ((0, 0), (before, sum(counts) - before - part.shape[1]), (0, 0)))
-        for part, before in zip(parts, befores, strict=True)
-    ]
-    return sum(padded[1:], padded[0])

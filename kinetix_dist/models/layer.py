@@ -1,4 +1,4 @@
-"""The parts of a layer of the transformer, between a stream of tokens and what is let into it, by XLA.
+"""The parts of the transformer: encoders, and those of a layer between a stream of tokens and what is let into it.
 
 `LayerParts` are functions of the same formulas and arguments: `XLA` of this file, and kernels for Hopper GPUs
 (kernels/layer.py). Parameters are float32; activations are [B, n, F] in their type.
@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 class LayerParts:
     """`beside_...` give the stream as well, for what goes on beside its norm: the gradients of both are added there."""
 
+    # (features of groups, their kernels, their biases, number of others, type) -> tokens of all groups, then ones
+    encode: Callable[..., Array]
     # (x, mask words, kernel, bias, kernel of the output, bias of it, heads) -> x, relu(attention(normalise(x)))
     beside_attention: Callable[..., tuple[Array, Array]]
     # (x, kernel, bias) -> x, relu(normalise(x) kernel + bias)
@@ -39,6 +41,47 @@ class LayerParts:
     # (x, ends, terms of joints, of thrusters, kernel of joints, of thrusters) -> x with messages added
     add_messages: Callable[..., Array]
     joins_terms: bool  # whether terms of all layers are one product: their slices cost nothing then
+
+
+def _encode(
+    features: Sequence[Array], kernels: Sequence[Array], biases: Sequence[Array], num_others: int, dtype: Any
+) -> Array:
+    groups = zip(features, kernels, biases, strict=True)
+    tokens = [jnp.tanh(each @ kernel + bias).astype(dtype) for each, kernel, bias in groups]
+    return _with_ones(tokens, num_others)
+
+
+def encode_with_ids(
+    kind_ids: Sequence[float],
+    features: Sequence[Array],
+    kernels: Sequence[Array],
+    biases: Sequence[Array],
+    num_others: int,
+    dtype: Any,
+) -> Array:
+    """As `LayerParts.encode`, with the number of a group as the last one of its tokens."""
+    groups = zip(kind_ids, features, kernels, biases, strict=True)
+    tokens = [
+        jnp.concatenate(
+            [jnp.tanh(each @ kernel + bias).astype(dtype), jnp.full((*each.shape[:-1], 1), kind_id, dtype)], axis=-1
+        )
+        for kind_id, each, kernel, bias in groups
+    ]
+    return _with_ones(tokens, num_others)
+
+
+def _with_ones(tokens: list[Array], num_others: int) -> Array:
+    """[B, n, F] of groups of tokens in their order, then `num_others` of ones. A sum, which a GPU writes in half of a
+    concatenation's time."""
+    if num_others:
+        tokens = [*tokens, jnp.ones((tokens[0].shape[0], num_others, tokens[0].shape[2]), tokens[0].dtype)]
+    counts = [part.shape[1] for part in tokens]
+    befores = [sum(counts[:i]) for i in range(len(tokens))]
+    padded = [
+        jnp.pad(part, ((0, 0), (before, sum(counts) - before - part.shape[1]), (0, 0)))
+        for part, before in zip(tokens, befores, strict=True)
+    ]
+    return sum(padded[1:], padded[0])
 
 
 def attention_update(
@@ -112,6 +155,7 @@ def _messages(x: Array, ends: Array, kernel: Array, terms: Array, mask: Array) -
 
 
 XLA = LayerParts(
+    encode=_encode,
     beside_attention=_beside_attention,
     beside_feed_forward=feed_forward_update,
     gate=gate,

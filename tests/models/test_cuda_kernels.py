@@ -14,6 +14,7 @@ from kinetix_dist.level.level import SIZES
 from kinetix_dist.models import layer as xla
 from kinetix_dist.models.kernels import cuda_kernel, support
 from kinetix_dist.models.kernels.attention import beside_attention
+from kinetix_dist.models.kernels.encoders import encode
 from kinetix_dist.models.kernels.feed_forward import beside_feed_forward
 from kinetix_dist.models.kernels.messages import add_messages, pack_ends
 from kinetix_dist.models.norms import NORM_EPSILON
@@ -38,7 +39,12 @@ def place(request, monkeypatch):
     if cuda_on_cpu.COMPILER is None:
         pytest.skip("there is no C++ compiler")
     monkeypatch.setattr(cuda_kernel, "call", cuda_on_cpu.call)
-    for module in ("attention", "feed_forward", "messages"):  # few blocks: some have several tiles, some one
+    for module in (
+        "attention",
+        "encoders",
+        "feed_forward",
+        "messages",
+    ):  # few blocks: some have several tiles, some one
         for name in ("_FORWARD_BLOCKS", "_BACKWARD_BLOCKS", "_BLOCKS"):
             monkeypatch.setattr(f"kinetix_dist.models.kernels.{module}.{name}", 2, raising=False)
     return request.param
@@ -95,6 +101,43 @@ def assert_same_again(place: str, found: list, again) -> None:
         for _ in range(5):
             for first, other in zip(found, again(), strict=True):
                 np.testing.assert_array_equal(first, other)
+
+
+@pytest.mark.parametrize("groups", [((6, 27), (3, 19)), ((4, 22),), ((1, 8),)])
+@pytest.mark.parametrize("worlds", [1, 27])
+def test_encoders(place, groups, worlds):
+    """Polygons and circles with the dummy token, joints, thrusters."""
+    worlds = worlds if place == "on a CPU" else worlds * 500
+    rng = np.random.default_rng(0)
+    num_others = 1 if len(groups) > 1 else 0
+    features = [np.float32(rng.standard_normal((worlds, *group))) for group in groups]
+    arguments = {}
+    for number, (_, width) in enumerate(groups):
+        arguments[f"kernel_{number}"] = np.float32(rng.standard_normal((width, E)) * width**-0.5)
+        arguments[f"bias_{number}"] = np.float32(0.3 * rng.standard_normal(E))
+    grads = [rounded(rng, worlds, sum(rows for rows, _ in groups) + num_others, E)]
+
+    def exact(*parameters):
+        each = zip(features, parameters[::2], parameters[1::2], strict=True)
+        tokens = [jnp.tanh(rows @ kernel + bias) for rows, kernel, bias in each]
+        return jnp.concatenate([*tokens, jnp.ones((worlds, num_others, E), tokens[0].dtype)], axis=1)
+
+    def by_kernels(*parameters):
+        return encode(
+            [jnp.asarray(each) for each in features], list(parameters[::2]), list(parameters[1::2]), num_others
+        )
+
+    def with_xla(*parameters):
+        return xla.XLA.encode(features, list(parameters[::2]), list(parameters[1::2]), num_others, jnp.bfloat16)
+
+    found = results(by_kernels, arguments, grads, set())
+    by_xla = results(with_xla, arguments, grads, set())
+    names = ["tokens", *arguments]
+    assert_no_worse(names[:1], found[:1], by_xla[:1], in_float64(exact, arguments, grads)[:1])
+    # Slopes are kept in bfloat16, where XLA keeps float32: as exact as what else is in it.
+    for name, ours, wanted in zip(names[1:], found[1:], in_float64(exact, arguments, grads)[1:], strict=True):
+        assert np.linalg.norm(ours - wanted) < 3e-3 * np.linalg.norm(wanted), name
+    assert_same_again(place, found, lambda: results(by_kernels, arguments, grads, set()))
 
 
 @pytest.mark.parametrize("rows", [1, 150])

@@ -151,7 +151,7 @@ LAYER = support.LayerShape(
         ({"num_heads": 4}, "policy.num_heads is 4"),
         ({"attention_features": 32}, "policy.attention_features is 32"),
         ({"is_gated": False}, "policy.network has no gates"),
-        ({"num_tokens": 97}, "worlds have 97 tokens, 4 ends of joints and 2 thrusters"),
+        ({"num_tokens": 161}, "worlds have 161 tokens, 4 ends of joints and 2 thrusters"),
     ],
 )
 def test_a_network_that_the_kernels_do_not_fit_is_refused(changed, says: str):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jax2d.scene import Array
 from kinetix_dist.models.kernels.attention import beside_attention
+from kinetix_dist.models.kernels.encoders import encode
 from kinetix_dist.models.kernels.feed_forward import beside_feed_forward
 from kinetix_dist.models.kernels.gate import gate
 from kinetix_dist.models.kernels.messages import add_messages, pack_ends
@@ -13,6 +15,13 @@ from kinetix_dist.models.layer import LayerParts
 
 if TYPE_CHECKING:
     from kinetix_dist.env.observations.entities import EntityObs
+
+
+def _encode(
+    features: Sequence[Array], kernels: Sequence[Array], biases: Sequence[Array], num_others: int, dtype: Any
+) -> Array:
+    del dtype  # the one that `support` asks for
+    return encode(features, kernels, biases, num_others)
 
 
 def _beside_attention(x: Array, mask_words: Array, *arguments: Any) -> tuple[Array, Array]:
@@ -33,6 +42,7 @@ def _add_messages(x: Array, ends: tuple[Array, Array], *terms_and_kernels: Array
 
 
 MOSAIC = LayerParts(
+    encode=_encode,
     beside_attention=_beside_attention,
     beside_feed_forward=beside_feed_forward,
     gate=gate,

@@ -24,8 +24,12 @@ using std::max;
 using std::min;
 typedef unsigned int u32;
 struct uint4 { u32 x, y, z, w; };
+struct uint2 { u32 x, y; };
 struct float2 { float x, y; };
+struct float4 { float x, y, z, w; };
 inline uint4 make_uint4(u32 x, u32 y, u32 z, u32 w) { return {x, y, z, w}; }
+inline uint2 make_uint2(u32 x, u32 y) { return {x, y}; }
+inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
 inline float2 make_float2(float x, float y) { return {x, y}; }
 struct Index { int x; };
 
@@ -173,6 +177,7 @@ inline float __uint_as_float(u32 bits) { return on_cpu::from_bits(bits); }
 inline float rsqrtf(float x) { return 1.0f / std::sqrt(x); }
 inline u32 pack(float low, float high) { return on_cpu::bfloat16_bits(low) | on_cpu::bfloat16_bits(high) << 16; }
 inline float power_of_2(float x) { return std::exp2(x); }
+inline float reciprocal(float x) { return 1.0f / x; }
 inline float logarithm_to_2(float x) { return std::log2(x); }
 inline u32 shared_address(const char* place) { return (u32)(place - on_cpu::shared); }
 

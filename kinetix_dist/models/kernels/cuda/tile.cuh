@@ -16,9 +16,8 @@
 
 typedef unsigned int u32;
 
-#define SHARED_MEMORY(type, name)                       \
-  extern __shared__ __align__(256) char name##_bytes[]; \
-  type& name = *(type*)name##_bytes
+extern __shared__ __align__(256) char shared_memory[];
+#define SHARED_MEMORY(type, name) type& name = *(type*)shared_memory
 
 __device__ __forceinline__ u32 shared_address(const char* place) { return (u32)__cvta_generic_to_shared(place); }
 
@@ -54,6 +53,12 @@ __device__ __forceinline__ float power_of_2(float x) {
 __device__ __forceinline__ float logarithm_to_2(float x) {
   float y;
   asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+
+__device__ __forceinline__ float reciprocal(float x) {
+  float y;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
   return y;
 }
 
