@@ -21,7 +21,6 @@ from flax import linen as nn
 from jax2d.scene import Array
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
 from kinetix_dist.models.contraction import linear
-from kinetix_dist.models.dense import DenseParameters, add_bias
 
 orthogonal = nn.initializers.orthogonal
 
@@ -68,7 +67,5 @@ class ColourReadOut(nn.Module):
         bias = self.param(f"{kind}_bias", nn.initializers.zeros, (self.hidden_size,))
         of_actor = linear(actor, actor_kernel) + bias.astype(actor.dtype)
         hidden = jnp.tanh(linear(sums, sum_kernel) + of_actor[:, None])
-        output = DenseParameters(num_choices, orthogonal(self.output_gain), name=f"{kind}_output")
-        output_kernel, output_bias = output(self.hidden_size)
-        # Small: float32 keeps log-probabilities exact.
-        return add_bias(hidden.astype(jnp.float32) @ output_kernel, output_bias)
+        output = nn.Dense(num_choices, kernel_init=orthogonal(self.output_gain), name=f"{kind}_output")
+        return output(hidden.astype(jnp.float32))  # small: float32 keeps log-probabilities exact

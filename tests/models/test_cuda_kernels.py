@@ -65,9 +65,10 @@ def normalised(x):
     return centred / jnp.sqrt((centred * centred).mean(axis=-1, keepdims=True) + NORM_EPSILON)
 
 
-def results(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray], activations: set[str]) -> list:
-    """What a function gives and its gradients, with activations in bfloat16, as float32."""
+def prepared(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray], activations: set[str]):
+    """Gives what a function gives and its gradients, with activations in bfloat16, as float32; every time it is called."""
 
+    @jax.jit
     def both(arguments, grads):
         out, back = jax.vjp(function, *arguments)
         return out, back(jax.tree.unflatten(jax.tree.structure(out), grads))
@@ -75,8 +76,8 @@ def results(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray],
     given = [
         jnp.asarray(value, jnp.bfloat16 if name in activations else jnp.float32) for name, value in arguments.items()
     ]
-    found = jax.jit(both)(given, [jnp.asarray(grad, jnp.bfloat16) for grad in grads])
-    return [np.asarray(leaf.astype(jnp.float32)) for leaf in jax.tree.leaves(found)]
+    of_results = [jnp.asarray(grad, jnp.bfloat16) for grad in grads]
+    return lambda: [np.asarray(leaf.astype(jnp.float32)) for leaf in jax.tree.leaves(both(given, of_results))]
 
 
 def in_float64(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray]) -> list[np.ndarray]:
@@ -98,7 +99,7 @@ def assert_no_worse(names: list[str], found: list, by_xla: list, exact: list) ->
 
 def assert_same_again(place: str, found: list, again) -> None:
     if place == "on a GPU":
-        for _ in range(5):
+        for _ in range(9):
             for first, other in zip(found, again(), strict=True):
                 np.testing.assert_array_equal(first, other)
 
@@ -130,14 +131,14 @@ def test_encoders(place, groups, worlds):
     def with_xla(*parameters):
         return xla.XLA.encode(features, list(parameters[::2]), list(parameters[1::2]), num_others, jnp.bfloat16)
 
-    found = results(by_kernels, arguments, grads, set())
-    by_xla = results(with_xla, arguments, grads, set())
+    run = prepared(by_kernels, arguments, grads, set())
+    found, by_xla = run(), prepared(with_xla, arguments, grads, set())()
     names = ["tokens", *arguments]
     assert_no_worse(names[:1], found[:1], by_xla[:1], in_float64(exact, arguments, grads)[:1])
     # Slopes are kept in bfloat16, where XLA keeps float32: as exact as what else is in it.
     for name, ours, wanted in zip(names[1:], found[1:], in_float64(exact, arguments, grads)[1:], strict=True):
         assert np.linalg.norm(ours - wanted) < 3e-3 * np.linalg.norm(wanted), name
-    assert_same_again(place, found, lambda: results(by_kernels, arguments, grads, set()))
+    assert_same_again(place, found, run)
 
 
 @pytest.mark.parametrize("rows", [1, 150])
@@ -154,10 +155,10 @@ def test_feed_forward(place, rows):
     def exact(x, kernel, bias):
         return x, jax.nn.relu(normalised(x) @ kernel + bias)
 
-    found = results(beside_feed_forward, arguments, grads, {"x"})
-    by_xla = results(xla.feed_forward_update, arguments, grads, {"x"})
+    run = prepared(beside_feed_forward, arguments, grads, {"x"})
+    found, by_xla = run(), prepared(xla.feed_forward_update, arguments, grads, {"x"})()
     assert_no_worse(["x", "y", *arguments], found, by_xla, in_float64(exact, arguments, grads))
-    assert_same_again(place, found, lambda: results(beside_feed_forward, arguments, grads, {"x"}))
+    assert_same_again(place, found, run)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -192,10 +193,10 @@ def test_attention(place, size, worlds):
         x, update = xla.attention_update(x, words, *parameters, HEADS)
         return x, jax.nn.relu(update)
 
-    found = results(by_kernels, arguments, grads, {"x"})
-    by_xla = results(with_xla, arguments, grads, {"x"})
+    run = prepared(by_kernels, arguments, grads, {"x"})
+    found, by_xla = run(), prepared(with_xla, arguments, grads, {"x"})()
     assert_no_worse(["x", "y", *arguments], found, by_xla, in_float64(exact, arguments, grads))
-    assert_same_again(place, found, lambda: results(by_kernels, arguments, grads, {"x"}))
+    assert_same_again(place, found, run)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -236,7 +237,7 @@ def test_messages(place, size, worlds):
     def with_xla(x, *others):
         return xla.XLA.add_messages(x, xla.XLA.ends(Obs), *others)
 
-    found = results(by_kernels, arguments, grads, activations)
-    by_xla = results(with_xla, arguments, grads, activations)
+    run = prepared(by_kernels, arguments, grads, activations)
+    found, by_xla = run(), prepared(with_xla, arguments, grads, activations)()
     assert_no_worse(["out", *arguments], found, by_xla, in_float64(exact, arguments, grads))
-    assert_same_again(place, found, lambda: results(by_kernels, arguments, grads, activations))
+    assert_same_again(place, found, run)

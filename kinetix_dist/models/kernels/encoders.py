@@ -14,7 +14,7 @@ from kinetix_dist.models.kernels.cuda_kernel import CudaKernel
 from kinetix_dist.models.kernels.support import MULTIPROCESSORS, WIDTH
 
 _BLOCKS = 3 * MULTIPROCESSORS
-_WORLDS_A_TILE = 8
+_WORLDS_A_TILE = 8  # the fewest
 _GROUPS = 2  # that a kernel has room for
 _DEPTH_OF = 4  # rows of its parameters are a multiple of
 

@@ -15,23 +15,44 @@
 #endif
 
 constexpr int DEPTH_0 = FEATURES_0 / 4 * 4 + 4, DEPTH_1 = FEATURES_1 / 4 * 4 + 4;
-constexpr int WORLDS_A_TILE = 8;  // so that rows of a tile are whole eights
-constexpr int TILE_ROWS_0 = WORLDS_A_TILE * ROWS_0, TILE_ROWS_1 = WORLDS_A_TILE * ROWS_1;
-constexpr int TILE_ROWS = TILE_ROWS_0 + TILE_ROWS_1;
 constexpr int ROWS_A_WARP = 8, COLUMNS_A_LANE = WIDTH / 32;
 static_assert(ROWS_0 + ROWS_1 <= TOKENS, "tokens of both groups");
 
+// The rows of so many worlds: those of the first group come first, whole eights of either.
+template <int WORLDS>
+struct Tile {
+  static_assert(WORLDS % ROWS_A_WARP == 0, "rows are whole eights");
+  static constexpr int OF_0 = WORLDS * ROWS_0, OF_1 = WORLDS * ROWS_1, ALL = OF_0 + OF_1;
+  float features[OF_0 * DEPTH_0 + OF_1 * DEPTH_1];
+
+  __device__ __forceinline__ const float* of_row_0(int row) const { return features + row * DEPTH_0; }
+  __device__ __forceinline__ const float* of_row_1(int row) const { return features + OF_0 * DEPTH_0 + row * DEPTH_1; }
+
+  // The token of a row, counted from the first world of the tile.
+  static __device__ __forceinline__ int token_of(int row) {
+    const int other = row - OF_0;
+    if (ROWS_1 == 0 || other < 0) return row / ROWS_0 * TOKENS + row % ROWS_0;
+    return other / max(ROWS_1, 1) * TOKENS + ROWS_0 + other % max(ROWS_1, 1);
+  }
+
+  __device__ __forceinline__ void load(const float* features_0, const float* features_1, int world, int here);
+};
+
+constexpr int ENCODED_WORLDS = 32;   // so many rows that eight warps have about as many each
+constexpr int GRADIENT_WORLDS = 8;   // whose gradients are in shared memory
+
 struct EncodeShared {
   float weights[(DEPTH_0 + DEPTH_1) * WIDTH];
-  float features[TILE_ROWS_0 * DEPTH_0 + TILE_ROWS_1 * DEPTH_1];
+  Tile<ENCODED_WORLDS> tile;
 };
 
 struct EncodeGradientShared {
-  float features[TILE_ROWS_0 * DEPTH_0 + TILE_ROWS_1 * DEPTH_1];
-  float grads[TILE_ROWS * WIDTH];  // of the sums before tanh
+  Tile<GRADIENT_WORLDS> tile;
+  float grads[Tile<GRADIENT_WORLDS>::ALL * WIDTH];  // of the sums before tanh
 };
 
 SHARED_BYTES(encode, EncodeShared)
+SHARED_BYTES(encode_and_keep, EncodeShared)
 SHARED_BYTES(encode_gradient, EncodeGradientShared)
 
 __device__ __forceinline__ float4 load4(const float* from) { return *(const float4*)from; }
@@ -45,19 +66,13 @@ __device__ __forceinline__ void load_features(float* to, const float* from, int 
   }
 }
 
-__device__ __forceinline__ void load_tile(float* to, const float* features_0, const float* features_1, int world,
-                                          int here) {
-  load_features<TILE_ROWS_0, FEATURES_0, DEPTH_0>(to, features_0 + (long long)world * ROWS_0 * FEATURES_0, here * ROWS_0);
+template <int WORLDS>
+__device__ __forceinline__ void Tile<WORLDS>::load(const float* features_0, const float* features_1, int world,
+                                                   int here) {
+  load_features<OF_0, FEATURES_0, DEPTH_0>(features, features_0 + (long long)world * ROWS_0 * FEATURES_0, here * ROWS_0);
   if (ROWS_1 > 0)
-    load_features<TILE_ROWS_1, FEATURES_1, DEPTH_1>(to + TILE_ROWS_0 * DEPTH_0,
-                                                    features_1 + (long long)world * ROWS_1 * FEATURES_1, here * ROWS_1);
-}
-
-// Where the token of a row of a tile is: rows of the first group come first.
-__device__ __forceinline__ int token_of(int row) {
-  const int other = row - TILE_ROWS_0;
-  if (ROWS_1 == 0 || other < 0) return row / ROWS_0 * TOKENS + row % ROWS_0;
-  return other / max(ROWS_1, 1) * TOKENS + ROWS_0 + other % max(ROWS_1, 1);
+    load_features<OF_1, FEATURES_1, DEPTH_1>(features + OF_0 * DEPTH_0,
+                                             features_1 + (long long)world * ROWS_1 * FEATURES_1, here * ROWS_1);
 }
 
 // Eight rows of a group: a lane has four columns of each.
@@ -96,20 +111,20 @@ __device__ __forceinline__ void encode_tiles(int worlds, const float* features_0
   if (ROWS_1 > 0)
     for (int i = threadIdx.x; i < DEPTH_1 * WIDTH; i += THREADS) own.weights[DEPTH_0 * WIDTH + i] = kernel_1[i];
 
-  for (int world = blockIdx.x * WORLDS_A_TILE; world < worlds; world += gridDim.x * WORLDS_A_TILE) {
-    const int here = min(WORLDS_A_TILE, worlds - world);
-    load_tile(own.features, features_0, features_1, world, here);
+  typedef Tile<ENCODED_WORLDS> Rows;
+  for (int world = blockIdx.x * ENCODED_WORLDS; world < worlds; world += gridDim.x * ENCODED_WORLDS) {
+    const int here = min(ENCODED_WORLDS, worlds - world);
+    own.tile.load(features_0, features_1, world, here);
     __syncthreads();
-    for (int first = warp() * ROWS_A_WARP; first < TILE_ROWS; first += WARPS * ROWS_A_WARP) {
+    for (int first = warp() * ROWS_A_WARP; first < Rows::ALL; first += WARPS * ROWS_A_WARP) {
       float sums[ROWS_A_WARP][COLUMNS_A_LANE];
-      if (first < TILE_ROWS_0)
-        encode_rows<DEPTH_0>(own.features + first * DEPTH_0, own.weights, sums);
+      if (first < Rows::OF_0)
+        encode_rows<DEPTH_0>(own.tile.of_row_0(first), own.weights, sums);
       else
-        encode_rows<DEPTH_1>(own.features + TILE_ROWS_0 * DEPTH_0 + (first - TILE_ROWS_0) * DEPTH_1,
-                             own.weights + DEPTH_0 * WIDTH, sums);
+        encode_rows<DEPTH_1>(own.tile.of_row_1(first - Rows::OF_0), own.weights + DEPTH_0 * WIDTH, sums);
 #pragma unroll
       for (int r = 0; r < ROWS_A_WARP; ++r) {
-        const int token = token_of(first + r);
+        const int token = Rows::token_of(first + r);
         if (token / TOKENS >= here) continue;
         const long long place = ((long long)world * TOKENS + token) * 32 + lane();
         float y[COLUMNS_A_LANE], slope[COLUMNS_A_LANE];
@@ -147,7 +162,6 @@ extern "C" __global__ void __launch_bounds__(THREADS, 3)
                     const float* kernel_1, uint2* tokens, uint2* slopes) {
   encode_tiles(*num_worlds, features_0, features_1, kernel_0, kernel_1, tokens, slopes);
 }
-SHARED_BYTES(encode_and_keep, EncodeShared)
 
 // The part of a warp of the gradient of a kernel: as many rows of it as there are warps for, and four columns a lane.
 template <int DEPTH>
@@ -204,11 +218,12 @@ extern "C" __global__ void __launch_bounds__(THREADS, 3)
   OwnRows<DEPTH_1> of_1;
   of_0.clear();
   of_1.clear();
-  for (int world = blockIdx.x * WORLDS_A_TILE; world < worlds; world += gridDim.x * WORLDS_A_TILE) {
-    const int here = min(WORLDS_A_TILE, worlds - world);
-    load_tile(own.features, features_0, features_1, world, here);
-    for (int i = threadIdx.x; i < TILE_ROWS * 32; i += THREADS) {
-      const int token = token_of(i / 32);
+  typedef Tile<GRADIENT_WORLDS> Rows;
+  for (int world = blockIdx.x * GRADIENT_WORLDS; world < worlds; world += gridDim.x * GRADIENT_WORLDS) {
+    const int here = min(GRADIENT_WORLDS, worlds - world);
+    own.tile.load(features_0, features_1, world, here);
+    for (int i = threadIdx.x; i < Rows::ALL * 32; i += THREADS) {
+      const int token = Rows::token_of(i / 32);
       float4 grad = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
       if (token / TOKENS < here) {
         const long long place = ((long long)world * TOKENS + token) * 32 + i % 32;
@@ -219,8 +234,8 @@ extern "C" __global__ void __launch_bounds__(THREADS, 3)
       *(float4*)(own.grads + i * COLUMNS_A_LANE) = grad;
     }
     __syncthreads();
-    of_0.add(own.features, own.grads, TILE_ROWS_0);
-    if (ROWS_1 > 0) of_1.add(own.features + TILE_ROWS_0 * DEPTH_0, own.grads + TILE_ROWS_0 * WIDTH, TILE_ROWS_1);
+    of_0.add(own.tile.of_row_0(0), own.grads, Rows::OF_0);
+    if (ROWS_1 > 0) of_1.add(own.tile.of_row_1(0), own.grads + Rows::OF_0 * WIDTH, Rows::OF_1);
     __syncthreads();
   }
   of_0.store(grad_0 + (long long)blockIdx.x * DEPTH_0 * WIDTH);
