@@ -8,6 +8,7 @@ import time
 import psutil
 import pytest
 
+from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.processes.fork_client import SERVER
 from kinetix_dist.runtime.processes.fork_server import CLIENT, ForkServer
 
@@ -85,6 +86,19 @@ def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, ask, case):
     *rest, last = _lines(ask(variables[case]), 2 if case == "it is gone" else 1)
     assert last == "set up by Ray ['" + str(ask.script) + "', '--one=a b', '--language=PYTHON']"
     assert not rest or "no fork server" in rest[0]
+
+
+def test_importing_starts_neither_a_device_nor_a_thread():
+    """Else a forked process could not use a GPU, or wait for ever."""
+    look = (
+        "import importlib, sys, threading\n"
+        "for module in sys.argv[1:]: importlib.import_module(module)\n"
+        "from jax._src import xla_bridge\n"
+        "from warp._src import context\n"
+        "print(xla_bridge._backends, context.runtime, threading.active_count())"
+    )
+    done = subprocess.run([sys.executable, "-c", look, *MODULES], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "{} None 1"
 
 
 def test_it_ends_with_its_driver():

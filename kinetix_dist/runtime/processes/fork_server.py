@@ -13,8 +13,9 @@ produces      processes, its own children, so that whoever looks for what a driv
 waits for     requests; the end of the pipe
 unblocked by  the end of the driver, or `ForkServer.stop`
 
-JAX must not have computed anything in a process that forks: its threads are not there in the copy. Processes on GPUs
-are not forked (that was never tried), nor those on machines of a cluster that others started.
+JAX must not have computed anything in a process that forks, and CUDA must not have started: threads and driver are not
+there in the copy. Importing does neither (a test looks). Processes on machines of a cluster that others started are not
+forked.
 """
 
 from __future__ import annotations

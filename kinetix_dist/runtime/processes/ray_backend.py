@@ -333,7 +333,7 @@ class RayBackend:
             "KINETIX_DIST_LOOPBACK": os.environ.get("KINETIX_DIST_LOOPBACK", self._loopback),
             **plan.env_vars,
         }
-        if self._fork_server is not None and plan.gpu is None:
+        if self._fork_server is not None:
             environment |= self._fork_server.environment
         options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
         if plan.gpu is not None:
