@@ -64,13 +64,19 @@ dnn_version_info { major: 9 minor: 10 patch: 0 }
 # The part of a launch: that of its innermost (file, function), or else named scope ("", scope), that is in one.
 PARTS: dict[str, Callable[[str, str], bool]] = {
     "gates": lambda file, function: file == "gate.py" or function.endswith("._gate"),
-    "attention": lambda file, function: file == "attention.py" or function.endswith("._attention"),
+    "attention": lambda file, function: (
+        file == "attention.py" or function.endswith(("._attention", "_beside_attention"))
+    ),
     "feed forward": lambda file, function: function.endswith("._feed_forward"),
     "messages": lambda file, function: (
-        file == "rows.py" or function in ("_messages", "EntityTransformer._message_terms")
+        file in ("rows.py", "messages.py")
+        or function in ("_messages", "_add_messages", "EntityTransformer._message_terms")
     ),
-    "encoders": lambda file, function: function.endswith(("._encode", "_encoder")),
-    "masks, pooling": lambda file, function: function in ("_token_masks", "_masked_mean", "EntityTransformer.__call__"),
+    "encoders": lambda file, function: file == "encoders.py" or function.endswith(("_encode", "_encoder")),
+    "read-out": lambda file, function: file == "colour_readout.py" or function.endswith("._told"),
+    "masks, pooling": lambda file, function: (
+        function in ("_token_masks", "EntityTransformer.__call__") or function.startswith("_masked_mean")
+    ),
     "towers, loss": lambda file, function: (
         file in ("towers.py", "gru.py", "ppo_loss.py", "categorical.py")
         or function.startswith("_gradient")

@@ -66,7 +66,7 @@ def normalised(x):
 
 
 def prepared(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray], activations: set[str]):
-    """Gives what a function gives and its gradients, with activations in bfloat16, as float32; every time it is called."""
+    """Calls a function and its gradient, with activations in bfloat16: all that it gives, as float32."""
 
     @jax.jit
     def both(arguments, grads):
@@ -81,7 +81,7 @@ def prepared(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray]
 
 
 def in_float64(function, arguments: dict[str, np.ndarray], grads: list[np.ndarray]) -> list[np.ndarray]:
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
         out, back = jax.vjp(function, *(jnp.asarray(value, jnp.float64) for value in arguments.values()))
         found = (
             out,
