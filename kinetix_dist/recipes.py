@@ -123,7 +123,7 @@ def _paper(curriculum: str, size: str) -> TrainConfig:
     """Hyperparameters of the paper, activations in bfloat16; ends after 1 B environment steps unless told otherwise."""
     return TrainConfig(
         env=EnvConfig(size=size),
-        policy=PolicyConfig(dtype="bfloat16"),
+        policy=PolicyConfig(dtype="bfloat16", kernels="auto"),
         # These learn from half of the worlds: as many samples in a minibatch.
         ppo=PpoConfig(minibatches=16) if curriculum in ("robust_plr", "accel", "paired") else PpoConfig(),
         curriculum=_CURRICULA[curriculum],
@@ -139,11 +139,10 @@ def _pretrain(size: str) -> TrainConfig:
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
     is_tuned = size == "m"
-    kernels = "auto" if is_tuned else "xla"  # at L compiling them takes minutes
     scoring_batch = 16_384 if is_tuned else 4096  # one batch costs less time, and a curator three times the memory
     return dataclasses.replace(
         paper,
-        policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour", kernels=kernels),
+        policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour", kernels="auto"),
         ppo=PpoConfig(
             epochs=1,
             minibatches=256,
