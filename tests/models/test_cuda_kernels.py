@@ -1,15 +1,20 @@
-"""Kernels in CUDA C++ against plain formulas in float64, beside XLA in bfloat16.
+"""Kernels in CUDA C++ against plain formulas in float64, beside XLA in bfloat16; a whole network with them.
 
 On a CPU their sources run by a C++ compiler (cuda_on_cpu), every thread of them: tiles, addresses, barriers, products.
 """
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
+from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models import layer as xla
 from kinetix_dist.models.kernels import cuda_kernel, support
@@ -18,6 +23,7 @@ from kinetix_dist.models.kernels.encoders import encode
 from kinetix_dist.models.kernels.feed_forward import beside_feed_forward
 from kinetix_dist.models.kernels.messages import add_messages, pack_ends
 from kinetix_dist.models.norms import NORM_EPSILON
+from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.models import cuda_on_cpu
 
 E = support.WIDTH
@@ -39,12 +45,8 @@ def place(request, monkeypatch):
     if cuda_on_cpu.COMPILER is None:
         pytest.skip("there is no C++ compiler")
     monkeypatch.setattr(cuda_kernel, "call", cuda_on_cpu.call)
-    for module in (
-        "attention",
-        "encoders",
-        "feed_forward",
-        "messages",
-    ):  # few blocks: some have several tiles, some one
+    # Few blocks: some have several tiles, some one.
+    for module in ("attention", "encoders", "feed_forward", "messages"):
         for name in ("_FORWARD_BLOCKS", "_BACKWARD_BLOCKS", "_BLOCKS"):
             monkeypatch.setattr(f"kinetix_dist.models.kernels.{module}.{name}", 2, raising=False)
     return request.param
@@ -241,3 +243,43 @@ def test_messages(place, size, worlds):
     found, by_xla = run(), prepared(with_xla, arguments, grads, activations)()
     assert_no_worse(["out", *arguments], found, by_xla, in_float64(exact, arguments, grads))
     assert_same_again(place, found, run)
+
+
+@pytest.mark.skipif(
+    not jax.__version__.startswith(support.JAX_VERSIONS), reason=f"jax {jax.__version__} has no kernels of the gate"
+)
+@pytest.mark.parametrize(("size", "read_out"), [("s", "pooled"), ("m", "colour")])
+def test_a_network_by_kernels_is_no_further_from_float32_than_by_xla(place, size, read_out, monkeypatch):
+    """All of the network that a run with `policy.kernels` "mosaic" learns, on a CPU in the interpreter."""
+    worlds = 9
+    if place == "on a CPU":
+        from kinetix_dist.models.kernels import gate_weights, layer, tiles
+        from kinetix_dist.models.kernels.gate import gate
+
+        monkeypatch.setattr(support, "why_no_device", lambda: "")
+        monkeypatch.setattr(tiles, "PAIRS", 2)
+        monkeypatch.setattr(gate_weights, "PAIRS", 2)
+        interpreted = dataclasses.replace(layer.MOSAIC, gate=lambda *operands: gate(*operands, True))
+        monkeypatch.setattr(layer, "MOSAIC", interpreted)
+    dynamic = jax.tree.map(lambda leaf: leaf[0], synthetic_trajectory(1, worlds, SIZES[size]).dynamic_obs)
+    obs = OBSERVATIONS["entity"].join(synthetic_static_obs(worlds, SIZES[size]), dynamic)
+
+    def policy(kernels: str, dtype: str):
+        return make_policy(PolicyConfig(kernels=kernels, dtype=dtype, read_out=read_out), ACTIONS.head_sizes)
+
+    params = init_params(policy("xla", "float32"), obs, jax.random.key(0))
+    params = jax.tree.map(lambda leaf: leaf + 0.05 * jax.random.normal(jax.random.key(1), leaf.shape), params)
+
+    def gradient(kernels: str, dtype: str) -> np.ndarray:
+        def loss(params):
+            logits, values = policy(kernels, dtype).apply(params, obs)
+            return sum(jnp.sum(jax.nn.log_softmax(head)[:, 0]) for head in logits) + jnp.sum(values**2)
+
+        # Not compiled as one: XLA runs callbacks of the interpreter beside each other, and some wait for others.
+        return np.asarray(jax.flatten_util.ravel_pytree(jax.grad(loss)(params))[0])
+
+    exact = gradient("xla", "float32")
+    by_xla, by_kernels = (
+        np.linalg.norm(gradient(kernels, "bfloat16") - exact) / np.linalg.norm(exact) for kernels in ("xla", "mosaic")
+    )
+    assert 0 < by_kernels <= by_xla < 0.1, f"kernels {by_kernels:.2%}, XLA {by_xla:.2%}"

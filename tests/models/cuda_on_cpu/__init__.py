@@ -9,9 +9,11 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
+import os
 import shutil
 import subprocess
 import tempfile
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +24,8 @@ import numpy as np
 from kinetix_dist.models.kernels.cuda_kernel import FOLDER, THREADS, CudaKernel
 
 HERE = Path(__file__).parent
+BUILT = HERE.parents[2] / ".cache" / "cuda_on_cpu"
+ONE_AT_A_TIME = threading.Lock()  # what stands for a block is global, and XLA calls from several threads
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 
 
@@ -33,7 +37,8 @@ def call(kernel: CudaKernel, out: Sequence[jax.ShapeDtypeStruct], blocks: int, *
         shared_bytes = ctypes.c_int.in_dll(library, f"{kernel.name}_shared_bytes").value
         pointers = [array.ctypes.data for array in (*given, *results)]
         launch = getattr(library, f"launch_{kernel.name}")
-        launch(blocks, THREADS, shared_bytes, (ctypes.c_void_p * len(pointers))(*pointers))
+        with ONE_AT_A_TIME:
+            launch(blocks, THREADS, shared_bytes, (ctypes.c_void_p * len(pointers))(*pointers))
         for number, result in enumerate(results):
             assert not np.isnan(result.astype(np.float32)).any(), f"{kernel.name} does not write all of result {number}"
         return results
@@ -47,13 +52,14 @@ def _library(file: str, macros: tuple[tuple[str, int], ...]) -> ctypes.CDLL:
     digest = hashlib.sha256(repr((file, macros, COMPILER)).encode())
     for source in sources:
         digest.update(source.read_bytes())
-    built = Path(tempfile.gettempdir()) / f"cuda_on_cpu_{digest.hexdigest()[:24]}.so"
+    built = BUILT / f"{digest.hexdigest()[:24]}.so"
     if not built.exists():
         part = file.removesuffix(".cu").upper()
         options = [f'-DSOURCE="{file}"', f"-DOF_{part}", *(f"-D{name}={value}" for name, value in macros)]
-        with tempfile.TemporaryDirectory() as folder:
+        BUILT.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=BUILT) as folder:
             result = Path(folder) / "kernel.so"
             command = [COMPILER, "-std=c++20", "-O1", "-shared", "-fPIC", f"-I{HERE}", f"-I{FOLDER}", *options]
             subprocess.run([*command, str(HERE / "launch.cpp"), "-o", str(result)], check=True)
-            shutil.move(result, built)
+            os.replace(result, built)
     return ctypes.CDLL(str(built))
