@@ -1,7 +1,7 @@
 """Bytes and launches of a gradient step, by part, of the update that XLA compiles for an H200. Needs no GPU.
 
     python -m bench.learner_traffic                                            # both networks at S, M and L
-    python -m bench.learner_traffic --sizes m --networks transformer --json runs/traffic.json
+    python -m bench.learner_traffic --sizes m --networks transformer --kernels mosaic --json runs/traffic.json
 
 The update of `bench learner` is compiled for a described device (topology) and its text is read (compiled_traffic.py).
 What bounds a gradient step on a GPU is this traffic: a copy reaches 4.3 TB/s of the 4.8 that an H200 has, so 4.3 GB are
@@ -36,6 +36,7 @@ from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.sharding import DATA_AXIS
 from kinetix_dist.learner.update import make_update
 from kinetix_dist.level.level import SIZES
+from kinetix_dist.models.kernels.support import KernelError, compiling_for
 
 WORLDS = 2_048
 MINIBATCHES = 2  # so that the compiler keeps the loop over minibatches
@@ -188,13 +189,18 @@ def measure(size: str, network: str, options: Any, device: Any) -> dict[str, Any
         network=network,
         dtype=options.dtype,
         encoder_size=options.encoder_size,
+        kernels=options.kernels,
         minibatch=options.minibatch,
         worlds=WORLDS,
         steps=MINIBATCHES * options.minibatch // WORLDS,
     )
     config = PpoConfig(epochs=1, minibatches=MINIBATCHES)
     started = time.perf_counter()
-    program = CompiledText(compiled_update(learner_program(learner), config, device))
+    try:
+        with compiling_for(device):
+            program = CompiledText(compiled_update(learner_program(learner), config, device))
+    except KernelError as error:
+        raise UserError(str(error)) from error
     rows = by_part(launches_of(program, loop_body(program)))
     total = sum(row.bytes for row in rows)
     return {
@@ -202,6 +208,7 @@ def measure(size: str, network: str, options: Any, device: Any) -> dict[str, Any
         "size": size,
         "network": network,
         "dtype": options.dtype,
+        "kernels": options.kernels,
         "encoder_size": options.encoder_size,
         "minibatch": options.minibatch,
         "jax": jax.__version__,
@@ -216,7 +223,8 @@ def measure(size: str, network: str, options: Any, device: Any) -> dict[str, Any
 
 def table(record: dict[str, Any]) -> str:
     lines = [
-        f"{record['network']} at {record['size'].upper()}, {record['minibatch']:,} samples, {record['dtype']}",
+        f"{record['network']} at {record['size'].upper()}, {record['minibatch']:,} samples, {record['dtype']}, "
+        f"kernels {record['kernels']}",
         f"  {'part':16s} {'launches':>8s} {'read, GB':>9s} {'written':>9s} {'share':>6s}",
     ]
     for row in record["parts"]:
@@ -239,6 +247,7 @@ def main() -> int:
     parser.add_argument("--minibatch", type=int, default=16_384, help="samples of a gradient step")
     parser.add_argument("--dtype", default="bfloat16", choices=["float32", "bfloat16"], help="of activations")
     parser.add_argument("--encoder-size", type=int, default=128, help="width of tokens and of hidden layers")
+    parser.add_argument("--kernels", default="xla", choices=["xla", "mosaic"], help="as policy.kernels")
     parser.add_argument("--json", type=output_file, help="write the records here")
     options = parser.parse_args()
 

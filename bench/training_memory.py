@@ -31,6 +31,7 @@ from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import DATA_AXIS
 from kinetix_dist.learner.update import make_update
+from kinetix_dist.models.kernels.support import compiling_for
 from kinetix_dist.models.policy import NETWORKS
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.learner_core import initial_state
@@ -199,7 +200,7 @@ def main() -> int:
     def work() -> int:
         check(options)
         device = h200()
-        with jax.default_device(jax.devices("cpu")[0]):
+        with jax.default_device(jax.devices("cpu")[0]), compiling_for(device):
             report_each((measure(name, options, device) for name in options.recipes), options.json, text=table)
         return 0
 

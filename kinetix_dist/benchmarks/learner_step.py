@@ -46,7 +46,7 @@ class Options(BenchmarkOptions):
     network: Literal["transformer", "transformer_lean", "flat"] = "transformer"
     """Policy network."""
     kernels: Literal["auto", "xla", "mosaic"] = "xla"
-    """Of the gates, see policy.kernels."""
+    """Of the layers, see policy.kernels."""
     encoder_size: int = 128
     """Width of tokens and of hidden layers."""
     minibatch: int = 16_384

@@ -46,7 +46,7 @@ class PolicyConfig:
     recurrent: str = "none"  # or "gru": a memory between the embedding and actor and critic
     memory_size: int = 256  # of it
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
-    kernels: str = "xla"  # of the gates: "xla", "mosaic" (Hopper GPUs), or "auto", which takes these where they run
+    kernels: str = "xla"  # of the layers: "xla", "mosaic" (Hopper GPUs), or "auto", which takes these where they run
 
     def __post_init__(self) -> None:
         if self.network not in NETWORKS:

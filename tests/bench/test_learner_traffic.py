@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -139,6 +140,19 @@ def test_a_loop_over_minibatches_reads_the_rows_it_gathers():
     launches = launches_of(program, loop_body(program))
     taken = 512 * 1024 * 4
     assert taken <= max(launch.read_bytes for launch in launches) < 1.01 * taken
+
+
+@for_h200
+def test_kernels_of_a_layer_move_less_than_xla():
+    """The whole update with each of them compiles for a GPU that this machine does not have."""
+    options = SimpleNamespace(dtype="bfloat16", encoder_size=128, minibatch=4096)
+    moved = {}
+    for kernels in ("xla", "mosaic"):
+        options.kernels = kernels
+        record = learner_traffic.measure("s", "transformer", options, h200())
+        moved[kernels] = {row["part"]: row["read_bytes"] + row["written_bytes"] for row in record["parts"]}
+    for part in ("gates", "attention", "feed forward", "messages", "encoders"):
+        assert 0 < moved["mosaic"][part] < 0.8 * moved["xla"][part], part
 
 
 @pytest.mark.skipif(CAN_COMPILE, reason="jax can compile for CUDA here")

@@ -8,7 +8,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import contextvars
 import dataclasses
+from collections.abc import Iterator
 
 import jax
 
@@ -76,11 +79,24 @@ def why_no_network(layer: LayerShape) -> str:
     return ""
 
 
+_target: contextvars.ContextVar[jax.Device | None] = contextvars.ContextVar("target", default=None)
+
+
+@contextlib.contextmanager
+def compiling_for(device: jax.Device) -> Iterator[None]:
+    """What is traced meanwhile is for `device`, which may be a described one, not for the first of this process."""
+    token = _target.set(device)
+    try:
+        yield
+    finally:
+        _target.reset(token)
+
+
 def why_no_device() -> str:
-    """What keeps the kernels from the first device of this process; empty: nothing."""
+    """What keeps the kernels from the device that programs are for; empty: nothing."""
     if not jax.__version__.startswith(JAX_VERSIONS):
         return f"jax is {jax.__version__} and the kernels are written for {' or '.join(JAX_VERSIONS)} (Python 3.12)"
-    device = jax.local_devices()[0]
+    device = _target.get() or jax.local_devices()[0]
     if device.platform != "gpu":
         return f"the device is a {device.platform.upper()} and the kernels are written for Hopper GPUs"
     if device.compute_capability != CAPABILITY:
