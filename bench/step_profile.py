@@ -105,7 +105,7 @@ def measure(name: str, program: str, options: Any) -> dict[str, Any]:
         "program": program,
         "recipe": name,
         "network": config.policy.network,
-        "kernels": config.policy.kernels,
+        "policy_kernels": config.policy.kernels,
         "device": jax.devices()[0].device_kind,
         "jax": jax.__version__,
         "worlds": options.worlds,
@@ -142,7 +142,7 @@ def table(record: dict[str, Any], rows: int) -> str:
     for kernel in record["kernels"]:
         by_part[kernel["part"]].append(kernel)
     lines = [
-        f"{record['recipe']} ({record['network']}, kernels {record['kernels']}), {record['program']}, "
+        f"{record['recipe']} ({record['network']}, kernels {record['policy_kernels']}), {record['program']}, "
         f"{record['worlds']:,} worlds, minibatches of {record['minibatch']:,}, on {record['device']}: "
         f"{record['microseconds_a_step']:,.0f} us a step",
         "        us a step, at the speed of a copy, bytes, launches",

@@ -50,7 +50,7 @@ def test_the_table_adds_up_what_belongs_together() -> None:
     record = {
         "recipe": "pretrain_m",
         "network": "transformer",
-        "kernels": "xla",
+        "policy_kernels": "xla",
         "program": "rollout",
         "worlds": 64,
         "minibatch": 64,
