@@ -426,11 +426,15 @@ def with_phases(config: TrainConfig, phases: Sequence[Mapping[str, Any]]) -> Tra
 
 
 def from_dict_for_playing(data: Mapping[str, Any]) -> TrainConfig:
-    """The same, and where an older config has the name of a preset, today's numbers of it: good enough for playing."""
-    if (name := _old_preset(data)) is None:
-        return from_dict(data)
-    env = {field: value for field, value in data["env"].items() if field != "preset"}
-    return from_dict({**data, "env": {**env, "physics": to_dict(preset(name))}})
+    """The same for what is only played: on any device, and where an older config has the name of a preset, with
+    today's numbers of it."""
+    if (name := _old_preset(data)) is not None:
+        env = {field: value for field, value in data["env"].items() if field != "preset"}
+        data = {**data, "env": {**env, "physics": to_dict(preset(name))}}
+    config = from_dict(data)
+    if config.policy.kernels != "mosaic":
+        return config
+    return dataclasses.replace(config, policy=dataclasses.replace(config.policy, kernels="auto"))
 
 
 def _old_preset(data: Mapping[str, Any]) -> str | None:

@@ -9,7 +9,15 @@ import numpy as np
 
 from jax2d.scene import Capacity
 from kinetix_dist.env.action_spaces import MultiDiscrete
-from kinetix_dist.env.observations.entities import DynamicObs, StaticObs
+from kinetix_dist.env.observations.entities import (
+    NUM_BODY_FEATURES,
+    NUM_CIRCLE_FEATURES,
+    NUM_JOINT_FEATURES,
+    NUM_THRUSTER_FEATURES,
+    DynamicObs,
+    StaticObs,
+    num_polygon_features,
+)
 from kinetix_dist.messages import Trajectory
 
 ACTIONS = MultiDiscrete().distribution
@@ -29,10 +37,10 @@ def synthetic_static_obs(num_worlds: int, capacity: Capacity, seed: int = 0) -> 
     rows = rng.integers(0, 2**shapes, (2, num_worlds, shapes)) & active[:, None]
     connected = (np.where(shape_mask, rows, 0) | (shape_mask * (1 << np.arange(shapes)))).astype(np.uint32)
     return StaticObs(
-        polygons=features(capacity.polygons, 12 + 2 * capacity.vertices),
-        circles=features(capacity.circles, 12),
-        joints=features(joints, 22),
-        thrusters=features(capacity.thrusters, 8),
+        polygons=features(capacity.polygons, num_polygon_features(capacity) - NUM_BODY_FEATURES),
+        circles=features(capacity.circles, NUM_CIRCLE_FEATURES - NUM_BODY_FEATURES),
+        joints=features(joints, NUM_JOINT_FEATURES),
+        thrusters=features(capacity.thrusters, NUM_THRUSTER_FEATURES),
         shape_mask=shape_mask,
         joint_mask=rng.random((num_worlds, joints)) < 0.8,
         thruster_mask=rng.random((num_worlds, capacity.thrusters)) < 0.8,

@@ -55,6 +55,11 @@ class PolicyConfig:
             raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
         if self.kernels not in KERNELS:
             raise ValueError(f"PolicyConfig.kernels is {self.kernels!r}; choose one of {', '.join(KERNELS)}")
+        if self.kernels == "mosaic" and not NETWORKS[self.network].has_kernels:
+            raise ValueError(
+                f"PolicyConfig.kernels is 'mosaic', but network {self.network!r} has no kernels; "
+                "set it to 'auto' or 'xla'"
+            )
         if self.read_out not in READ_OUTS:
             raise ValueError(f"PolicyConfig.read_out is {self.read_out!r}; choose one of {', '.join(READ_OUTS)}")
         if self.read_out == "colour" and not NETWORKS[self.network].reads_by_colour:
@@ -86,6 +91,7 @@ class Network:
     takes: str  # the kind of policy input, see `Observation.gives`
     build: Callable[[PolicyConfig, tuple[int, ...]], nn.Module]  # (config, sizes of the heads) -> a flax module
     reads_by_colour: bool = False  # whether it has `PolicyConfig.read_out` "colour"
+    has_kernels: bool = False  # whether it has `PolicyConfig.kernels` "mosaic"
     sample_bytes: int = 0  # of device memory for a sample of a minibatch, gradients included; 0: too few to count
 
 
@@ -136,7 +142,7 @@ def _cnn(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
 
 
 NETWORKS: Registry[Network] = Registry("network")
-NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer, reads_by_colour=True))
+NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer, reads_by_colour=True, has_kernels=True))
 # Plain residuals for gates: fewer and smaller products, see entity_transformer.py.
 NETWORKS.register(
     "transformer_lean",
@@ -146,7 +152,8 @@ NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
 NETWORKS.register("cnn", Network(takes=IMAGE, build=_cnn, sample_bytes=SAMPLE_BYTES))
 # Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.
 NETWORKS.register(
-    "transformer_kinetix", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(1.0, 0.0)))
+    "transformer_kinetix",
+    Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(1.0, 0.0)), has_kernels=True),
 )
 NETWORKS.register(
     "transformer_kinetix_paper", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(0.0, 0.0)))

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from bench.learner_traffic import COMPILER_OPTIONS, h200
+from kinetix_dist.level.level import SIZES
 from kinetix_dist.models import gate as xla
-from kinetix_dist.models.kernels import support
+from kinetix_dist.models.kernels import nvrtc, support
 from kinetix_dist.models.policy import PolicyConfig
 
 E = support.WIDTH
@@ -151,7 +152,10 @@ LAYER = support.LayerShape(
         ({"num_heads": 4}, "policy.num_heads is 4"),
         ({"attention_features": 32}, "policy.attention_features is 32"),
         ({"is_gated": False}, "policy.network has no gates"),
-        ({"num_tokens": 161}, "worlds have 161 tokens, 4 ends of joints and 2 thrusters"),
+        ({"num_tokens": 33}, "worlds have 33 tokens and the kernels take 32"),
+        ({"num_joints": 30, "num_thrusters": 3}, "worlds have 33 ends of joints and thrusters and the kernels take 32"),
+        ({"num_joints": 0}, "worlds have no joints"),
+        ({"num_thrusters": 0}, "worlds have no thrusters"),
     ],
 )
 def test_a_network_that_the_kernels_do_not_fit_is_refused(changed, says: str):
@@ -168,6 +172,49 @@ def test_a_device_that_the_kernels_are_not_written_for_is_refused():
     with pytest.raises(support.KernelError, match=r"policy.kernels is 'mosaic', but (jax is|the device is a CPU)"):
         support.uses_mosaic("mosaic", LAYER)
     assert not support.uses_mosaic("auto", LAYER)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_every_size_fits_the_kernels(size: str):
+    capacity = SIZES[size]
+    counts = {"num_tokens": capacity.shapes + 1, "num_joints": 2 * capacity.joints, "num_thrusters": capacity.thrusters}
+    assert support.why_no_network(dataclasses.replace(LAYER, **counts)) == ""
+
+
+def test_a_compiler_that_lacks_a_library_is_no_compiler(monkeypatch):
+    """As one of which not all files are installed: it loads, and takes no source."""
+
+    class Incomplete:
+        def __getattr__(self, name: str):
+            return lambda *arguments: 11 if name == "nvrtcCompileProgram" else 0
+
+    monkeypatch.setattr(nvrtc, "library", Incomplete)
+    with pytest.raises(nvrtc.NvrtcError, match=r"nothing\.cu"):
+        nvrtc.check_compiler.__wrapped__()
+
+
+@has_pallas
+def test_a_gate_is_the_same_whether_there_is_to_be_a_gradient(monkeypatch):
+    """Rollouts, scoring and evaluation run a kernel that stores less."""
+    from kinetix_dist.models.kernels import gate_weights, tiles
+    from kinetix_dist.models.kernels.gate import gate
+
+    monkeypatch.setattr(tiles, "PAIRS", 2)
+    monkeypatch.setattr(gate_weights, "PAIRS", 2)
+    arguments, _ = inputs(335)
+    x, y = (jnp.asarray(each, jnp.bfloat16) for each in arguments[:2])
+    parameters = list(map(jnp.asarray, arguments[2:]))
+    alone = gate(x, y, *parameters, True)
+    beside, _ = jax.vjp(lambda *each: gate(x, y, *each, True), *parameters)
+    # XLA compiles the interpreter's two programs differently: the last bit of a few numbers.
+    np.testing.assert_allclose(alone.astype(jnp.float32), beside.astype(jnp.float32), rtol=2**-7, atol=1e-6)
+
+
+@pytest.mark.parametrize("network", ["transformer_lean", "flat", "cnn"])
+def test_a_network_without_kernels_is_refused(network: str):
+    with pytest.raises(ValueError, match=f"kernels is 'mosaic', but network '{network}' has no kernels"):
+        PolicyConfig(network=network, kernels="mosaic")
+    PolicyConfig(network=network, kernels="auto")
 
 
 def test_kernels_that_are_not_known_are_refused():

@@ -464,6 +464,13 @@ def test_pretrained_policies_have_a_configuration_that_can_be_played(name):
     assert physics == preset("standard").replace(**trained_with)
 
 
+def test_what_learned_by_kernels_for_hopper_gpus_can_be_played_anywhere():
+    config = to_dict(recipe("pretrain_m"))
+    config["policy"]["kernels"] = "mosaic"
+    assert from_dict(config).policy.kernels == "mosaic"
+    assert from_dict_for_playing(config) == recipe("pretrain_m")  # which has "auto"
+
+
 def _old(config):
     """The same as an earlier version wrote it."""
     env = {name: value for name, value in config["env"].items() if name != "physics"}

@@ -8,10 +8,9 @@ import jax.numpy as jnp
 from jax2d.scene import Array
 from kinetix_dist.models.kernels import cuda_kernel
 from kinetix_dist.models.kernels.cuda_kernel import ROWS, CudaKernel
-from kinetix_dist.models.kernels.support import MULTIPROCESSORS
 
 _COLUMNS = 64  # of queries, keys and values, filled up with zeros
-_FORWARD_BLOCKS, _BACKWARD_BLOCKS = 3 * MULTIPROCESSORS, 2 * MULTIPROCESSORS
+_FORWARD_BLOCKS, _BACKWARD_BLOCKS = 3, 2  # of a multiprocessor
 
 
 @jax.custom_vjp
@@ -34,18 +33,18 @@ def _forward(
     weights = jnp.pad(kernel, ((0, 0), (0, missing))).astype(jnp.bfloat16)
     parameters = (weights, jnp.pad(bias, (0, missing)), out_kernel.astype(jnp.bfloat16), out_bias)
     like = jax.ShapeDtypeStruct(x.shape, x.dtype)
-    kernel_of, blocks = _kernel("attention", x), _blocks(x, _FORWARD_BLOCKS)
+    kernel_of, blocks = _kernel("attention", x, _FORWARD_BLOCKS)
     (y,) = cuda_kernel.call(kernel_of, [like], blocks, jnp.int32([x.shape[0]]), x, mask_words, *parameters)
     return (x, y), (x, mask_words, *parameters)
 
 
 def _backward(residuals: tuple[Array, ...], grads: tuple[Array, Array]) -> tuple[Array | None, ...]:
     x, mask_words, *parameters = residuals
-    blocks = _blocks(x, _BACKWARD_BLOCKS)
+    kernel_of, blocks = _kernel("attention_gradient", x, _BACKWARD_BLOCKS)
     out = [jax.ShapeDtypeStruct(x.shape, x.dtype)]
     out += [jax.ShapeDtypeStruct((blocks, *a.shape), jnp.float32) for a in parameters]
     grad_x, *of_blocks = cuda_kernel.call(
-        _kernel("attention_gradient", x), out, blocks, jnp.int32([x.shape[0]]), x, *grads, mask_words, *parameters
+        kernel_of, out, blocks, jnp.int32([x.shape[0]]), x, *grads, mask_words, *parameters
     )
     of_kernel, of_bias, of_out_kernel, of_out_bias = (jnp.sum(each, axis=0) for each in of_blocks)
     columns = 3 * parameters[2].shape[0]
@@ -55,10 +54,7 @@ def _backward(residuals: tuple[Array, ...], grads: tuple[Array, Array]) -> tuple
 beside_attention.defvjp(_forward, _backward)
 
 
-def _kernel(name: str, x: Array) -> CudaKernel:
-    return CudaKernel("attention.cu", name, (("TOKENS", x.shape[1]),))
-
-
-def _blocks(x: Array, at_most: int) -> int:
-    worlds_a_tile = ROWS // x.shape[1]
-    return min(at_most, -(-x.shape[0] // worlds_a_tile))
+def _kernel(name: str, x: Array, at_most: int) -> tuple[CudaKernel, int]:
+    """And how many of its blocks run."""
+    kernel, worlds_a_tile = CudaKernel("attention.cu", name, (("TOKENS", x.shape[1]),)), ROWS // x.shape[1]
+    return kernel, cuda_kernel.num_blocks(kernel, -(-x.shape[0] // worlds_a_tile), at_most)

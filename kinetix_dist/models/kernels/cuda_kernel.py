@@ -17,12 +17,15 @@ import jax
 
 from jax2d.scene import Array
 from kinetix_dist.models.kernels.nvrtc import compile_ptx
+from kinetix_dist.models.kernels.support import MULTIPROCESSORS
 
 FOLDER = Path(__file__).parent / "cuda"
 HEADER = "tile.cuh"
 TARGET = "__gpu$xla.gpu.ptx"
 THREADS = 256  # of a block, see tile.cuh
 ROWS = 64  # of a tile
+MULTIPROCESSOR_BYTES = 228 * 1024  # of shared memory, of which each block takes what it asks for, and
+RESERVED_BYTES = 1024
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,15 +39,25 @@ class CudaKernel:
 
 def call(kernel: CudaKernel, out: Sequence[jax.ShapeDtypeStruct], blocks: int, *operands: Array) -> list[Array]:
     """What `kernel` writes when `blocks` blocks of it run. Its parameters are the operands, then the results."""
-    ptx = _ptx(kernel.file, kernel.macros)
-    found = re.search(rf"\b{kernel.name}_shared_bytes = (\d+);", ptx)
-    assert found is not None, f"{kernel.file} does not say what shared memory {kernel.name} takes"
     numbers = {"grid_x": blocks, "grid_y": 1, "grid_z": 1, "block_x": THREADS, "block_y": 1, "block_z": 1}
-    numbers["shared_mem_bytes"] = int(found[1])
-    fields = [f'name = "{kernel.name}"', 'kernel_type = "ptx"', f"kernel_data = {_quoted(ptx)}"]
+    numbers["shared_mem_bytes"] = _shared_bytes(kernel)
+    ptx = _quoted(_ptx(kernel.file, kernel.macros))
+    fields = [f'name = "{kernel.name}"', 'kernel_type = "ptx"', f"kernel_data = {ptx}"]
     fields += [f"{name} = {number} : i32" for name, number in numbers.items()]
     config = f"{{{', '.join(fields)}}}"
     return jax.ffi.ffi_call(TARGET, list(out), custom_call_api_version=1, legacy_backend_config=config)(*operands)
+
+
+def num_blocks(kernel: CudaKernel, tiles: int, at_most: int) -> int:
+    """How many blocks share the tiles: all that run at once, `at_most` of them on a multiprocessor."""
+    fitting = MULTIPROCESSOR_BYTES // (_shared_bytes(kernel) + RESERVED_BYTES)
+    return min(MULTIPROCESSORS * min(at_most, fitting), tiles)
+
+
+def _shared_bytes(kernel: CudaKernel) -> int:
+    found = re.search(rf"\b{kernel.name}_shared_bytes = (\d+);", _ptx(kernel.file, kernel.macros))
+    assert found is not None, f"{kernel.file} does not say what shared memory {kernel.name} takes"
+    return int(found[1])
 
 
 @functools.cache

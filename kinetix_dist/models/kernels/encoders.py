@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jax2d.scene import Array
 from kinetix_dist.models.kernels import cuda_kernel
 from kinetix_dist.models.kernels.cuda_kernel import CudaKernel
-from kinetix_dist.models.kernels.support import MULTIPROCESSORS, WIDTH
+from kinetix_dist.models.kernels.support import WIDTH
 
-_BLOCKS = 3 * MULTIPROCESSORS
+_BLOCKS = 3  # of a multiprocessor
 _WORLDS_A_TILE = 8  # the fewest
 _GROUPS = 2  # that a kernel has room for
 _DEPTH_OF = 4  # rows of its parameters are a multiple of
@@ -66,8 +66,8 @@ def _call(name: str, features: Sequence[Array], num_others: int) -> tuple[CudaKe
         rows, width = features[group].shape[1:] if group < len(features) else (0, 0)
         macros |= {f"ROWS_{group}": rows, f"FEATURES_{group}": width}
     like = jax.ShapeDtypeStruct((num_worlds, num_tokens, WIDTH), jnp.bfloat16)
-    blocks = min(_BLOCKS, -(-num_worlds // _WORLDS_A_TILE))
-    return CudaKernel("encoders.cu", name, tuple(macros.items())), like, blocks
+    kernel = CudaKernel("encoders.cu", name, tuple(macros.items()))
+    return kernel, like, cuda_kernel.num_blocks(kernel, -(-num_worlds // _WORLDS_A_TILE), _BLOCKS)
 
 
 def _operands(features: Sequence[Array], kernels: Sequence[Array], biases: Sequence[Array]) -> list[Array]:
@@ -80,6 +80,7 @@ def _operands(features: Sequence[Array], kernels: Sequence[Array], biases: Seque
 
 def _of_groups(arrays: Sequence[Array]) -> list[Array]:
     """One of each group; that of a group without rows is not read."""
+    arrays = [array.astype(jnp.float32) for array in arrays]
     return [*arrays, *[arrays[0]] * (_GROUPS - len(arrays))]
 
 

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jax2d.scene import Array
 from kinetix_dist.models.kernels import cuda_kernel
 from kinetix_dist.models.kernels.cuda_kernel import ROWS, CudaKernel
-from kinetix_dist.models.kernels.support import MULTIPROCESSORS, WIDTH
+from kinetix_dist.models.kernels.support import WIDTH
 
 _FORWARD = CudaKernel("feed_forward.cu", "feed_forward")
 _BACKWARD = CudaKernel("feed_forward.cu", "feed_forward_gradient")
-_FORWARD_BLOCKS, _BACKWARD_BLOCKS = 3 * MULTIPROCESSORS, 2 * MULTIPROCESSORS
+_FORWARD_BLOCKS, _BACKWARD_BLOCKS = 3, 2  # of a multiprocessor
 
 
 @jax.custom_vjp
@@ -24,7 +24,7 @@ def beside_feed_forward(x: Array, kernel: Array, bias: Array) -> tuple[Array, Ar
 
 def _forward(x: Array, kernel: Array, bias: Array) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
     num_rows, weights = _num_rows(x), kernel.astype(jnp.bfloat16)
-    blocks = min(_FORWARD_BLOCKS, -(-num_rows // ROWS))
+    blocks = cuda_kernel.num_blocks(_FORWARD, -(-num_rows // ROWS), _FORWARD_BLOCKS)
     (y,) = cuda_kernel.call(_FORWARD, [_like(x)], blocks, jnp.int32([num_rows]), x, weights, bias)
     return (x, y), (x, weights, bias)
 
@@ -32,7 +32,7 @@ def _forward(x: Array, kernel: Array, bias: Array) -> tuple[tuple[Array, Array],
 def _backward(residuals: tuple[Array, ...], grads: tuple[Array, Array]) -> tuple[Array, ...]:
     x, weights, bias = residuals
     num_rows = _num_rows(x)
-    blocks = min(_BACKWARD_BLOCKS, -(-num_rows // ROWS))
+    blocks = cuda_kernel.num_blocks(_BACKWARD, -(-num_rows // ROWS), _BACKWARD_BLOCKS)
     out = [_like(x), *(jax.ShapeDtypeStruct((blocks, *a.shape), jnp.float32) for a in (weights, bias))]
     grad_x, *of_blocks = cuda_kernel.call(_BACKWARD, out, blocks, jnp.int32([num_rows]), x, *grads, weights, bias)
     return grad_x, *(jnp.sum(each, axis=0) for each in of_blocks)

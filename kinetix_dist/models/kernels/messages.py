@@ -8,15 +8,17 @@ import jax.numpy as jnp
 from jax2d.scene import Array
 from kinetix_dist.models.kernels import cuda_kernel
 from kinetix_dist.models.kernels.cuda_kernel import CudaKernel
-from kinetix_dist.models.kernels.support import MULTIPROCESSORS, WIDTH, worlds_a_message_tile
+from kinetix_dist.models.kernels.support import WIDTH, worlds_a_message_tile
 
-_BLOCKS = 2 * MULTIPROCESSORS  # of which two have a half of the columns each
+_BLOCKS = 2  # of a multiprocessor; two have a half of the columns each
 
 
 def pack_ends(first: Array, second: Array | None, mask: Array) -> Array:
-    """[B, K] uint32 of the tokens at the ends of K joints or thrusters, and of whether these exist."""
-    words = first.astype(jnp.uint32) | mask.astype(jnp.uint32) << 16
-    return words if second is None else words | second.astype(jnp.uint32) << 8
+    """[B, K] uint32 of the tokens at the ends of K joints or thrusters that exist, with a bit that says so; else 0."""
+    words = first.astype(jnp.uint32) | jnp.uint32(1 << 16)
+    if second is not None:
+        words |= second.astype(jnp.uint32) << 8
+    return jnp.where(mask, words, jnp.uint32(0))
 
 
 @jax.custom_vjp
@@ -73,8 +75,8 @@ def _kernel(name: str, x: Array, joints: Array, thrusters: Array) -> tuple[CudaK
     """And how many of its blocks run."""
     counts = {"TOKENS": x.shape[1], "JOINTS": joints.shape[1], "THRUSTERS": thrusters.shape[1]}
     worlds = worlds_a_message_tile(*counts.values())
-    macros = (*counts.items(), ("WORLDS_A_TILE", worlds))
-    return CudaKernel("messages.cu", name, macros), min(_BLOCKS, 2 * -(-x.shape[0] // worlds))
+    kernel = CudaKernel("messages.cu", name, (*counts.items(), ("WORLDS_A_TILE", worlds)))
+    return kernel, cuda_kernel.num_blocks(kernel, 2 * -(-x.shape[0] // worlds), _BLOCKS)
 
 
 def _like(x: Array) -> jax.ShapeDtypeStruct:

@@ -34,6 +34,12 @@ def library() -> ctypes.CDLL:
     raise NvrtcError(f"{' or '.join(NAMES)} is not installed; it comes with the extra cuda13 or cuda12 of this package")
 
 
+@functools.cache
+def check_compiler() -> None:
+    """Raises NvrtcError where there is none, or where it lacks what it needs: a library of built-in functions."""
+    compile_ptx("", "nothing.cu", headers={}, macros={})
+
+
 def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
     """PTX of a source with these headers, by the name that it includes them by. Raises NvrtcError."""
     program = ctypes.c_void_p()

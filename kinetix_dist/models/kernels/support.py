@@ -15,7 +15,7 @@ from collections.abc import Iterator
 
 import jax
 
-from kinetix_dist.models.kernels.nvrtc import NvrtcError, library
+from kinetix_dist.models.kernels.nvrtc import NvrtcError, check_compiler
 
 KERNELS = ("auto", "xla", "mosaic")
 WIDTH = 128  # of tokens
@@ -27,6 +27,7 @@ CAPABILITY = "9.0"  # Hopper: wgmma and the copy engine
 # Tiles of messages (cuda/messages.cu): with these many rows of tokens, and of messages, two blocks of the kernels share
 # a multiprocessor's memory. Products have 16 rows.
 MAX_TOKEN_ROWS, MAX_MESSAGE_ROWS, PRODUCT_ROWS = 160, 112, 16
+BITS = 32  # of a word of a mask: a world's tokens in attention, its ends of joints and thrusters in messages
 
 
 class KernelError(ValueError):
@@ -53,8 +54,6 @@ def worlds_a_message_tile(num_tokens: int, num_joints: int, num_thrusters: int) 
     def rows(worlds: int) -> int:
         return sum(-(-worlds * count // PRODUCT_ROWS) * PRODUCT_ROWS for count in (num_joints, num_thrusters))
 
-    if not num_joints or not num_thrusters:
-        return 0
     fitting = [worlds for worlds in range(1, MAX_TOKEN_ROWS // num_tokens + 1) if rows(worlds) <= MAX_MESSAGE_ROWS]
     return max(fitting, key=lambda worlds: (worlds / rows(worlds), worlds), default=0)
 
@@ -71,11 +70,14 @@ def why_no_network(layer: LayerShape) -> str:
     ):
         if value != written_for:
             return f"{name} is {value} and the kernels are written for {written_for}"
-    counts = (layer.num_tokens, layer.num_joints, layer.num_thrusters)
-    if not worlds_a_message_tile(*counts):
-        return "worlds have {} tokens, {} ends of joints and {} thrusters, which fill no tile of the kernels".format(
-            *counts
-        )
+    if not layer.num_joints or not layer.num_thrusters:
+        return f"worlds have no {'thrusters' if layer.num_joints else 'joints'} and the kernels need room for them"
+    num_ends = layer.num_joints + layer.num_thrusters
+    for count, of_what in ((layer.num_tokens, "tokens"), (num_ends, "ends of joints and thrusters")):
+        if count > BITS:
+            return f"worlds have {count} {of_what} and the kernels take {BITS}"
+    if not worlds_a_message_tile(layer.num_tokens, layer.num_joints, layer.num_thrusters):
+        return f"worlds have {num_ends} ends of joints and thrusters, which fit in no tile of the kernels"
     return ""
 
 
@@ -84,7 +86,8 @@ _target: contextvars.ContextVar[jax.Device | None] = contextvars.ContextVar("tar
 
 @contextlib.contextmanager
 def compiling_for(device: jax.Device) -> Iterator[None]:
-    """What is traced meanwhile is for `device`, which may be a described one, not for the first of this process."""
+    """What is traced meanwhile is for `device`, which may be a described one, not for the first of this process. A
+    function that was traced before is not traced again: jit functions have to be new."""
     token = _target.set(device)
     try:
         yield
@@ -103,7 +106,7 @@ def why_no_device() -> str:
         found = f"{device.device_kind} has compute capability {device.compute_capability}"
         return f"{found} and the kernels need {CAPABILITY}"
     try:
-        library()
+        check_compiler()
     except NvrtcError as error:
         return str(error)
     return ""

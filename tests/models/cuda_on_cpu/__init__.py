@@ -1,7 +1,7 @@
 """Kernels of kinetix_dist/models/kernels/cuda on the CPU, by a C++ compiler: see cuda_on_cpu.h.
 
 `call` stands in for `cuda_kernel.call`. It checks what a kernel must do and a GPU would not tell of: every result is
-full of NaN before, and every one of its numbers has to be written.
+full of NaN before, and every one of its numbers has to be written. Where NaN is what a test is about, ALLOWS_NAN.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from kinetix_dist.models.kernels.cuda_kernel import FOLDER, THREADS, CudaKernel
 HERE = Path(__file__).parent
 BUILT = HERE.parents[2] / ".cache" / "cuda_on_cpu"
 ONE_AT_A_TIME = threading.Lock()  # what stands for a block is global, and XLA calls from several threads
+ALLOWS_NAN = False
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 
 
@@ -40,7 +41,8 @@ def call(kernel: CudaKernel, out: Sequence[jax.ShapeDtypeStruct], blocks: int, *
         with ONE_AT_A_TIME:
             launch(blocks, THREADS, shared_bytes, (ctypes.c_void_p * len(pointers))(*pointers))
         for number, result in enumerate(results):
-            assert not np.isnan(result.astype(np.float32)).any(), f"{kernel.name} does not write all of result {number}"
+            is_written = ALLOWS_NAN or not np.isnan(result.astype(np.float32)).any()
+            assert is_written, f"{kernel.name} does not write all of result {number}"
         return results
 
     return jax.pure_callback(run, list(out), *(jnp.asarray(operand) for operand in operands))
@@ -59,7 +61,8 @@ def _library(file: str, macros: tuple[tuple[str, int], ...]) -> ctypes.CDLL:
         BUILT.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=BUILT) as folder:
             result = Path(folder) / "kernel.so"
-            command = [COMPILER, "-std=c++20", "-O1", "-shared", "-fPIC", f"-I{HERE}", f"-I{FOLDER}", *options]
+            checks = ["-fsanitize=alignment", "-fsanitize-undefined-trap-on-error"]
+            command = [COMPILER, "-std=c++20", "-O1", *checks, "-shared", "-fPIC", f"-I{HERE}", f"-I{FOLDER}", *options]
             subprocess.run([*command, str(HERE / "launch.cpp"), "-o", str(result)], check=True)
             os.replace(result, built)
     return ctypes.CDLL(str(built))

@@ -23,10 +23,10 @@
 using std::max;
 using std::min;
 typedef unsigned int u32;
-struct uint4 { u32 x, y, z, w; };
-struct uint2 { u32 x, y; };
-struct float2 { float x, y; };
-struct float4 { float x, y, z, w; };
+struct alignas(16) uint4 { u32 x, y, z, w; };
+struct alignas(8) uint2 { u32 x, y; };
+struct alignas(8) float2 { float x, y; };
+struct alignas(16) float4 { float x, y, z, w; };
 inline uint4 make_uint4(u32 x, u32 y, u32 z, u32 w) { return {x, y, z, w}; }
 inline uint2 make_uint2(u32 x, u32 y) { return {x, y}; }
 inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
@@ -139,6 +139,7 @@ void call(void (*kernel)(Arguments...), void** given, std::index_sequence<I...>)
 // Every block of a grid, one after another.
 template <typename... Arguments>
 void launch(void (*kernel)(Arguments...), int grid, int num_threads, int bytes, void** given) {
+  if (bytes > SHARED_BYTES) fail("more shared memory is asked for than a block can have");
   static std::vector<char> memory(SHARED_BYTES + 512);
   shared = (char*)(((uintptr_t)memory.data() + 255) / 256 * 256);
   shared_bytes = bytes;

@@ -151,7 +151,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, 3)
     project_out(sums, own.out, own.out_weights);
     sums.each_pair(part_row(), part_column(), [&](float one, float two, int row, int column) {
       *pair_at<CHUNKS>(tile, row, column) =
-          pack(fmaxf(one + out_bias[column], 0.0f), fmaxf(two + out_bias[column + 1], 0.0f));
+          pack(relu(one + out_bias[column]), relu(two + out_bias[column + 1]));
     });
     __syncthreads();
     store_rows(tile, y, first, min(WORLDS_A_TILE, worlds - world) * TOKENS);

@@ -44,7 +44,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, 3)
     sums.add_product<WIDTH, CHUNKS, CHUNKS>(tile, m, own.weights, n);
     __syncthreads();  // every warp has read the tile
     sums.each_pair(m, n, [&](float one, float two, int row, int column) {
-      *pair_at<CHUNKS>(tile, row, column) = pack(fmaxf(one + bias[column], 0.0f), fmaxf(two + bias[column + 1], 0.0f));
+      *pair_at<CHUNKS>(tile, row, column) = pack(relu(one + bias[column]), relu(two + bias[column + 1]));
     });
     __syncthreads();
     store_rows(tile, y, first, rows - first);

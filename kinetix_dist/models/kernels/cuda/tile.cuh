@@ -93,6 +93,9 @@ constexpr float NORM_EPSILON = 1e-6f;
 __device__ __forceinline__ float low(u32 packed) { return __uint_as_float(packed << 16); }
 __device__ __forceinline__ float high(u32 packed) { return __uint_as_float(packed & 0xffff0000u); }
 
+// NaN stays NaN, which fmaxf would drop.
+__device__ __forceinline__ float relu(float x) { return x <= 0.0f ? 0.0f : x; }
+
 __device__ __forceinline__ int lane() { return threadIdx.x & 31; }
 __device__ __forceinline__ int warp() { return threadIdx.x >> 5; }
 
