@@ -13,10 +13,9 @@ from kinetix_dist.models.kernels import cuda_kernel
 from kinetix_dist.models.kernels.cuda_kernel import CudaKernel
 from kinetix_dist.models.kernels.support import WIDTH
 
-_BLOCKS = 3  # of a multiprocessor
-_WORLDS_A_TILE = 8  # the fewest
+_BLOCKS = {"encode": 3, "encode_and_keep": 2, "encode_gradient": 3}  # of a multiprocessor
 _GROUPS = 2  # that a kernel has room for
-_DEPTH_OF = 4  # rows of its parameters are a multiple of
+_DEPTH_OF = 32  # rows of the gradient of a group are a multiple of
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(3,))
@@ -43,9 +42,9 @@ def _backward(
 ) -> tuple[list[None], list[Array], list[Array]]:
     features, slopes = residuals
     kernel, _, blocks = _call("encode_gradient", features, num_others)
-    macros = dict(kernel.macros)
-    depths = [_depth(macros[f"FEATURES_{group}"]) for group in range(_GROUPS)]
-    out = [jax.ShapeDtypeStruct((blocks, depth, WIDTH), jnp.float32) for depth in depths]
+    shapes = [(blocks, _depth(each.shape[-1]), WIDTH) for each in features]
+    shapes += [(1,)] * (_GROUPS - len(features))
+    out = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
     count = jnp.int32([grad.shape[0]])
     of_blocks = cuda_kernel.call(kernel, out, blocks, count, *_of_groups(features), grad, slopes)
     sums = [jnp.sum(each, axis=0) for each in of_blocks[: len(features)]]
@@ -67,15 +66,12 @@ def _call(name: str, features: Sequence[Array], num_others: int) -> tuple[CudaKe
         macros |= {f"ROWS_{group}": rows, f"FEATURES_{group}": width}
     like = jax.ShapeDtypeStruct((num_worlds, num_tokens, WIDTH), jnp.bfloat16)
     kernel = CudaKernel("encoders.cu", name, tuple(macros.items()))
-    return kernel, like, cuda_kernel.num_blocks(kernel, -(-num_worlds // _WORLDS_A_TILE), _BLOCKS)
+    tiles = sum(-(-num_worlds * each.shape[1] // cuda_kernel.ROWS) for each in features)
+    return kernel, like, cuda_kernel.num_blocks(kernel, tiles, _BLOCKS[name])
 
 
 def _operands(features: Sequence[Array], kernels: Sequence[Array], biases: Sequence[Array]) -> list[Array]:
-    parameters = [
-        jnp.pad(jnp.concatenate([kernel, bias[None]]), ((0, _depth(len(kernel)) - len(kernel) - 1), (0, 0)))
-        for kernel, bias in zip(kernels, biases, strict=True)
-    ]
-    return [jnp.int32([features[0].shape[0]]), *_of_groups(features), *_of_groups(parameters)]
+    return [jnp.int32([features[0].shape[0]]), *_of_groups(features), *_of_groups(kernels), *_of_groups(biases)]
 
 
 def _of_groups(arrays: Sequence[Array]) -> list[Array]:
@@ -85,5 +81,5 @@ def _of_groups(arrays: Sequence[Array]) -> list[Array]:
 
 
 def _depth(num_features: int) -> int:
-    """Rows of the parameters of a group: its kernel, its bias, and zeros."""
+    """Rows of the gradient of a group: of its kernel, of its bias, and zeros."""
     return num_features // _DEPTH_OF * _DEPTH_OF + _DEPTH_OF
