@@ -21,6 +21,7 @@ from flax import linen as nn
 from jax2d.scene import Array
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
 from kinetix_dist.models.contraction import linear
+from kinetix_dist.models.stored import stored_gradient
 
 orthogonal = nn.initializers.orthogonal
 
@@ -68,4 +69,6 @@ class ColourReadOut(nn.Module):
         of_actor = linear(actor, actor_kernel) + bias.astype(actor.dtype)
         hidden = jnp.tanh(linear(sums, sum_kernel) + of_actor[:, None])
         output = nn.Dense(num_choices, kernel_init=orthogonal(self.output_gain), name=f"{kind}_output")
-        return output(hidden.astype(jnp.float32))  # small: float32 keeps log-probabilities exact
+        # Small: float32 keeps log-probabilities exact. Stored, else the sum over the batch computes the loss's gradient
+        # for each of its columns.
+        return stored_gradient(output(hidden.astype(jnp.float32)))
