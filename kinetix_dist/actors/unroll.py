@@ -17,6 +17,7 @@ from flax import linen as nn
 from jax.experimental.layout import Layout, with_layout_constraint
 
 from jax2d.scene import Array
+from kinetix_dist.actors import invariants
 from kinetix_dist.actors.outcomes import add_step, no_outcomes
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
@@ -84,7 +85,9 @@ def unroll(
         return (env_state, next_obs, forget(memory, done), add_step(outcome, done, info)), taken
 
     carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
-    (env_state, obs, memory, outcome), trajectory = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
+    (env_state, obs, memory, outcome), trajectory = invariants.scan(
+        step, carry, jnp.arange(num_steps, dtype=jnp.uint32)
+    )
     _, last_value, _ = act(policy, params, env.observe(prepared, obs), memory)
     return Played(trajectory, env_state, obs, last_value, outcome)
 
@@ -111,7 +114,7 @@ def score(
         return (env_state, obs, forget(memory, done), add_step(outcome, done, info)), None
 
     carry = (env_state, obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
-    (_, _, _, outcome), _ = jax.lax.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
+    (_, _, _, outcome), _ = invariants.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
     return outcome
 
 

@@ -1,0 +1,93 @@
+"""`jax.lax.scan` that computes before the loop what is the same in all of its steps.
+
+XLA leaves it in the loop on a GPU. In a rollout that is what depends on levels and parameters alone: parameters cast
+and packed for products, the encoders of joints and thrusters and their share of messages, masks.
+
+The step is traced once. Its operations are then gone through twice in the same order, calls of jitted functions and of
+functions with a gradient of their own included: before the loop those are computed whose operands are known there, in
+the loop the others. What only repeats its operand is done in the loop again: stored, it would be read from memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+from jax.extend import source_info_util
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
+
+# Primitives that stand for their operations, and the parameter that holds these.
+_JITTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr"}
+_CALLS = _JITTED | {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+_REPEATS = frozenset({"broadcast_in_dim", "iota"})
+
+
+class _Unknown:
+    """Stands for a value that differs from step to step."""
+
+
+UNKNOWN = _Unknown()
+
+
+def scan(step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, xs: Any) -> tuple[Any, Any]:
+    """`jax.lax.scan(step, carry, xs)`. It has no gradient where a function of the step has a rule of its own for it."""
+    of_one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
+    traced, shapes = jax.make_jaxpr(step, return_shape=True)(carry, of_one)
+    structure = jax.tree.structure(shapes)
+    known: list[list[Any] | None] = []  # results of each operation, in order
+
+    def before_loop(operation: JaxprEqn, operands: list[Any]) -> list[Any]:
+        is_known = not operation.effects and not any(value is UNKNOWN for value in operands)
+        known.append(_computed(operation, operands) if is_known else None)
+        return known[-1] or [UNKNOWN] * len(operation.outvars)
+
+    _go_through(traced, [UNKNOWN] * len(traced.in_avals), before_loop)
+
+    def body(carry: Any, x: Any) -> tuple[Any, Any]:
+        remaining: Iterator[list[Any] | None] = iter(known)
+
+        def in_loop(operation: JaxprEqn, operands: list[Any]) -> list[Any]:
+            results = next(remaining)
+            is_stored = results is not None and operation.primitive.name not in _REPEATS
+            return results if is_stored else _computed(operation, operands)
+
+        return jax.tree.unflatten(structure, _go_through(traced, jax.tree.leaves((carry, x)), in_loop))
+
+    return jax.lax.scan(body, carry, xs)
+
+
+def _go_through(
+    traced: ClosedJaxpr,
+    given: Sequence[Any],
+    compute: Callable[[JaxprEqn, list[Any]], list[Any]],
+    caller: Any = None,
+) -> list[Any]:
+    """The results of what was traced, each operation by `compute(operation, operands)`.
+
+    caller: where the jitted function was called that these operations stand for, told of those that do not know theirs.
+    """
+    inner: Jaxpr = traced.jaxpr
+    values = dict(zip([*inner.constvars, *inner.invars], [*traced.consts, *given], strict=True))
+
+    def read(variable: Any) -> Any:
+        return variable.val if isinstance(variable, Literal) else values[variable]
+
+    for operation in inner.eqns:
+        operands = [read(variable) for variable in operation.invars]
+        name = operation.primitive.name
+        names = source_info_util.current_name_stack() + operation.source_info.name_stack
+        traceback = operation.source_info.traceback or caller
+        with source_info_util.user_context(traceback, name_stack=names), operation.ctx.manager:
+            if name in _CALLS:
+                called = operation.params[_CALLS[name]]
+                results = _go_through(called, operands, compute, traceback if name in _JITTED else caller)
+            else:
+                results = compute(operation, operands)
+        values.update(zip(operation.outvars, results, strict=True))
+    return [read(variable) for variable in inner.outvars]
+
+
+def _computed(operation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    results = operation.primitive.bind(*operands, **operation.primitive.get_bind_params(operation.params))
+    return list(results) if operation.primitive.multiple_results else [results]
