@@ -3,7 +3,7 @@
     python -m bench.sanitize_kernels [--tools memcheck racecheck synccheck initcheck] [--sizes s m l] [--json FILE]
 
 Each tool watches a process of its own that computes a network's outputs and gradient with `policy.kernels` "mosaic", of
-1 and of 300 worlds, so that tiles are empty, partly full and full. A record names the kernels in which errors were
+1 and of 150 worlds, so that tiles are empty, partly full and full. A record names the kernels in which errors were
 found: the whole process is watched, XLA's and Pallas' kernels as well. Needs a GPU that the kernels are written for,
 and compute-sanitizer of the CUDA toolkit.
 """
@@ -15,6 +15,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,37 +33,52 @@ from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.kernels import support
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 
+COMPUTE = (sys.executable, "-m", "bench.sanitize_kernels", "--compute")
 TOOLS = ("memcheck", "racecheck", "synccheck", "initcheck")
-NUM_WORLDS = (1, 300)
+NUM_WORLDS = (1, 150)
 PLACE = re.compile(r"\bat (\w+)\+0x")
 SUMMARY = re.compile(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)")
 
 
 def compute(size: str) -> None:
-    """In the process that is watched."""
+    """In the process that is watched. Batches and parameters are made on the CPU, which is not."""
+    gpu, cpu = jax.devices()[0], jax.devices("cpu")[0]
     policy = make_policy(PolicyConfig(kernels="mosaic", dtype="bfloat16", read_out="colour"), ACTIONS.head_sizes)
 
-    @jax.jit
     def outputs(params: Any, obs: Any) -> Any:
         logits, values = policy.apply(params, obs)
         return sum(jnp.sum(jax.nn.log_softmax(head)[:, 0]) for head in logits) + jnp.sum(values**2)
 
+    plain = make_policy(PolicyConfig(read_out="colour"), ACTIONS.head_sizes)  # has the same parameters
     for worlds in NUM_WORLDS:
-        dynamic = jax.tree.map(lambda leaf: leaf[0], synthetic_trajectory(1, worlds, SIZES[size]).dynamic_obs)
-        obs = OBSERVATIONS["entity"].join(synthetic_static_obs(worlds, SIZES[size]), dynamic)
-        params = init_params(policy, obs, jax.random.key(0))
-        found = [outputs(params, obs), *jax.tree.leaves(jax.jit(jax.grad(outputs))(params, obs))]
-        assert all(np.isfinite(leaf).all() for leaf in found), f"{size}, {worlds} worlds: not finite"
+        with jax.default_device(cpu):
+            dynamic = jax.tree.map(lambda leaf: leaf[0], synthetic_trajectory(1, worlds, SIZES[size]).dynamic_obs)
+            obs = OBSERVATIONS["entity"].join(synthetic_static_obs(worlds, SIZES[size]), dynamic)
+            params = init_params(plain, obs, jax.random.key(0))
+        given = jax.device_put((params, obs), gpu)
+        found = jax.device_get((jax.jit(outputs)(*given), jax.jit(jax.grad(outputs))(*given)))
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found)), f"{size}, {worlds} worlds: not finite"
 
 
-def watched(sanitizer: str, tool: str, size: str) -> dict:
-    """One process under one tool; raises UserError where it did not end as it should."""
-    command = [sanitizer, f"--tool={tool}", sys.executable, "-m", "bench.sanitize_kernels", "--compute", size]
+def _process(command: list[str], cache: str) -> subprocess.CompletedProcess[str]:
     # XLA would try each product in many ways, all of them watched.
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_gpu_autotune_level=0".strip()
     environment = {**os.environ, "XLA_FLAGS": flags, "XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
+    environment |= {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def compile_programs(size: str, cache: str) -> None:
+    """Unwatched, so that they are loaded later. Raises UserError."""
+    ended = _process([*COMPUTE, size], cache)
+    if ended.returncode:
+        raise UserError(f"size {size}: status {ended.returncode}: {ended.stderr[-1500:]}")
+
+
+def watched(sanitizer: str, tool: str, size: str, cache: str) -> dict:
+    """One process under one tool; raises UserError where it did not end as it should."""
     started = time.perf_counter()
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    ended = _process([sanitizer, f"--tool={tool}", *COMPUTE, size], cache)
     summary = SUMMARY.search(ended.stdout)
     if summary is None or ended.returncode:
         raise UserError(f"{tool}, size {size}: status {ended.returncode}: {(ended.stderr or ended.stdout)[-1500:]}")
@@ -98,10 +114,12 @@ def main() -> int:
         found: list[dict] = []
 
         def records() -> Iterator[dict]:
-            for tool in arguments.tools:
+            with tempfile.TemporaryDirectory() as cache:
                 for size in arguments.sizes:
-                    found.append(watched(sanitizer, tool, size))
-                    yield found[-1]
+                    compile_programs(size, cache)
+                    for tool in arguments.tools:
+                        found.append(watched(sanitizer, tool, size, cache))
+                        yield found[-1]
 
         file: Path | None = arguments.json
         report_each(records(), file, text=_row)
