@@ -431,10 +431,10 @@ def from_dict_for_playing(data: Mapping[str, Any]) -> TrainConfig:
     if (name := _old_preset(data)) is not None:
         env = {field: value for field, value in data["env"].items() if field != "preset"}
         data = {**data, "env": {**env, "physics": to_dict(preset(name))}}
-    config = from_dict(data)
-    if config.policy.kernels != "mosaic":
-        return config
-    return dataclasses.replace(config, policy=dataclasses.replace(config.policy, kernels="auto"))
+    policy = data.get("policy")
+    if isinstance(policy, Mapping) and policy.get("kernels") == "mosaic":  # also of a network that has no kernels
+        data = {**data, "policy": {**policy, "kernels": "auto"}}
+    return from_dict(data)
 
 
 def _old_preset(data: Mapping[str, Any]) -> str | None:

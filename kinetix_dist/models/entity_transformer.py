@@ -157,10 +157,11 @@ class EntityTransformer(nn.Module):
         size, features, name = self.encoder_size, self.attention_features, f"attention_{layer}"
         kernel = self.param(f"{name}_qkv_kernel", lecun_normal(), (size, 3 * features))
         bias = self.param(f"{name}_qkv_bias", zeros, (3 * features,))
+        kernel, bias = self._fold_norm(name, kernel, bias)
         out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (features, size))
         out_bias = self.param(f"{name}_out_bias", zeros, (size,))
         heads = (NUM_MASKS, self.num_heads // NUM_MASKS)
-        arguments = (mask_words, *self._fold_norm(name, kernel, bias), out_kernel, out_bias, heads)
+        arguments = (mask_words, kernel, bias, out_kernel, out_bias, heads)
         if self.gated:
             return self._gate(name, *parts.beside_attention(x, *arguments), parts)
         x, update = attention_update(x, *arguments)

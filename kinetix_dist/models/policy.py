@@ -156,7 +156,8 @@ NETWORKS.register(
     Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(1.0, 0.0)), has_kernels=True),
 )
 NETWORKS.register(
-    "transformer_kinetix_paper", Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(0.0, 0.0)))
+    "transformer_kinetix_paper",
+    Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(0.0, 0.0)), has_kernels=True),
 )
 
 

@@ -14,6 +14,7 @@ EVENTS: dict[str, str] = {
     "recovered": "the first new result after a loss: from and to which update, seconds since that loss",
     "resized": "nodes were lost or came: from and to how many processes of a role, and at which update",
     "straggler": "a rollout actor took over twice the median of the others, five batches in a row: which, and seconds",
+    "fork_server_lost": "what processes are forked from ended or was stopped, and another one takes its place: why",
     "token_secured": "Ray's token file could be read by others, and cannot any more",
     "run_started": "the command began: its process, the number of this session, and whether it goes on with a run",
     "run_finished": "the run came to its end: after which update",

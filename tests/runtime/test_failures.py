@@ -3,17 +3,20 @@
 import json
 import shutil
 
+import pytest
+
 from kinetix_dist.level.paths import levels_root
+from kinetix_dist.models.kernels import support
 from tests.runtime.sockets import listening, places_of
 from tests.runtime.train_process import TINY, kill_newest, rows, start, wait_for
 
 COLOCATED = [*TINY, "--run.placement", "colocated"]
 
 
-def _the_line(process) -> str:
-    """What it said at last; fails where that is not one line with exit status 1."""
+def _the_line(process, status: int = 1) -> str:
+    """What it said at last; fails where that is not one line with this exit status."""
     _, errors = process.communicate(timeout=300)
-    assert process.returncode == 1, errors
+    assert process.returncode == status, errors
     assert "Traceback" not in errors
     line = errors.strip().splitlines()[-1]
     assert line.startswith("kinetix-dist: "), errors
@@ -36,6 +39,16 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     events = [json.loads(text) for text in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
     kinds = [event["event"] for event in events if event["event"] != "token_secured"]  # of the user's own Ray
     assert kinds == ["run_started", "process_started", "run_failed"]
+
+
+@pytest.mark.skipif(not support.why_no_device(), reason="the kernels run here")
+def test_kernels_that_the_device_of_a_worker_cannot_run_are_refused(tmp_path):
+    """The driver leaves devices alone: the worker finds out."""
+    network = ["--policy.encoder_size", "128", "--policy.num_heads", "8", "--policy.attention_features", "16"]
+    asked = ["--policy.kernels", "mosaic", "--policy.dtype", "bfloat16", *network]
+    line = _the_line(start(tmp_path / "run", *COLOCATED, *asked), status=2)
+    assert "policy.kernels is 'mosaic', but" in line and line.endswith("use 'auto' or 'xla'")
+    assert not (tmp_path / "run" / "config.json").exists()
 
 
 def test_a_run_on_ray_is_seen_by_nobody_else_and_ends_when_a_worker_is_lost_too_often(tmp_path, monkeypatch):

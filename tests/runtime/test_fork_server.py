@@ -1,6 +1,7 @@
 """Processes that are forked with everything imported: like any other, and only where that cannot be told apart."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -8,8 +9,9 @@ import time
 import psutil
 import pytest
 
+from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.build import MODULES
-from kinetix_dist.runtime.processes.fork_client import SERVER
+from kinetix_dist.runtime.processes.fork_client import ANSWER_LIMIT_S, SERVER
 from kinetix_dist.runtime.processes.fork_server import CLIENT, ForkServer
 
 LIMIT_S = 120.0  # importing, on a machine that is busy with other tests
@@ -86,6 +88,22 @@ def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, ask, case):
     *rest, last = _lines(ask(variables[case]), 2 if case == "it is gone" else 1)
     assert last == "set up by Ray ['" + str(ask.script) + "', '--one=a b', '--language=PYTHON']"
     assert not rest or "no fork server" in rest[0]
+
+
+def test_one_that_cannot_answer_is_known():
+    one = ForkServer()
+    assert one.why_no_answer == ""
+    for number_of_signal, why in ((signal.SIGSTOP, "is stopped"), (signal.SIGKILL, "ended with status -9")):
+        os.kill(one.pid, number_of_signal)
+        deadline = time.monotonic() + LIMIT_S
+        while one.why_no_answer != why:
+            assert time.monotonic() < deadline, one.why_no_answer
+            time.sleep(0.01)
+    one.stop()
+
+
+def test_the_client_gives_up_before_its_process_counts_as_lost():
+    assert recipe("tiny").run.heartbeat_seconds / 2 >= ANSWER_LIMIT_S
 
 
 def test_importing_starts_neither_a_device_nor_a_thread():

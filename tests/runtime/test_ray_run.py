@@ -112,6 +112,23 @@ def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_l
     assert_same_bits(final_arrays(told), final_arrays(ray))
 
 
+def test_a_fork_server_that_is_stopped_is_replaced(ray_backend, local_arrays, tmp_path, monkeypatch):
+    """Every process that starts would wait for it, and count as lost."""
+    heard = []
+    monkeypatch.setattr(ray_backend, "_on_event", lambda kind, **details: heard.append((kind, details)))
+    before = ray_backend._fork_server.pid
+
+    def stop_it(number, trainer, curator):
+        if number == 3 and ray_backend._fork_server.pid == before:
+            os.kill(before, signal.SIGSTOP)
+            os.kill(trainer._handles[0].pid, signal.SIGKILL)
+
+    _run(tiny_config(num_updates=8, placement="colocated"), tmp_path / "ray", ray_backend, at_update=stop_it)
+    assert ("fork_server_lost", {"reason": "is stopped"}) in heard
+    assert ray_backend._fork_server.pid != before
+    assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
+
+
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_several_workers_over_gloo_agree_with_one(ray_backend, local_arrays, tmp_path, count):
     """Three of them cannot share the four world groups evenly."""

@@ -469,6 +469,8 @@ def test_what_learned_by_kernels_for_hopper_gpus_can_be_played_anywhere():
     config["policy"]["kernels"] = "mosaic"
     assert from_dict(config).policy.kernels == "mosaic"
     assert from_dict_for_playing(config) == recipe("pretrain_m")  # which has "auto"
+    config["policy"]["network"] = "transformer_lean"  # has no kernels; at 2dc4c27 it was trained with this setting
+    assert from_dict_for_playing(config).policy.kernels == "auto"
 
 
 def _old(config):

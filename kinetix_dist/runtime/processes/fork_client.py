@@ -12,11 +12,12 @@ import array
 import json
 import os
 import socket
+import struct
 import sys
 from pathlib import Path
 
 SERVER = "KINETIX_DIST_FORK_SERVER"  # environment variable: the server to ask
-ANSWER_LIMIT_S = 60.0  # it may still be importing
+ANSWER_LIMIT_S = 20.0  # it may still be importing; after run.heartbeat_seconds the process would count as lost
 _CONTEXT, _LANGUAGE = "--serialized-runtime-env-context=", "--language="
 
 
@@ -38,12 +39,20 @@ def _is_forked(environment: dict[str, str], command: list[str]) -> bool:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
             server.settimeout(ANSWER_LIMIT_S)
             server.connect("\0" + environment[SERVER])
+            _check_user(server)
             server.sendmsg([len(content).to_bytes(8, "big")], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, streams)])
             server.sendall(content)
             return server.recv(1) == b"1"
     except OSError as error:
         sys.stderr.write(f"no fork server ({error}): starts Python\n")  # into the log of Ray's node
         return False
+
+
+def _check_user(server: socket.socket) -> None:
+    """Raises OSError where another user listens: the name of a server that ended is free, and a request is secret."""
+    _, user, _ = struct.unpack("3i", server.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
+    if user != os.getuid():
+        raise PermissionError(f"user {user} listens at its name")
 
 
 if __name__ == "__main__":

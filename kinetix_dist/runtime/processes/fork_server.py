@@ -38,6 +38,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import psutil
+
 from kinetix_dist.runtime.processes.fork_client import SERVER
 from kinetix_dist.runtime.processes.ray_private import processes_set_up_by
 
@@ -54,6 +56,7 @@ class ForkServer:
 
     def __init__(self, modules: Sequence[str] = ()) -> None:
         """modules: that its processes import, by name."""
+        self.modules = tuple(modules)
         self._name = f"kinetix-fork-{secrets.token_hex(16)}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
             listener.bind("\0" + self._name)
@@ -85,6 +88,13 @@ class ForkServer:
     @property
     def pid(self) -> int:
         return self._process.pid
+
+    @property
+    def why_no_answer(self) -> str:
+        """What keeps it from answering, as far as can be seen; empty: nothing."""
+        if (status := self._process.poll()) is not None:
+            return f"ended with status {status}"
+        return "is stopped" if psutil.Process(self.pid).status() == psutil.STATUS_STOPPED else ""
 
     def stop(self) -> None:
         self._process.kill()

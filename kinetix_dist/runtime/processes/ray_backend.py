@@ -334,6 +334,10 @@ class RayBackend:
             **plan.env_vars,
         }
         if self._fork_server is not None:
+            if why := self._fork_server.why_no_answer:
+                self._on_event("fork_server_lost", reason=why)
+                self._fork_server.stop()
+                self._fork_server = ForkServer(self._fork_server.modules)
             environment |= self._fork_server.environment
         options = {"num_cpus": 1, "num_gpus": plan.gpu_share, "runtime_env": {"env_vars": environment}}
         if plan.gpu is not None:
