@@ -92,9 +92,12 @@ class ForkServer:
     @property
     def why_no_answer(self) -> str:
         """What keeps it from answering, as far as can be seen; empty: nothing."""
-        if (status := self._process.poll()) is not None:
-            return f"ended with status {status}"
-        return "is stopped" if psutil.Process(self.pid).status() == psutil.STATUS_STOPPED else ""
+        try:
+            if psutil.Process(self.pid).status() == psutil.STATUS_STOPPED:
+                return "is stopped"
+        except psutil.NoSuchProcess:
+            self._process.wait()
+        return "" if (status := self._process.poll()) is None else f"ended with status {status}"
 
     def stop(self) -> None:
         self._process.kill()
