@@ -87,7 +87,7 @@ def test_what_repeats_its_operand_is_done_in_the_loop():
         )
 
     [loop] = [each for each in jax.make_jaxpr(run)(row).jaxpr.eqns if each.primitive.name == "scan"]
-    assert [each.aval.shape for each in loop.invars[: loop.params["num_consts"]]] == [(1000,)]
+    assert [each.aval.shape for each in loop.invars] == [(1000,), (64, 1000), (2,)]  # known, carried, steps
     np.testing.assert_array_equal(run(row)[0][5], 2 * row)
 
 
