@@ -31,7 +31,7 @@ UNKNOWN = _Unknown()
 
 
 def scan(step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, xs: Any) -> tuple[Any, Any]:
-    """`jax.lax.scan(step, carry, xs)`. It has no gradient where a function of the step has a rule of its own for it."""
+    """`jax.lax.scan(step, carry, xs)`. It has no gradient: asking for one raises TypeError."""
     of_one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
     traced, shapes = jax.make_jaxpr(step, return_shape=True)(carry, of_one)
     structure = jax.tree.structure(shapes)
@@ -54,7 +54,18 @@ def scan(step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, xs: Any) -> tu
 
         return jax.tree.unflatten(structure, _go_through(traced, jax.tree.leaves((carry, x)), in_loop))
 
-    return jax.lax.scan(body, carry, xs)
+    return _without_gradient(jax.lax.scan(body, carry, xs))
+
+
+@jax.custom_jvp
+def _without_gradient(values: Any) -> Any:
+    """`values`. Functions of the step are taken apart, so that rules of their own for a gradient would be left out."""
+    return values
+
+
+@_without_gradient.defjvp
+def _refuse(primals: Any, tangents: Any) -> Any:
+    raise TypeError("a scan without invariants has no gradient; use jax.lax.scan")
 
 
 def _go_through(

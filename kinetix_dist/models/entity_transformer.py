@@ -146,6 +146,7 @@ class EntityTransformer(nn.Module):
             num_tokens=obs.shape_mask.shape[1] + 1,
             num_joints=obs.joint_mask.shape[1],
             num_thrusters=obs.thruster_mask.shape[1],
+            num_features=max(each.shape[-1] for each in (obs.polygons, obs.circles, obs.joints, obs.thrusters)),
         )
         if not uses_mosaic(self.kernels, layer):
             return XLA

@@ -100,3 +100,15 @@ def test_effects_stay_in_the_loop(capfd):
     jax.effects_barrier()
     assert int(x) == 3
     assert capfd.readouterr().out.count("a step") == 3
+
+
+@pytest.mark.parametrize("by", [0, 1, 2])
+def test_a_gradient_is_refused(by):
+    """It would lack the rule of `product`, without a word."""
+
+    def total(x, kernel, table):
+        step = a_step(kernel, table, jax.random.key(0))
+        return invariants.scan(step, (x, jnp.int32(0)), jnp.arange(3, dtype=jnp.uint32))[0][0].sum()
+
+    with pytest.raises(TypeError, match="has no gradient"):
+        jax.grad(total, argnums=by)(jnp.ones((3, 4)), *arguments()[:2])

@@ -141,6 +141,7 @@ LAYER = support.LayerShape(
     num_tokens=10,
     num_joints=4,
     num_thrusters=2,
+    num_features=27,
 )
 
 
@@ -154,6 +155,7 @@ LAYER = support.LayerShape(
         ({"is_gated": False}, "policy.network has no gates"),
         ({"num_tokens": 33}, "worlds have 33 tokens and the kernels take 32"),
         ({"num_joints": 30, "num_thrusters": 3}, "worlds have 33 ends of joints and thrusters and the kernels take 32"),
+        ({"num_features": 128}, "entities have 128 features and the kernels take 127"),
         ({"num_joints": 0}, "worlds have no joints"),
         ({"num_thrusters": 0}, "worlds have no thrusters"),
     ],

@@ -1,7 +1,10 @@
 """Processes that are forked with everything imported: like any other, and only where that cannot be told apart."""
 
+import array
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -11,7 +14,7 @@ import pytest
 
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.build import MODULES
-from kinetix_dist.runtime.processes.fork_client import ANSWER_LIMIT_S, SERVER
+from kinetix_dist.runtime.processes.fork_client import ANSWER_LIMIT_S, CAN_FORK, FORK, FORKED, SERVER
 from kinetix_dist.runtime.processes.fork_server import CLIENT, ForkServer
 
 LIMIT_S = 120.0  # importing, on a machine that is busy with other tests
@@ -88,6 +91,31 @@ def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, ask, case):
     *rest, last = _lines(ask(variables[case]), 2 if case == "it is gone" else 1)
     assert last == "set up by Ray ['" + str(ask.script) + "', '--one=a b', '--language=PYTHON']"
     assert not rest or "no fork server" in rest[0]
+
+
+def test_who_has_gone_on_without_the_server_gets_no_second_process(server, tmp_path):
+    """Ray would have two processes for one, and lose both."""
+    written = tmp_path / "written"
+    script = tmp_path / "script.py"
+    script.write_text(f"open({str(written)!r}, 'w').write('here')")
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
+    request = json.dumps({"command": [str(script)], "environment": environment, "directory": str(tmp_path)}).encode()
+    for is_confirmed in (False, True):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+            client.settimeout(LIMIT_S)
+            client.connect("\0" + server.environment[SERVER])
+            streams = array.array("i", [0, 1, 2])
+            client.sendmsg([len(request).to_bytes(8, "big")], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, streams)])
+            client.sendall(request)
+            if is_confirmed:
+                assert client.recv(1) == CAN_FORK
+                assert not written.exists()  # of the one before
+                client.sendall(FORK)
+                assert client.recv(1) == FORKED
+    deadline = time.monotonic() + LIMIT_S
+    while not written.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_one_that_cannot_answer_is_known():

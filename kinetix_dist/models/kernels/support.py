@@ -27,6 +27,7 @@ CAPABILITY = "9.0"  # Hopper: wgmma and the copy engine
 # Tiles of messages (cuda/messages.cu): with these many rows of tokens, and of messages, two blocks of the kernels share
 # a multiprocessor's memory. Products have 16 rows.
 MAX_TOKEN_ROWS, MAX_MESSAGE_ROWS, PRODUCT_ROWS = 160, 112, 16
+MAX_FEATURES = 127  # of an entity (cuda/encoders.cu): then kernels of two groups fit in a multiprocessor's memory
 BITS = 32  # of a word of a mask: a world's tokens in attention, its ends of joints and thrusters in messages
 
 
@@ -46,6 +47,7 @@ class LayerShape:
     num_tokens: int  # of a world
     num_joints: int  # messages along them: two each
     num_thrusters: int
+    num_features: int  # of an entity, at most
 
 
 def worlds_a_message_tile(num_tokens: int, num_joints: int, num_thrusters: int) -> int:
@@ -72,6 +74,8 @@ def why_no_network(layer: LayerShape) -> str:
             return f"{name} is {value} and the kernels are written for {written_for}"
     if not layer.num_joints or not layer.num_thrusters:
         return f"worlds have no {'thrusters' if layer.num_joints else 'joints'} and the kernels need room for them"
+    if layer.num_features > MAX_FEATURES:
+        return f"entities have {layer.num_features} features and the kernels take {MAX_FEATURES}"
     num_ends = layer.num_joints + layer.num_thrusters
     for count, of_what in ((layer.num_tokens, "tokens"), (num_ends, "ends of joints and thrusters")):
         if count > BITS:

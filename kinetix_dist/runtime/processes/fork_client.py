@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 
 SERVER = "KINETIX_DIST_FORK_SERVER"  # environment variable: the server to ask
+CAN_FORK, FORK, FORKED = b"1", b"2", b"3"  # of the server, of the client, of the server
 ANSWER_LIMIT_S = 20.0  # it may still be importing; after run.heartbeat_seconds the process would count as lost
 _CONTEXT, _LANGUAGE = "--serialized-runtime-env-context=", "--language="
 
@@ -42,7 +43,10 @@ def _is_forked(environment: dict[str, str], command: list[str]) -> bool:
             _check_user(server)
             server.sendmsg([len(content).to_bytes(8, "big")], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, streams)])
             server.sendall(content)
-            return server.recv(1) == b"1"
+            if server.recv(1) != CAN_FORK:
+                return False
+            server.sendall(FORK)  # who has gone on without the server never says this, and gets no second process
+            return server.recv(1) == FORKED
     except OSError as error:
         sys.stderr.write(f"no fork server ({error}): starts Python\n")  # into the log of Ray's node
         return False

@@ -1,7 +1,8 @@
 """Processes of a run that start with nearly everything imported: forks of one process that has done so.
 
     driver --starts--> fork server (imports JAX, Warp, this project and what Ray needs)
-    raylet --starts--> fork_client.py --command, environment, streams--> fork server --fork--> the process
+    raylet --starts--> fork_client.py --command, environment, streams--> fork server
+                                      <--it can; then do; it is done-->  fork server --fork--> the process
 
 Otherwise every process imports for 5 s of a core, at the start and in every recovery. Memory of what is imported is
 shared until it is written to.
@@ -40,7 +41,7 @@ from pathlib import Path
 
 import psutil
 
-from kinetix_dist.runtime.processes.fork_client import SERVER
+from kinetix_dist.runtime.processes.fork_client import CAN_FORK, FORK, FORKED, SERVER
 from kinetix_dist.runtime.processes.ray_private import processes_set_up_by
 
 CLIENT = Path(__file__).with_name("fork_client.py")
@@ -49,6 +50,7 @@ BACKLOG = 256  # requests that wait while it imports
 READ_AT_IMPORT = ("JAX_", "PYTHON")
 PLATFORMS = "JAX_PLATFORMS"
 NUM_STREAMS = 3
+CLIENT_LIMIT_S = 5.0  # of a client that is there and says nothing
 
 
 class ForkServer:
@@ -151,14 +153,17 @@ def _forked(client: socket.socket) -> Request | None:
     _, uid, _ = struct.unpack("3i", client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
     if uid != os.getuid():
         return None
+    client.settimeout(CLIENT_LIMIT_S)
     request = _received(client)
     try:
         if not _is_like_here(request.environment):
-            client.sendall(b"0")
+            return None
+        client.sendall(CAN_FORK)
+        if client.recv(1) != FORK:  # it has gone on without this server
             return None
         if os.fork() == 0:
             return dataclasses.replace(request, streams=tuple(map(os.dup, request.streams)))
-        client.sendall(b"1")
+        client.sendall(FORKED)
         return None
     finally:
         for stream in request.streams:
