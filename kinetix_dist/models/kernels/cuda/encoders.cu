@@ -7,10 +7,10 @@
 // float32; ROWS_1 is 0 where there is one group. W is [features, 128], b [128], float32. tokens and slopes, the
 // derivatives of tanh, are [worlds, TOKENS, 128] in bfloat16.
 //
-// Products have the precision of float32 nearly: a number is what bfloat16 holds of it (high) and what that leaves (low),
-// and high x high + low x high + high x low lacks 2^-16 of it. What bfloat16 holds as infinite becomes NaN. Features get
-// a 1 behind them, W gets b as its last row, both are filled up with zeros to DEPTH. A tile is 64 rows of a group, of
-// whichever worlds they are.
+// Products have nearly the precision of float32: a number is what bfloat16 holds of it (high) and what that leaves
+// (low), and high x high + low x high + high x low lacks 2^-16 of it. What bfloat16 holds as infinite becomes NaN.
+// Features get a 1 behind them, W gets b as its last row, both are filled up with zeros to DEPTH. A tile is 64 rows of
+// a group, of whichever worlds they are.
 
 #include "tile.cuh"
 
