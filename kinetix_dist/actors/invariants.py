@@ -18,16 +18,12 @@ from jax.extend import source_info_util
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal
 
 # Primitives that stand for their operations, and the parameter that holds these.
-_JITTED = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr"}
-_CALLS = _JITTED | {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+_CALLS = {"jit": "jaxpr", "pjit": "jaxpr"}
+_CALLS |= dict.fromkeys(("closed_call", "custom_jvp_call", "custom_vjp_call"), "call_jaxpr")
 _REPEATS = frozenset({"broadcast_in_dim", "iota"})
 
 
-class _Unknown:
-    """Stands for a value that differs from step to step."""
-
-
-UNKNOWN = _Unknown()
+UNKNOWN = object()  # stands for a value that differs from step to step
 
 
 def scan(step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, xs: Any) -> tuple[Any, Any]:
@@ -76,7 +72,7 @@ def _go_through(
 ) -> list[Any]:
     """The results of what was traced, each operation by `compute(operation, operands)`.
 
-    caller: where the jitted function was called that these operations stand for, told of those that do not know theirs.
+    caller: where the function was called that these operations stand for, told of those that do not know their place.
     """
     inner: Jaxpr = traced.jaxpr
     values = dict(zip([*inner.constvars, *inner.invars], [*traced.consts, *given], strict=True))
@@ -92,7 +88,7 @@ def _go_through(
         with source_info_util.user_context(traceback, name_stack=names), operation.ctx.manager:
             if name in _CALLS:
                 called = operation.params[_CALLS[name]]
-                results = _go_through(called, operands, compute, traceback if name in _JITTED else caller)
+                results = _go_through(called, operands, compute, traceback)
             else:
                 results = compute(operation, operands)
         values.update(zip(operation.outvars, results, strict=True))

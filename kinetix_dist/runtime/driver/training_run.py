@@ -16,7 +16,6 @@ from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.env.physics import describe
 from kinetix_dist.errors import one_line
-from kinetix_dist.models.kernels.support import KernelError
 from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
@@ -157,14 +156,9 @@ def _from_start_to_report(
         controller = Controller(config, run, trainer, curator, reporter, **told)
         started.insert(0, controller.close)
         controller.restore(resume=resume)
-    except (ValueError, CheckpointError, FileNotFoundError, ProcessFailedError) as error:
-        is_of_process = isinstance(error, ProcessFailedError)
-        if is_of_process and not error.refused:
-            raise
-        if not resume:  # refused, before anything was computed
+    except (ValueError, CheckpointError, FileNotFoundError):  # refused, before anything was computed
+        if not resume:
             run.config_path.unlink(missing_ok=True)
-        if is_of_process:
-            raise KernelError(error.refused) from None
         raise
     if resume:  # what is refused leaves the one there is
         _write_or_fail(run, run.config_path, stored)

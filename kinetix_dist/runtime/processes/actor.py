@@ -20,6 +20,7 @@ from typing import Any
 
 import ray
 
+from kinetix_dist.models.kernels.support import KernelError
 from kinetix_dist.runtime.processes.facts import facts_of, whereabouts
 from kinetix_dist.runtime.processes.failures import failure_of
 from kinetix_dist.runtime.processes.gpu_memory import Budget, budget_of, this_gpu
@@ -165,7 +166,7 @@ class ProcessActor:
         self._working[threading.get_ident()] = (method, time.monotonic())
         try:
             yield
-        except ray.exceptions.RayError:  # what it was to fetch is lost: not its failure
+        except (ray.exceptions.RayError, KernelError):  # what it was to fetch is lost, or it refuses: not its failure
             raise
         except Exception as error:
             raise failure_of(self._plan.name, error, self._budget) from None

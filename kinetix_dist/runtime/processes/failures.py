@@ -11,7 +11,6 @@ import socket
 import time
 import traceback
 
-from kinetix_dist.models.kernels.support import KernelError
 from kinetix_dist.runtime.processes.gpu_memory import Budget, gib
 
 MAX_REASON = 400  # characters: XLA's messages can be pages
@@ -77,14 +76,12 @@ class TooManyLossesError(RuntimeError):
 class ProcessFailedError(RuntimeError):
     """A process raised an error at what it was asked to do."""
 
-    def __init__(self, process: str, reason: str, details: str = "", refused: str = "") -> None:
-        """`reason`: one line. `details`: the traceback, for a log file. `refused`: what of the configuration this
-        machine cannot do, which is no failure of the process."""
-        super().__init__(process, reason, details, refused)
+    def __init__(self, process: str, reason: str, details: str = "") -> None:
+        """`reason`: one line. `details`: the traceback, for a log file."""
+        super().__init__(process, reason, details)
         self.process = process
         self.reason = reason
         self.details = details
-        self.refused = refused
 
     def __str__(self) -> str:
         return f"{self.process} {self.reason}"
@@ -109,8 +106,7 @@ def failure_of(process: str, error: Exception, budget: Budget | None) -> Process
     if isinstance(error, MemoryError) or any(sign in text for sign in (*POOL_IS_FULL, *DEVICE_IS_FULL)):
         reason = f"ran out of memory {_memory(process, text, budget)} ({_short(text, MAX_REASON // 2)})"
         return ProcessFailedError(process, reason, details)
-    refused = str(error) if isinstance(error, KernelError) else ""
-    return ProcessFailedError(process, f"failed: {_short(text, MAX_REASON)}", details, refused)
+    return ProcessFailedError(process, f"failed: {_short(text, MAX_REASON)}", details)
 
 
 def _memory(process: str, text: str, budget: Budget | None) -> str:

@@ -40,7 +40,7 @@ def _is_forked(environment: dict[str, str], command: list[str]) -> bool:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
             server.settimeout(ANSWER_LIMIT_S)
             server.connect("\0" + environment[SERVER])
-            _check_user(server)
+            check_user(server)
             server.sendmsg([len(content).to_bytes(8, "big")], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, streams)])
             server.sendall(content)
             if server.recv(1) != CAN_FORK:
@@ -52,11 +52,12 @@ def _is_forked(environment: dict[str, str], command: list[str]) -> bool:
         return False
 
 
-def _check_user(server: socket.socket) -> None:
-    """Raises OSError where another user listens: the name of a server that ended is free, and a request is secret."""
-    _, user, _ = struct.unpack("3i", server.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
+def check_user(peer: socket.socket) -> None:
+    """Raises OSError where another user is at the other end: the name of a server that ended is free, and a request is
+    secret."""
+    _, user, _ = struct.unpack("3i", peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
     if user != os.getuid():
-        raise PermissionError(f"user {user} listens at its name")
+        raise PermissionError(f"user {user} is at the other end")
 
 
 if __name__ == "__main__":

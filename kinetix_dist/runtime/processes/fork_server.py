@@ -33,7 +33,6 @@ import secrets
 import select
 import signal
 import socket
-import struct
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -41,7 +40,7 @@ from pathlib import Path
 
 import psutil
 
-from kinetix_dist.runtime.processes.fork_client import CAN_FORK, FORK, FORKED, SERVER
+from kinetix_dist.runtime.processes.fork_client import CAN_FORK, FORK, FORKED, SERVER, check_user
 from kinetix_dist.runtime.processes.ray_private import processes_set_up_by
 
 CLIENT = Path(__file__).with_name("fork_client.py")
@@ -150,9 +149,7 @@ def _import_all(modules: Sequence[str]) -> None:
 
 def _forked(client: socket.socket) -> Request | None:
     """Forks where the request can be granted; the request in the new process, None in this one."""
-    _, uid, _ = struct.unpack("3i", client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
-    if uid != os.getuid():
-        return None
+    check_user(client)
     client.settimeout(CLIENT_LIMIT_S)
     request = _received(client)
     try:

@@ -16,6 +16,7 @@ from typing import Any
 import psutil
 import ray
 
+from kinetix_dist.models.kernels.support import KernelError
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError, silent
 from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.runtime.processes.watchdog import is_alive
@@ -149,6 +150,8 @@ class Supervisor:
             raise WorkerLostError(f"what {name} answered was lost with its node", process=name) from error
         except ray.exceptions.RayTaskError as error:
             failure = error.cause
+            if isinstance(failure, KernelError):  # of the configuration, as in one process
+                raise failure from None
             if not isinstance(failure, ProcessFailedError):  # before its own methods were reached
                 raise ProcessFailedError(name, f"failed: {type(failure).__name__}: {failure}", str(error)) from None
             if failure.is_loss_of_group:
