@@ -157,7 +157,7 @@ class RunConfig:
     num_learners: int = 1  # split placement: processes that learn together
     num_rollout_actors: int = 1  # split placement: processes that play
     num_cpu_rollout_actors: int = 0  # of these, how many play on CPUs although the run uses GPUs
-    num_curators: int = 1  # that share a refresh of the curriculum, at most one a GPU that plays
+    num_curators: int = 1  # that share a refresh, at most one a GPU that plays; 0: workers do it between updates
     min_workers: int = 1  # or rollout actors, with which to go on while nodes are lost; with fewer it waits
     node_wait_seconds: float = 60.0  # for a lost node to come back, before going on with fewer
     gpu_memory_gib: float = 0.0  # of each GPU, for all processes of the run; 0: all there is
@@ -184,7 +184,7 @@ class RunConfig:
             ("num_learners", 1),
             ("num_rollout_actors", 1),
             ("num_cpu_rollout_actors", 0),
-            ("num_curators", 1),
+            ("num_curators", 0),
             ("min_workers", 1),
             ("node_wait_seconds", 0),
             ("gpu_memory_gib", 0),
@@ -280,11 +280,15 @@ class TrainConfig:
                 f"run.num_curators is {self.run.num_curators}, but nothing of curriculum {self.curriculum.name!r} can "
                 "be shared by several; set it to 1"
             )
-        num_batches = self.curriculum.num_candidates // self.curriculum.scoring_batch
-        if self.run.num_curators > num_batches:
+        if self.run.num_curators > self.curriculum.num_batches:
             raise ConfigError(
-                f"run.num_curators is {self.run.num_curators}, but candidates are scored in {num_batches} batches: "
-                "some would have none; lower it or curriculum.scoring_batch"
+                f"run.num_curators is {self.run.num_curators}, but candidates are scored in "
+                f"{self.curriculum.num_batches} batches: some would have none; lower it or curriculum.scoring_batch"
+            )
+        if self.run.num_curators == 0 and self.has_curator and self.run.placement == "split":
+            raise ConfigError(
+                "run.num_curators is 0, but in placement split no process both learns and plays, so none can score "
+                "levels between updates; set it to 1 or use run.placement colocated"
             )
         if self.run.placement == "split" and self.run.num_rollout_actors > self.rollout.num_groups:
             raise ConfigError(
@@ -310,7 +314,7 @@ class TrainConfig:
 
     @property
     def has_curator(self) -> bool:
-        """Whether a curator works beside training."""
+        """Whether levels are scored: by curators beside training, or by workers between updates."""
         return self.curriculum_class.refreshes
 
     @property

@@ -138,8 +138,6 @@ def _pretrain(size: str) -> TrainConfig:
     """Every sample used once, from eight times as many worlds, and what is known to pay (docs/training.md)."""
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
-    is_tuned = size == "m"
-    scoring_batch = 16_384 if is_tuned else 4096  # one batch costs less time, and a curator three times the memory
     return dataclasses.replace(
         paper,
         policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour", kernels="auto"),
@@ -152,13 +150,18 @@ def _pretrain(size: str) -> TrainConfig:
             max_grad_norm=1.0,
             mask_unbound_heads=True,
         ),
-        curriculum=CurriculumConfig(
-            buffer_size=4096, num_candidates=16_384, scoring_batch=scoring_batch, refresh_every=16
-        ),
+        curriculum=CurriculumConfig(buffer_size=4096, num_candidates=16_384, scoring_batch=16_384, refresh_every=16),
         rollout=RolloutConfig(num_envs=16_384),
         evaluation=dataclasses.replace(paper.evaluation, every=25),
         recording=RecordingConfig(every=200),
-        run=dataclasses.replace(paper.run, name=f"pretrain_{size}", total_env_steps=4_000_000_000, checkpoint_every=25),
+        # Two processes on a GPU take turns: scoring beside training would cost twice the time that it takes alone.
+        run=dataclasses.replace(
+            paper.run,
+            name=f"pretrain_{size}",
+            total_env_steps=4_000_000_000,
+            checkpoint_every=25,
+            num_curators=0,
+        ),
     )
 
 

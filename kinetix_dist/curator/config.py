@@ -160,6 +160,11 @@ class CurriculumConfig:
                 "(for no buffer use name 'domain_randomization')"
             )
 
+    @property
+    def num_batches(self) -> int:
+        """Of candidates, each scored at once."""
+        return self.num_candidates // self.scoring_batch
+
     def is_refresh_due(self, num_updates: int) -> bool:
         """Whether a refresh is asked for at the start of this update, with the policy version of that number."""
         return num_updates % self.refresh_every == 0

@@ -16,6 +16,7 @@ from kinetix_dist.config import to_dict
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
 from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -50,6 +51,16 @@ def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(eight
     assert adopted == [(0, 0), (3, 5)]
     assert [row["curriculum/buffer_age"] for row in rows] == [0, 1, 2, 3, 4, 2, 3, 4]
     assert all(row["runtime/policy_lag"] == 0 for row in rows)
+
+
+@pytest.mark.also_gpu
+def test_a_worker_that_scores_levels_itself_gives_the_run_that_a_curator_gives(eight_updates, tmp_path):
+    config, backend, reporter = tiny_config(num_updates=8, num_curators=0), LocalBackend(), QuietReporter()
+    trainer = ColocatedTrainer(config, backend, [WORKER])
+    run_updates(config, tmp_path / "run", trainer, CurationByWorkers(trainer), reporter=reporter)
+    assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
+    assert [row["curriculum/buffer_age"] for row in reporter.rows] == [0, 1, 2, 3, 4, 2, 3, 4]
+    assert all(row["time/curate"] > 0 for row in (reporter.rows[0], reporter.rows[3]))
 
 
 @pytest.mark.also_gpu

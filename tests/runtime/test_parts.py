@@ -114,6 +114,9 @@ def test_curators_are_spread_over_the_gpus_that_play():
     assert placed(3, placement="split", num_rollout_actors=2, num_curators=2) == [("curator 0", 1), ("curator 1", 2)]
     assert placed(0, device="cpu", num_curators=2) == [("curator 0", None), ("curator 1", None)]
     assert tiny_config(num_updates=1, num_curators=2).hash == tiny_config(num_updates=1).hash
+    assert placed(2, num_curators=0) == []
+    with pytest.raises(ConfigError, match="num_curators is 0, but in placement split no process both learns and plays"):
+        tiny_config(num_updates=1, num_curators=0, placement="split")
     with pytest.raises(ConfigError, match="num_curators is 3, but candidates are scored in 2 batches: some would"):
         tiny_config(num_updates=1, num_curators=3)
     with pytest.raises(ConfigError, match="num_curators is 2, but nothing of curriculum 'plr' can be shared"):

@@ -16,6 +16,7 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.registry import PluginError, import_plugins
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
 from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
@@ -40,8 +41,10 @@ def _run(config, path, backend, reporter=None, at_update=None, resume=False):
         trainer = SplitTrainer(config, backend, placement)
     else:
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
-    curators = placement.of("curator")
-    curator = CuratorClient(config, backend, curators) if curators else None
+    if config.run.num_curators:
+        curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
+    else:
+        curator = CurationByWorkers(trainer)
     reporter = reporter or QuietReporter(lambda number: at_update(number, trainer, curator) if at_update else None)
     try:
         return run_updates(config, path, trainer, curator, reporter=reporter, resume=resume), reporter
@@ -112,6 +115,21 @@ def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_l
     assert_same_bits(final_arrays(told), final_arrays(ray))
 
 
+def test_a_worker_that_scores_levels_itself_is_killed_over_it_and_nothing_is_lost(ray_backend, local_arrays, tmp_path):
+    killed = []
+
+    def kill(number, trainer, curator):
+        if number == 3 and not killed:  # before the second refresh is asked for
+            killed.append(trainer._handles[0].pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    config, path = tiny_config(num_updates=8, placement="colocated", num_curators=0), tmp_path / "ray"
+    _run(config, path, ray_backend, at_update=kill)
+    assert [(row["process"], row["section"]) for row in events(path, "process_lost")] == [("worker 0", "curate")]
+    assert [(row["policy_version"], row["update"]) for row in events(path, "buffer_adopted")] == [(0, 0), (3, 5)]
+    assert_same_bits(final_arrays(path), local_arrays)
+
+
 def test_a_fork_server_that_is_stopped_is_replaced(ray_backend, local_arrays, tmp_path, monkeypatch):
     """Every process that starts would wait for it, and count as lost."""
     heard = []
@@ -129,10 +147,10 @@ def test_a_fork_server_that_is_stopped_is_replaced(ray_backend, local_arrays, tm
     assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_several_workers_over_gloo_agree_with_one(ray_backend, local_arrays, tmp_path, count):
-    """Three of them cannot share the four world groups evenly."""
-    config = tiny_config(num_updates=8, placement="colocated", num_workers=count)
+@pytest.mark.parametrize(("count", "num_curators"), [(2, 0), pytest.param(3, 1, marks=pytest.mark.slow)])
+def test_several_workers_over_gloo_agree_with_one(ray_backend, local_arrays, tmp_path, count, num_curators):
+    """Two share the scoring, too. Three of them cannot share the four world groups evenly."""
+    config = tiny_config(num_updates=8, placement="colocated", num_workers=count, num_curators=num_curators)
     _run(config, tmp_path / "ray", ray_backend)
     arrays = final_arrays(tmp_path / "ray")
     for name, expected in local_arrays.items():

@@ -15,6 +15,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values
 from kinetix_dist.runtime.cores.copies import Copies
+from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
@@ -135,6 +136,18 @@ class LearnerWorker:
 
 class Worker(LearnerWorker):
     """Worlds on the devices of a learner shard: batches never leave them."""
+
+    def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
+        super().__init__(config, mesh)
+        self._curator: CuratorCore | None = None
+
+    def refresh(
+        self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
+    ) -> tuple[dict[str, Any], Any]:
+        """As a curator does it, see `CuratorCore.refresh`, on the devices of this process alone."""
+        if self._curator is None:
+            self._curator = CuratorCore(self._config)
+        return self._curator.refresh(params, policy_version, part, num_parts, probe, given)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         """(metrics, seconds of "rollout" and "learn", episodes by source as `RolloutCore.play` sums them)."""

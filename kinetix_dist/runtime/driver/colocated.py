@@ -13,6 +13,7 @@ import numpy as np
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_worker
+from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
 from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
@@ -57,6 +58,21 @@ class ColocatedTrainer:
 
     def refresh_input(self) -> Ticket:
         return self._handles[0].call("refresh_input")
+
+    def refresh(self, weights: Any, policy_version: int, probe: Any, given: Any) -> Refresh:
+        """What a curator would work out, see `Curator.request`, by the workers: waits for it."""
+        has_parts, curriculum = self._config.curriculum_class.shares_refresh, self._config.curriculum
+        num_parts = min(len(self._handles), curriculum.num_batches) if has_parts else 1
+        last = num_parts - 1  # it has no more batches to score than the others
+        calls = [
+            handle.call_stamped(
+                "refresh", weights, policy_version, part, num_parts, probe if part == last else None, given
+            )
+            for part, handle in enumerate(self._handles[:num_parts])
+        ]
+        stamps = self.backend.gather([stamp for stamp, _ in calls])
+        seconds = max(stamp["seconds"] for stamp in stamps)
+        return Refresh(parts=[part for _, part in calls], seconds=seconds, probe=stamps[last]["probe"])
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         answers = self._all("run_update", num_updates)

@@ -53,7 +53,6 @@ from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
 from kinetix_dist.runtime.driver.starting import LINEAGE, starting_point
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.processes.failures import WorkerLostError
-from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.losses import Loss, Losses
 
 if TYPE_CHECKING:
@@ -411,8 +410,7 @@ class Controller:
             self._data.start({}, {}, num_updates=0)
             self._refreshes.start({}, {})
             self._evaluations.start({}, {})
-            if not isinstance(self.backend, LocalBackend):  # there nothing is done at the same time
-                self._refreshes.ask_for_first()
+            self._refreshes.ask_for_first()
             return
         description = checkpoint.description
         self.num_updates = self._saver.saved_at = description["num_updates"]

@@ -18,6 +18,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.driver.curator_process import CuratorProcess
 from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.backend import Backend, Ticket
+from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 POLL_S = 0.02
@@ -26,9 +27,12 @@ POLL_S = 0.02
 class CuratorClient:
     """A `roles.Curator`."""
 
+    works_beside: bool
+
     def __init__(self, config: TrainConfig, backend: Backend, plans: Sequence[ProcessPlan]) -> None:
         self._config = config
         self._backend = backend
+        self.works_beside = not isinstance(backend, LocalBackend)  # there nothing is done at the same time
         self.place(plans)
 
     def place(self, plans: Sequence[ProcessPlan]) -> None:

@@ -71,8 +71,9 @@ class Refreshes:
             self._request(version, nested(select_arrays(arrays, PENDING)), given or None)
 
     def ask_for_first(self) -> None:
-        """Of a run that begins, before its first update: a curator starts, compiles and scores while others do."""
-        if self._curator is not None:
+        """Of a run that begins, before its first update: a curator starts, compiles and scores while others do. Where
+        nothing is done at the same time, that would only come before the first evaluation."""
+        if self._curator is not None and self._curator.works_beside:
             self._request(0, self._trainer.weights(), None)
 
     def cancel(self) -> None:

@@ -15,8 +15,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.evaluations import Evaluations
-from kinetix_dist.runtime.driver.roles import Curator, Trainer
+from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, counted, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
@@ -35,7 +36,7 @@ class Resizing:
         backend: RayBackend,
         placement: Placement,
         trainer: Trainer,
-        beside: Mapping[str, Curator | Evaluations],
+        beside: Mapping[str, CuratorClient | Evaluations],
         *,
         on_event: Callable[..., None],
         on_note: Callable[[str], None],

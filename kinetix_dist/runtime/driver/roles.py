@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from kinetix_dist.runtime.processes.backend import Backend
-from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
+from kinetix_dist.runtime.processes.placement import Placement
 
 
 class Trainer(Protocol):
@@ -72,14 +72,16 @@ class Refresh:
 
 
 class Curator(Protocol):
-    """Whatever refreshes the curriculum: one process or several, each with a part of it."""
+    """Whatever refreshes the curriculum: processes beside training, each with a part of it, or those that train."""
+
+    works_beside: bool  # while training goes on
 
     def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
         """Starts a refresh; does not wait where there is a process to do it. probe, given: of `Trainer.probe` and
         `Trainer.refresh_input`, or None."""
 
     def watch(self) -> None:
-        """Replaces processes that died, without waiting; their parts are asked for again."""
+        """Replaces processes beside training that died, without waiting; their parts are asked for again."""
 
     def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
         """What was asked for last; waits for it. None where a process was lost, or is silent for `patience_s`:
@@ -87,9 +89,6 @@ class Curator(Protocol):
         meanwhile: called again and again; what it raises ends the wait."""
 
     def cancel(self) -> None: ...
-
-    def place(self, plans: Sequence[ProcessPlan]) -> None:
-        """Other processes from the next request on; those there are have been stopped."""
 
     def facts(self) -> list[dict[str, Any]]:
         """For the report, of its processes; nothing where it shares that of the trainer."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +20,13 @@ from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
 from kinetix_dist.runtime.driver.evaluations import Evaluations
 from kinetix_dist.runtime.driver.nodes import check_nodes
 from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.recorder import Recorder
 from kinetix_dist.runtime.driver.reporting import RunReporter
-from kinetix_dist.runtime.driver.roles import Trainer
+from kinetix_dist.runtime.driver.roles import Curator, Trainer
 from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.run_status import STARTED
@@ -258,17 +259,15 @@ def _start_roles(
     reporter: RunReporter,
     recorder: Recorder,
     fork_server: ForkServer | None,
-) -> tuple[Backend, Trainer, CuratorClient | None, Evaluations | None, Resizing | None]:
+) -> tuple[Backend, Trainer, Curator | None, Evaluations | None, Resizing | None]:
     hold_to_cpu(config)
     if config.run.placement == "local":
         from kinetix_dist.runtime.processes.local import LocalBackend
 
         worker = ProcessPlan(role="worker", index=0)
         local = LocalBackend()
-        trainer: Trainer = ColocatedTrainer(config, local, [worker])
-        curators = [ProcessPlan(role="curator", index=0)]
-        curator = CuratorClient(config, local, curators) if config.has_curator else None
-        return local, trainer, curator, None, None
+        here = ColocatedTrainer(config, local, [worker])
+        return local, here, _curator(config, local, here, [ProcessPlan(role="curator", index=0)]), None, None
     if "RAY_ADDRESS" in os.environ:
         use_token()
     from kinetix_dist.runtime.driver.resizing import Resizing
@@ -288,18 +287,29 @@ def _start_roles(
     if config.run.placement == "split":
         from kinetix_dist.runtime.driver.split import SplitTrainer
 
-        trainer = SplitTrainer(config, backend, placement, on_event=run.event)
+        trainer: Trainer = SplitTrainer(config, backend, placement, on_event=run.event)
     else:
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
-    curators = placement.of("curator")
-    curator = CuratorClient(config, backend, curators) if curators else None
+    curator = _curator(config, backend, trainer, placement.of("curator"))
     evaluators = placement.of("evaluator")
     told = {"on_event": run.event, "on_rollouts": recorder}
     evaluations = Evaluations(config, trainer, evaluators[0], **told) if evaluators else None
-    beside = {"curator": curator, "evaluator": evaluations}
-    beside = {role: part for role, part in beside.items() if part is not None}
+    beside: dict[str, CuratorClient | Evaluations] = {}
+    if isinstance(curator, CuratorClient):
+        beside["curator"] = curator
+    if evaluations is not None:
+        beside["evaluator"] = evaluations
     resizing = Resizing(config, backend, placement, trainer, beside, on_event=run.event, on_note=reporter.note)
     return backend, trainer, curator, evaluations, resizing
+
+
+def _curator(config: TrainConfig, backend: Backend, trainer: Trainer, plans: Sequence[ProcessPlan]) -> Curator | None:
+    if not config.has_curator:
+        return None
+    if config.run.num_curators == 0:
+        assert isinstance(trainer, ColocatedTrainer), "TrainConfig refuses it for other placements"
+        return CurationByWorkers(trainer)
+    return CuratorClient(config, backend, plans)
 
 
 def _earlier_evaluations(run: RunDirectory) -> dict[str, Any]:
