@@ -149,6 +149,11 @@ class Worker(LearnerWorker):
             self._curator = CuratorCore(self._config)
         return self._curator.refresh(params, policy_version, part, num_parts, probe, given)
 
+    def prepare_refresh(self, policy_version: int) -> None:
+        """Compiles what that refresh needs beyond those before, also while an update goes on."""
+        assert self._curator is not None, "a worker prepares for a refresh after its first one"
+        self._curator.prepare(policy_version)
+
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         """(metrics, seconds of "rollout" and "learn", episodes by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()

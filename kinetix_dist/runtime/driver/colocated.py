@@ -15,6 +15,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_worker
 from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
 
@@ -72,6 +73,9 @@ class ColocatedTrainer:
         ]
         stamps = self.backend.gather([stamp for stamp, _ in calls])
         seconds = max(stamp["seconds"] for stamp in stamps)
+        if probe is None and self._config.curriculum_log.probe_levels and not isinstance(self.backend, LocalBackend):
+            # The first refresh has no probe. Its program is compiled while updates go on; what fails there fails again.
+            self._handles[last].call_beside("prepare_refresh", policy_version + curriculum.refresh_every)
         return Refresh(parts=[part for _, part in calls], seconds=seconds, probe=stamps[last]["probe"])
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
