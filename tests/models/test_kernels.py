@@ -6,6 +6,7 @@ In the CPU interpreter everything but the products is what runs on a GPU: tiles,
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.util
 
 import jax
@@ -114,6 +115,29 @@ def test_kernels_compile_for_an_h200():
 
     lowered = jax.jit(both, out_shardings=sharding).lower(rows, rows, rows, *parameters, of(jnp.float32, E))
     assert lowered.compile(compiler_options=COMPILER_OPTIONS).as_text().count('"mosaic_gpu') == 3
+
+
+@has_pallas
+def test_a_program_with_kernels_does_not_depend_on_what_was_traced_before():
+    """Else a process that does things in another order would not find it in the compile cache."""
+    from kinetix_dist.models.kernels.gate import pack
+    from kinetix_dist.models.kernels.gate_backward import gate_backward
+    from kinetix_dist.models.kernels.gate_forward import gate_forward
+
+    rows = jax.ShapeDtypeStruct((128, E), jnp.bfloat16)
+    weights = jax.eval_shape(pack, *inputs(1)[0][2:])
+    forward = functools.partial(gate_forward.__wrapped__, keep=True)  # not behind its jit: traced by every call
+
+    def program(kernel, *arguments) -> str:
+        return jax.jit(lambda *arrays: kernel(*arrays)).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
+
+    def from_elsewhere() -> str:
+        return program(forward, rows, rows, weights)
+
+    first = program(forward, rows, rows, weights)
+    assert "mosaic_gpu" in first
+    program(gate_backward.__wrapped__, *[rows] * 5, weights)
+    assert from_elsewhere() == first
 
 
 @has_pallas

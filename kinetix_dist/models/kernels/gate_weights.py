@@ -25,7 +25,7 @@ from kinetix_dist.models.kernels.tiles import (
     SWIZZLED,
     WARPGROUP_AXIS,
     WIDTH,
-    compiler_params,
+    call,
 )
 
 SUMS = 3  # of a block
@@ -42,23 +42,20 @@ def gate_weight_gradients(
     """Of kernel_y [128, 384], kernel_x [128, 256] and kernel_h [128, 128], float32. Rows are a multiple of 64."""
 
     one, three = (plgpu.SMEM((STAGES, *sums, ROWS, WIDTH), jnp.bfloat16, transforms=SWIZZLED) for sums in ((), (SUMS,)))
-    partial = plgpu.kernel(
+    kernel = call(
         functools.partial(_body, interpret=interpret),
-        out_type=jax.ShapeDtypeStruct((2 * PAIRS, SUMS, WIDTH, WIDTH), jnp.float32),
-        grid=(2 * PAIRS,),
-        grid_names=(BLOCK_AXIS,),
-        num_threads=SUMS + 1,
-        thread_name=WARPGROUP_AXIS,
-        scratch_types=[
+        jax.ShapeDtypeStruct((2 * PAIRS, SUMS, WIDTH, WIDTH), jnp.float32),
+        [
             one,
             one,
             three,
             plgpu.Barrier(num_arrivals=LOADS, num_barriers=STAGES),
             plgpu.Barrier(num_arrivals=SUMS, num_barriers=STAGES),
         ],
-        compiler_params=compiler_params(),
-        interpret=plgpu.InterpretGPUParams() if interpret else False,
-    )(x, y, rx, grad_rz, grad_h)
+        interpret,
+        num_threads=SUMS + 1,
+    )
+    partial = kernel(x, y, rx, grad_rz, grad_h)
     of_y, of_x = jnp.sum(partial.reshape(PAIRS, 2, SUMS, WIDTH, WIDTH), axis=0)
     return jnp.concatenate([*of_y], axis=1), jnp.concatenate([of_x[0], of_x[1]], axis=1), of_x[2]
 

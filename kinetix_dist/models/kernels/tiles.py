@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import mosaic_gpu as plgpu
 
+from kinetix_dist.models.kernels.one_place import from_one_place
 from kinetix_dist.models.kernels.support import MULTIPROCESSORS, WIDTH
 
 HALF = 64  # columns of a granule: 128 bytes, the widest swizzle
@@ -56,18 +57,26 @@ def compiler_params() -> Any:
     return plgpu.CompilerParams(approx_math=True, unsafe_no_auto_barriers=True)
 
 
-def call(body: Callable[..., None], out_type: Any, scratch_types: Sequence[Any], interpret: bool) -> Callable[..., Any]:
-    """A kernel of PAIRS pairs of blocks."""
-    return plgpu.kernel(
-        body,
-        out_type=out_type,
-        grid=(2 * PAIRS,),
-        grid_names=(BLOCK_AXIS,),
-        num_threads=WARPGROUPS,
-        thread_name=WARPGROUP_AXIS,
-        scratch_types=scratch_types,
-        compiler_params=compiler_params(),
-        interpret=plgpu.InterpretGPUParams() if interpret else False,
+def call(
+    body: Callable[..., None],
+    out_type: Any,
+    scratch_types: Sequence[Any],
+    interpret: bool,
+    num_threads: int = WARPGROUPS,
+) -> Callable[..., Any]:
+    """A kernel of PAIRS pairs of blocks of so many warpgroups."""
+    return from_one_place(
+        plgpu.kernel(
+            body,
+            out_type=out_type,
+            grid=(2 * PAIRS,),
+            grid_names=(BLOCK_AXIS,),
+            num_threads=num_threads,
+            thread_name=WARPGROUP_AXIS,
+            scratch_types=scratch_types,
+            compiler_params=compiler_params(),
+            interpret=plgpu.InterpretGPUParams() if interpret else False,
+        )
     )
 
 

@@ -1,0 +1,58 @@
+"""Programs of Pallas kernels that are the same in every process, whoever calls the kernel and in which order.
+
+Two things that Pallas puts into a kernel's program are of no use to the device: the frames of Python that each
+operation was traced from, and a number of the kernel among those of the process, for names of dumps. They become part
+of every program that launches it, in the compile cache too: a run that is resumed asks for the rollout's program first
+where one that begins has evaluated before, and would compile all of them again.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from jax.experimental.mosaic.gpu import dialect
+from jax.extend import source_info_util
+
+DUMP_NAME = "mosaic_gpu.dump_basename"  # attribute of a kernel's module
+DUMPS = "MOSAIC_GPU_DUMP"  # how variables of the environment begin that ask for dumps
+
+
+def from_one_place(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """`kernel`, whose operations say that they come from here."""
+
+    def launch(*arrays: Any) -> Any:
+        with source_info_util.user_context(_HERE, name_stack=source_info_util.new_name_stack()):
+            return kernel(*arrays)
+
+    return launch
+
+
+def _here() -> Any:
+    """A traceback without the frames of whoever imports this: from a thread, whose first frame is here."""
+    found = []
+    thread = threading.Thread(target=lambda: found.append(source_info_util.current().traceback))
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+def _name_dumps_alike() -> None:
+    """Kernels have no number, unless dumps are asked for, which would overwrite each other."""
+    if not hasattr(dialect, "get_or_set_dump_options"):  # jax 0.10: kernels have no number in a program
+        return
+    ask = dialect.get_or_set_dump_options  # there is no public way (jax 0.11)
+
+    def named(module: Any) -> Any:
+        attributes = module.operation.attributes
+        if DUMP_NAME not in attributes and not any(name.startswith(DUMPS) for name in os.environ):
+            attributes[DUMP_NAME] = attributes["sym_name"]
+        return ask(module)
+
+    dialect.get_or_set_dump_options = named
+
+
+_HERE = _here()
+_name_dumps_alike()
