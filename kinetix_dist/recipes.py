@@ -150,8 +150,10 @@ def _pretrain(size: str) -> TrainConfig:
             max_grad_norm=1.0,
             mask_unbound_heads=True,
         ),
-        curriculum=CurriculumConfig(buffer_size=4096, num_candidates=16_384, scoring_batch=16_384, refresh_every=16),
+        curriculum=CurriculumConfig(buffer_size=4096, num_candidates=12_288, scoring_batch=12_288, refresh_every=16),
         rollout=RolloutConfig(num_envs=16_384),
+        # 256 worlds are bound by latency: they take up to a third of the time of all candidates.
+        curriculum_log=CurriculumLogConfig(probe_every=4),
         evaluation=dataclasses.replace(paper.evaluation, every=25),
         recording=RecordingConfig(every=200),
         # Two processes on a GPU take turns: scoring beside training would cost twice the time that it takes alone.

@@ -38,6 +38,7 @@ class CurriculumLogConfig:
 
     outcomes_every: int = 16  # updates that a line of outcomes.jsonl covers at most; 0: none is written
     probe_levels: int = 256  # of the outgoing buffer, played again by the policy of the next refresh; 0: none
+    probe_every: int = 1  # refreshes from one that plays such levels to the next
     max_snapshots: int = 64  # files of a kind that keep their levels; 0: no file is written
 
     def __post_init__(self) -> None:
@@ -46,10 +47,16 @@ class CurriculumLogConfig:
                 raise ValueError(
                     f"CurriculumLogConfig.{field.name} is {getattr(self, field.name)}; it must be 0 or more"
                 )
+        if self.probe_every == 0:
+            raise ValueError("CurriculumLogConfig.probe_every is 0; give 1 or more, or probe_levels 0 for no probe")
         if self.max_snapshots == 1:
             raise ValueError(
                 "CurriculumLogConfig.max_snapshots is 1; the first and the newest are kept: give 2 or more, or 0"
             )
+
+    def has_probe(self, refresh: int) -> bool:
+        """Whether a refresh plays levels of the buffer in use again; the first, number 0, has none."""
+        return self.probe_levels > 0 and refresh > 0 and refresh % self.probe_every == 0
 
 
 class SnapshotError(ValueError):

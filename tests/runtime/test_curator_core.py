@@ -36,6 +36,8 @@ def test_a_prepared_curator_compiles_nothing_for_its_first_probe(compiled):
     worker.adopt(refreshed)
     curator.prepare(config.curriculum.refresh_every)
     assert "jit(play)" in compiled()
+    curator.prepare(2 * config.curriculum.refresh_every)  # after a refresh without a probe, too
+    assert "jit(play)" not in compiled()
     stamp, _ = curator.refresh(worker.weights(), config.curriculum.refresh_every, 0, 1, worker.probe(4))
     assert stamp["probe"]["finished"].shape == (4,)
     assert "jit(play)" not in compiled()

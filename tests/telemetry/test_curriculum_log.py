@@ -130,10 +130,23 @@ def test_lines_that_are_none_are_left_out(tmp_path):
     assert [row["update"] for row in read_outcomes(path)] == [16]
 
 
-@pytest.mark.parametrize("field", ["outcomes_every", "probe_levels", "max_snapshots"])
+@pytest.mark.parametrize("field", ["outcomes_every", "probe_levels", "probe_every", "max_snapshots"])
 def test_a_negative_number_is_refused(field):
     with pytest.raises(ValueError, match=f"{field} is -1"):
         CurriculumLogConfig(**{field: -1})
+
+
+@pytest.mark.parametrize(
+    ("config", "refreshes"),
+    [({}, [1, 2, 3, 4, 5, 6]), ({"probe_every": 3}, [3, 6]), ({"probe_every": 3, "probe_levels": 0}, [])],
+)
+def test_every_so_many_refreshes_play_levels_again_and_never_the_first(config, refreshes):
+    assert [number for number in range(7) if CurriculumLogConfig(**config).has_probe(number)] == refreshes
+
+
+def test_no_refresh_is_every_zeroth():
+    with pytest.raises(ValueError, match="probe_every is 0; give 1 or more, or probe_levels 0"):
+        CurriculumLogConfig(probe_every=0)
 
 
 def test_one_snapshot_is_too_few():

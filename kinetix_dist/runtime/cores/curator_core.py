@@ -23,6 +23,7 @@ class CuratorCore:
         self._playing = Playing(config, data_mesh())
         self._playing.curriculum(config)  # what cannot be loaded is found before anything is asked for
         self._params: Any = None  # shapes of what refreshes were asked for with
+        self._prepared: Curriculum | None = None  # whose probe is compiled
 
     def refresh(
         self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
@@ -47,10 +48,13 @@ class CuratorCore:
         return {"seconds": time.monotonic() - began, "probe": played}, refreshed
 
     def prepare(self, policy_version: int) -> None:
-        """Compiles what the refresh of that version needs beyond those before: its probe. For a process that has
+        """Compiles what the refresh of that version may need beyond those before: its probe. For a process that has
         answered one and waits for the next, so that training does not wait for the compiler then."""
         assert self._params is not None, "a curator prepares for a refresh after its first one"
-        self._curriculum(policy_version).compile_probe(self._params, self._config.curriculum_log.probe_levels)
+        curriculum = self._curriculum(policy_version)
+        if curriculum is not self._prepared:
+            self._prepared = curriculum
+            curriculum.compile_probe(self._params, self._config.curriculum_log.probe_levels)
 
     def _curriculum(self, policy_version: int) -> Curriculum:
         """Of the phase in which the refresh is to be adopted, so that its first buffer has the levels of that phase."""

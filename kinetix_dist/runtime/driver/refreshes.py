@@ -45,7 +45,7 @@ class Refreshes:
     ) -> None:
         self._config = config.curriculum
         self._has_input = config.curriculum_class.refreshes_from_state
-        self._num_probed = config.curriculum_log.probe_levels
+        self._log = config.curriculum_log
         self._data = data
         self._run = run
         self._reporter = reporter
@@ -134,7 +134,8 @@ class Refreshes:
         self._pending = (policy_version, weights, given)
         with self._clock.role("curate"):
             # Of the buffer that is in use now: what this refresh replaces.
-            probe = self._trainer.probe(self._num_probed) if policy_version and self._num_probed else None
+            has_probe = self._log.has_probe(policy_version // self._config.refresh_every)
+            probe = self._trainer.probe(self._log.probe_levels) if has_probe else None
             self._curator.request(weights, policy_version, probe, given)
 
     def _adopt_if_due(self, num_updates: int, update_seconds: float) -> None:
