@@ -112,9 +112,9 @@ def tiny() -> TrainConfig:
 _CURRICULA = {
     "sfl": CurriculumConfig(),
     "dr": CurriculumConfig(name="domain_randomization"),
-    "plr": CurriculumConfig(name="plr", buffer_size=4096),
-    "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=4096),
-    "accel": CurriculumConfig(name="accel", buffer_size=4096),
+    "plr": CurriculumConfig(name="plr", buffer_size=8000),
+    "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=8000),
+    "accel": CurriculumConfig(name="accel", buffer_size=8000),
     "paired": CurriculumConfig(name="paired"),
 }
 

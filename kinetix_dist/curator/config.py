@@ -16,11 +16,15 @@ ANTAGONIST_RETURNS = ("mean", "max")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlrConfig:
-    """Which levels of its buffer Prioritized Level Replay plays again (Jiang et al. 2021, section 3)."""
+    """Which levels of its buffer Prioritized Level Replay plays again (Jiang et al. 2021, section 3).
+
+    Defaults are those of the paper on Kinetix. There an update draws thousands of levels: with a temperature of 0.3, as
+    of Jiang et al. for a few at a time, 87 % of those drawn by score would be one level.
+    """
 
     score: str = "max_mc"  # of `REPLAY_SCORES` in kinetix_dist/curator/replay_scores.py
     prioritisation: str = "rank"  # "rank": (1 / rank)^(1 / temperature); "top_k": the best top_k alike, no other
-    temperature: float = 0.3  # beta; towards 0 only the best level is played
+    temperature: float = 1.0  # beta; towards 0 only the best level is played
     top_k: int = 256  # levels
     staleness: float = 0.3  # rho, share of the draws by how long ago a level was played
 
