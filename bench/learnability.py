@@ -5,7 +5,7 @@
 `claimed` is the mean of p (1 - p) over the levels of the buffer, p of the few episodes that chose them; `training` the
 unbiased estimate of the same from the episodes of training (levels played twice or more), with its standard error.
 `played` is the solve rate in training; `chosen` and `again` are those of some of the levels when they were chosen, and
-by the policy of the next refresh (`curriculum_log.probe_levels`).
+by the policy of the next refresh, where it played any (`curriculum_log.probe_levels`, `probe_every`).
 
 With --attempts, the levels of the buffer in the newest checkpoint are played as often by its policy: `measured` is
 what their p (1 - p) is. Of "sfl_slices" only those in use count, and `window` is the estimate from their last plays in

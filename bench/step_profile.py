@@ -16,6 +16,7 @@ import collections
 import dataclasses
 import gzip
 import json
+import re
 import sys
 import tempfile
 from collections.abc import Callable
@@ -66,8 +67,11 @@ def kernel_microseconds(trace: Path) -> collections.Counter[str]:
 
 
 def source_of(launch: Launch) -> str:
-    """The innermost function of the project that a launch comes from, or else its scopes."""
+    """The innermost function of the project that a launch comes from, or else its scopes. Kernels of Pallas have no
+    frames of their own (models/kernels/one_place.py): the jitted function that they are in."""
     for file, function in launch.stack:
+        if Path(file).name == "one_place.py":
+            return next(found[1] for scope in launch.scopes if (found := re.search(r"jit\((\w+)\)", scope)))
         if "kinetix_dist/" in file or "jax2d/" in file:
             return f"{Path(file).name}:{function}"
     return "/".join(launch.scopes[:2])

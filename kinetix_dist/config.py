@@ -282,8 +282,9 @@ class TrainConfig:
             )
         if self.run.num_curators > self.curriculum.num_batches:
             raise ConfigError(
-                f"run.num_curators is {self.run.num_curators}, but candidates are scored in "
-                f"{self.curriculum.num_batches} batches: some would have none; lower it or curriculum.scoring_batch"
+                f"run.num_curators is {self.run.num_curators}, but candidates are scored in batches of "
+                f"curriculum.scoring_batch {self.curriculum.scoring_batch}, {self.curriculum.num_batches} in all: some "
+                "would have none; lower it or scoring_batch"
             )
         if self.run.num_curators == 0 and self.has_curator and self.run.placement == "split":
             raise ConfigError(

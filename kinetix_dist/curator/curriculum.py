@@ -9,10 +9,10 @@
                          refreshed = join(refresh_part(..., part, num_parts) of each part)  if it `shares_refresh`
                          state = adopt(state, refreshed)
 
-`refresh` runs in a process of its own, the curator, beside training: it is asked for every `refresh_every` updates and
-its result adopted at an update that is fixed beforehand. Several curators work out a part each where the curriculum
-can join them. The state is one pytree of arrays, the same on all devices;
-checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
+`refresh` runs in a process of its own, the curator, beside training, or in those that train between two updates: it
+is asked for every `refresh_every` updates and its result adopted at an update that is fixed beforehand. Several
+curators work out a part each where the curriculum can join them. The state is one pytree of arrays, the same on all
+devices; checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
 
 How others are written: `plr.py` keeps a buffer of levels with scores as its state, proposes some of it and some fresh
 levels, and scores what was played in `observe`. `accel.py` also proposes changed levels of it. In `paired.py` a second

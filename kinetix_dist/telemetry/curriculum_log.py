@@ -42,13 +42,13 @@ class CurriculumLogConfig:
     max_snapshots: int = 64  # files of a kind that keep their levels; 0: no file is written
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            if getattr(self, field.name) < 0:
-                raise ValueError(
-                    f"CurriculumLogConfig.{field.name} is {getattr(self, field.name)}; it must be 0 or more"
-                )
-        if self.probe_every == 0:
-            raise ValueError("CurriculumLogConfig.probe_every is 0; give 1 or more, or probe_levels 0 for no probe")
+        for name in ("outcomes_every", "probe_levels", "max_snapshots"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"CurriculumLogConfig.{name} is {getattr(self, name)}; it must be 0 or more")
+        if self.probe_every < 1:
+            raise ValueError(
+                f"CurriculumLogConfig.probe_every is {self.probe_every}; give 1 or more, or probe_levels 0 for no probe"
+            )
         if self.max_snapshots == 1:
             raise ValueError(
                 "CurriculumLogConfig.max_snapshots is 1; the first and the newest are kept: give 2 or more, or 0"

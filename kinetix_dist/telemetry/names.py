@@ -62,7 +62,11 @@ _ALL = (
     # Where the time went since the previous update; the shares add up to 1
     Metric("time/rollout", "share", "drawing levels and playing them"),
     Metric("time/learn", "share", "advantages and gradient steps"),
-    Metric("time/curate", "share", "the learner waiting for (or, in local mode, doing) the scoring of levels"),
+    Metric(
+        "time/curate",
+        "share",
+        "the learner waiting for (or, in local mode and with run.num_curators 0, doing) the scoring of levels",
+    ),
     Metric("time/evaluate", "share", "evaluating on held-out and designed levels"),
     Metric("time/record", "share", "recording rollouts"),
     Metric("time/checkpoint", "share", "copying what a checkpoint holds, and waiting for the one before it"),
@@ -230,7 +234,8 @@ RED: dict[str, tuple[str, str]] = {
     "time/idle": ("above 0.2", "updates are too short for their dispatch: raise rollout.num_envs or num_steps"),
     "time/curate": (
         "above 0.1",
-        "the curator is slower than training: raise curriculum.adopt_after or refresh_every, or lower num_candidates",
+        "the curator is slower than training: raise curriculum.adopt_after; or, also where workers score "
+        "(run.num_curators 0), raise curriculum.refresh_every or lower num_candidates",
     ),
     "time/checkpoint": ("above 0.05", "saves are slower than they come: raise run.checkpoint_every, or a faster disk"),
     "progress/env_steps_per_second": (

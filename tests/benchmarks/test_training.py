@@ -14,6 +14,7 @@ from kinetix_dist.benchmarks.training_process import RunFailedError, environment
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import to_dict
 from kinetix_dist.recipes import RECIPES, recipe
+from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 
 def bench(json_file: Path, *arguments: str) -> list[dict]:
@@ -90,12 +91,16 @@ def test_the_first_two_updates_do_not_count() -> None:
 
 
 def test_refreshes_are_told_from_updates_by_their_number() -> None:
-    """Updates 0, 4 and 8 ask for a refresh, 1 and 5 adopt it."""
+    """Updates 0, 4 and 8 ask for a refresh, 1 and 5 adopt it; that of 8 has a probe, which compiles, that of 16 too."""
     speed = [1.0, 90.0, 10.0, 20.0, 5.0, 90.0, 40.0, 50.0, 2.0]  # env steps/s of 100 steps
     rows = [row(number + 1, speed, curate=0.6) for number, speed in enumerate(speed)]
-    refreshes, updates = curator_refresh.seconds_of(rows, 100)
-    assert refreshes == pytest.approx([0.6 * 20.0, 0.6 * 50.0])
+    none = CurriculumLogConfig(probe_levels=0)
+    refreshes, probed, updates = curator_refresh.seconds_of(rows, 100, none)
+    assert refreshes == pytest.approx([0.6 * 20.0, 0.6 * 50.0]) and not probed
     assert updates == pytest.approx([10.0, 5.0, 2.5, 2.0])
+    rows += [row(number + 1, 4.0, curate=0.6) for number in range(9, 17)]
+    refreshes, probed, _ = curator_refresh.seconds_of(rows, 100, CurriculumLogConfig(probe_every=2))
+    assert refreshes == pytest.approx([0.6 * 20.0, 0.6 * 25.0]) and probed == pytest.approx([0.6 * 25.0])
 
 
 # Real runs
@@ -155,17 +160,24 @@ def test_a_curator_is_measured_by_size(tmp_path: Path) -> None:
     for record in records:
         assert set(record) == fields(curator_refresh.CuratorRecord)
         assert (record["num_candidates"], record["refresh_every"]) == (16, curriculum.refresh_every)
-        assert record["refreshes"] == 2
+        assert record["refreshes"] == 3  # beside two with a probe
+        assert (record["probe_seconds"] is not None, record["probe_every"]) == (True, 1)
         assert 0 < record["fastest"] <= record["refresh_seconds"] <= record["slowest"]
         assert record["candidates_per_second"] == pytest.approx(16 / record["refresh_seconds"], rel=0.01)
         training = curriculum.refresh_every * record["update_seconds"]
-        share = record["refresh_seconds"] / (record["refresh_seconds"] + training)
+        curated = record["refresh_seconds"] + record["probe_seconds"]
+        share = curated / (curated + training)
         assert record["share_of_training_time"] == pytest.approx(share, abs=0.01)
 
 
 def test_the_run_of_a_curator_is_of_the_size_and_has_its_refreshes() -> None:
     config = curator_refresh.config_of(recipe("tiny"), "m", refreshes=2)
     assert (config.env.size, config.run.placement) == ("m", "local")
+    updates = config.run.total_env_steps // config.rollout.steps_per_update
+    due = [number for number in range(updates) if config.curriculum.is_refresh_due(number)]
+    assert due == [0, 4, 8, 12, 16, 20, 24]  # two with a probe, but for the first, and those between them
+    without = dataclasses.replace(recipe("tiny"), curriculum_log=CurriculumLogConfig(probe_levels=0))
+    config = curator_refresh.config_of(without, "m", refreshes=2)
     updates = config.run.total_env_steps // config.rollout.steps_per_update
     assert [number for number in range(updates) if config.curriculum.is_refresh_due(number)] == [0, 4, 8]
     assert to_dict(config)["curriculum"]["num_candidates"] == recipe("tiny").curriculum.num_candidates

@@ -33,7 +33,11 @@ def from_one_place(kernel: Callable[..., Any]) -> Callable[..., Any]:
 def _here() -> Any:
     """A traceback without the frames of whoever imports this: from a thread, whose first frame is here."""
     found = []
-    thread = threading.Thread(target=lambda: found.append(source_info_util.current().traceback))
+
+    def frames_of_callers_are_left_out() -> None:  # what errors and profiles show
+        found.append(source_info_util.current().traceback)
+
+    thread = threading.Thread(target=frames_of_callers_are_left_out)
     thread.start()
     thread.join()
     return found[0]

@@ -64,6 +64,7 @@ class Playing:
         )
 
     def _kept(self, name: str, made_for: Any, make: Callable[[], T]) -> T:
-        if name not in self._made or self._made[name][0] != made_for:
-            self._made[name] = made_for, make()
-        return self._made[name][1]
+        found = self._made.get(name)
+        if found is None or found[0] != made_for:
+            found = self._made[name] = made_for, make()
+        return found[1]  # not what another thread may have put there since, for another phase

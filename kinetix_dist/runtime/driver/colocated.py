@@ -74,7 +74,7 @@ class ColocatedTrainer:
         stamps = self.backend.gather([stamp for stamp, _ in calls])
         seconds = max(stamp["seconds"] for stamp in stamps)
         if probe is None and self._config.curriculum_log.probe_levels and not isinstance(self.backend, LocalBackend):
-            # The first refresh has no probe. Its program is compiled while updates go on; what fails there fails again.
+            # A later one has. Its program is compiled, once, while updates go on; what fails there fails again.
             self._handles[last].call_beside("prepare_refresh", policy_version + curriculum.refresh_every)
         return Refresh(parts=[part for _, part in calls], seconds=seconds, probe=stamps[last]["probe"])
 

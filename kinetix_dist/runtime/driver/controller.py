@@ -17,6 +17,7 @@ One loop a role:
 | trainer | weights, buffer | the next weights | its workers (colocated) or whole batches (split) | the slowest worker |
 | curator | weights of version k, key k | a buffer | nothing | - |
 
+With `run.num_curators` 0 the workers of the trainer are the curator, between two updates, and an update waits for them.
 The controller is the same for all placements: it drives a `Trainer` and a `Curator`, which are plain objects in local
 mode and Ray actors behind a handle otherwise. It holds no state that is not in the last checkpoint, so a lost worker,
 and a lost driver are the same case, whatever the run was at: restore, re-issue what was in flight, come back to that

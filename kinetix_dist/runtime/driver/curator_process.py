@@ -103,7 +103,7 @@ class CuratorProcess(ProcessBeside):
 
     def _prepare(self) -> None:
         """Has a process that was not asked to play a probe, as none is in the first refresh, compile that while it has
-        nothing to do. Nobody waits for it, and what fails there fails again where it is waited for."""
+        nothing to do, once. Nobody waits for it, and what fails there fails again where it is waited for."""
         assert self._asked is not None and self._handle is not None
         _, policy_version, probe, _ = self._asked
         takes_probes = self._part == self._num_parts - 1 and self._config.curriculum_log.probe_levels > 0

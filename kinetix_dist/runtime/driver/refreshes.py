@@ -132,6 +132,8 @@ class Refreshes:
     def _request(self, policy_version: int, weights: Any, given: Any) -> None:
         assert self._curator is not None
         self._pending = (policy_version, weights, given)
+        if not policy_version and not self._curator.works_beside:
+            self._reporter.phase("curating")
         with self._clock.role("curate"):
             # Of the buffer that is in use now: what this refresh replaces.
             has_probe = self._log.has_probe(policy_version // self._config.refresh_every)
@@ -147,7 +149,7 @@ class Refreshes:
         recorded = self._adoptions.get(version)
         if drawn_next < (recorded if recorded is not None else self._config.adopted_at(version)):
             return
-        if version == 0:
+        if version == 0 and self._curator.works_beside:
             self._reporter.phase("curating")
         # Without a first buffer there is nothing to play, and what is recorded is repeated as it was.
         must_wait = version == 0 or recorded is not None

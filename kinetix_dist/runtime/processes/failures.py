@@ -35,7 +35,8 @@ GROUP_IS_BROKEN = (
 PORT_IS_TAKEN = ("Failed to start RPC server",)
 
 ADVICE = {
-    "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib",
+    "worker": "lower rollout.num_envs, raise ppo.minibatches, or lower run.curator_memory_gib "
+    "(with run.num_curators 0: curriculum.scoring_batch)",
     "learner": "lower rollout.num_envs, raise ppo.minibatches, or raise run.num_learners",
     "rollout": "lower rollout.num_envs or raise run.num_rollout_actors",
     "evaluator": "lower evaluation.attempts, or set evaluation.every, .every_seconds and recording.every to 0",

@@ -170,7 +170,7 @@ function Learned({ run, entry }) {
   const texts = MOVES.map((before, a) => MOVES.map((after, b) => `${before} before, ${after} after: ${probe?.moves.find((/** @type {number[]} */ row) => row[0] === a && row[1] === b)?.[2] ?? 0} of ${total} levels`));
   return html`<${Panel} title="What was learned from this buffer" rows=${rows} name=${`${run} learned ${entry.number}`}
     help="the same levels, played again by the policy of the next refresh"
-    missing=${probe ? null : "Nothing was played again: the next refresh is not there yet, or curriculum_log.probe_levels is 0."}>
+    missing=${probe ? null : "Nothing was played again: the next refresh is not there yet, or it plays no levels again (curriculum_log.probe_every, probe_levels)."}>
     ${probe ? html`<p>${probe.levels} levels: ${rateWithCount(probe.before.solved, probe.before.finished)} when they were chosen, ${" "}
       ${rateWithCount(probe.after.solved, probe.after.finished)} by version ${probe.policy_version}${" "}
       (95 % interval ${percent(probe.after.low)} to ${percent(probe.after.high)}); learnability now ${short(probe.after_learnability)}.
