@@ -87,6 +87,14 @@ def test_a_curator_that_scores_more_gets_more():
     )
 
 
+def test_an_evaluator_needs_what_it_plays_whatever_is_scored_at_once():
+    config = recipe("sfl_m")
+    larger = dataclasses.replace(config.curriculum, num_candidates=65536, scoring_batch=65536)
+    found = _budgets(dataclasses.replace(config, curriculum=larger))
+    assert found["evaluator 0"] == _budgets(config)["evaluator 0"]
+    assert found["curator 0"].pool_bytes > 4 * found["evaluator 0"].pool_bytes
+
+
 def test_only_the_gpu_that_is_shared_pays_for_the_curator():
     budgets = _budgets(without_evaluator(recipe("sfl_m")), num_gpus=4)
     assert budgets["worker 1"].total_bytes == budgets["worker 3"].total_bytes == int(0.98 * H200.total_bytes)

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 from jax2d.scene import Capacity
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.evaluation.evaluate import MAX_WORLDS
 
 MIB = 1 << 20
 GIB = 1 << 30
@@ -116,8 +117,10 @@ def share_of_gpu(config: TrainConfig, processes: Sequence[tuple[str, int]], *, n
                     budget_bytes=round(by_hand * GIB) if by_hand else None,
                 )
             )
-        elif role == "evaluator":  # it plays no more worlds at once than a curator
-            needs.append(MemoryNeeds(process=process, thread_bytes=thread, pool_bytes=curator_pool_bytes(config)))
+        elif role == "evaluator":
+            needs.append(
+                MemoryNeeds(process=process, thread_bytes=thread, pool_bytes=playing_bytes(config, MAX_WORLDS))
+            )
         else:
             needs.append(MemoryNeeds(process=process, thread_bytes=thread, num_in_group=num_in_group))
     limit = config.run.gpu_memory_gib
@@ -174,12 +177,17 @@ def thread_bytes(capacity: Capacity) -> int:
 
 
 def curator_pool_bytes(config: TrainConfig) -> int:
-    """What scoring a batch of levels needs of XLA, with a margin of four, and the candidates of a refresh."""
+    """What scoring a batch of levels needs of XLA, and the candidates of a refresh."""
+    curriculum = config.curriculum
+    return playing_bytes(config, curriculum.scoring_batch, beside=CANDIDATE_BYTES * curriculum.num_candidates)
+
+
+def playing_bytes(config: TrainConfig, num_worlds: int, *, beside: int = 0) -> int:
+    """What playing so many worlds at once without learning needs of XLA, with a margin of four, and what is beside."""
     capacity, policy = config.env.capacity, config.policy
     rows = capacity.shapes + 1 + 2 * capacity.joints + capacity.thrusters
     numbers = SCORING_TENSORS * rows * policy.encoder_size + 2 * policy.num_heads * capacity.shapes**2
-    scoring = SCORING_MARGIN * 4 * numbers * config.curriculum.scoring_batch
-    return max(MIN_CURATOR_POOL_BYTES, scoring + CANDIDATE_BYTES * config.curriculum.num_candidates)
+    return max(MIN_CURATOR_POOL_BYTES, SCORING_MARGIN * 4 * numbers * num_worlds + beside)
 
 
 def this_gpu() -> Gpu:
