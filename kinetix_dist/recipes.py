@@ -156,7 +156,7 @@ def _pretrain(size: str) -> TrainConfig:
         curriculum_log=CurriculumLogConfig(probe_every=4),
         evaluation=dataclasses.replace(paper.evaluation, every=25),
         recording=RecordingConfig(every=200),
-        # Two processes on a GPU take turns: scoring beside training would cost twice the time that it takes alone.
+        # Two processes on a GPU take turns: scoring beside training costs more than it takes alone (docs/operating.md).
         run=dataclasses.replace(
             paper.run,
             name=f"pretrain_{size}",

@@ -135,7 +135,8 @@ def _record(
     updates: list[float],
     report: dict[str, Any],
 ) -> CuratorRecord:
-    curriculum, log = options.config().curriculum, options.config().curriculum_log
+    config = options.config()
+    curriculum, log = config.curriculum, config.curriculum_log
     refresh_seconds, update_seconds = statistics.median(refreshes), statistics.median(updates)
     probe_seconds = statistics.median(probed) - refresh_seconds if probed else None
     curated = refresh_seconds + (probe_seconds or 0.0) / log.probe_every  # s a refresh, on average

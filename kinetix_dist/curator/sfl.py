@@ -119,7 +119,7 @@ class Sfl(Curriculum):
         """Every `num_parts`-th batch of the candidates, scored by `params`."""
         del given
         config = self.tools.config
-        batches = range(part, config.num_candidates // config.scoring_batch, num_parts)
+        batches = range(part, config.num_batches, num_parts)
         devices = self.tools.devices[: len(batches)]
         placed = [jax.device_put((params, key), device) for device in devices]
 

@@ -80,7 +80,7 @@ class SflSlices(Curriculum):
                 f"CurriculumConfig.buffer_size {config.buffer_size} is not a multiple of slices.slice_size "
                 f"{slices.slice_size}; change one of them"
             )
-        if (num_last := slices.kept(batch)[-1] * (config.num_candidates // batch)) < slices.slice_size:
+        if (num_last := slices.kept(batch)[-1] * config.num_batches) < slices.slice_size:
             raise ValueError(
                 f"of {config.num_candidates} candidates {num_last} are left in the last round of "
                 f"slices.keep_one_of {slices.keep_one_of}, fewer than slices.slice_size {slices.slice_size}; raise "
@@ -175,7 +175,7 @@ class SflSlices(Curriculum):
         config = self.tools.config
         batch_size, size = config.scoring_batch, self._num_adopted(policy_version)
         num_slices = size // config.slices.slice_size
-        batches = range(part, num_slices * config.num_candidates // batch_size, num_parts)
+        batches = range(part, num_slices * config.num_batches, num_parts)
         num_harvested = 0 if given is None else int(given["count"]) // batch_size
         devices = self.tools.devices[: len(batches)]
         placed = [jax.device_put((params, key), device) for device in devices]

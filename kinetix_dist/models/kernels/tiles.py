@@ -52,11 +52,6 @@ def scratch(num_blocks: int, num_weight_copies: int) -> list[Any]:
     ]
 
 
-def compiler_params() -> Any:
-    # Barriers are placed by hand: those that Pallas adds around every load and store keep copies from overlapping.
-    return plgpu.CompilerParams(approx_math=True, unsafe_no_auto_barriers=True)
-
-
 def call(
     body: Callable[..., None],
     out_type: Any,
@@ -74,7 +69,8 @@ def call(
             num_threads=num_threads,
             thread_name=WARPGROUP_AXIS,
             scratch_types=scratch_types,
-            compiler_params=compiler_params(),
+            # Barriers are placed by hand: those that Pallas adds around loads and stores keep copies from overlapping.
+            compiler_params=plgpu.CompilerParams(approx_math=True, unsafe_no_auto_barriers=True),
             interpret=plgpu.InterpretGPUParams() if interpret else False,
         )
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -137,21 +138,19 @@ class LearnerWorker:
 class Worker(LearnerWorker):
     """Worlds on the devices of a learner shard: batches never leave them."""
 
-    def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
-        super().__init__(config, mesh)
-        self._curator: CuratorCore | None = None
+    @functools.cached_property
+    def _curator(self) -> CuratorCore:
+        """Of a run whose workers score levels."""
+        return CuratorCore(self._config)
 
     def refresh(
         self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
     ) -> tuple[dict[str, Any], Any]:
         """As a curator does it, see `CuratorCore.refresh`, on the devices of this process alone."""
-        if self._curator is None:
-            self._curator = CuratorCore(self._config)
         return self._curator.refresh(params, policy_version, part, num_parts, probe, given)
 
     def prepare_refresh(self, policy_version: int) -> None:
         """Compiles what that refresh needs beyond those before, also while an update goes on."""
-        assert self._curator is not None, "a worker prepares for a refresh after its first one"
         self._curator.prepare(policy_version)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:

@@ -15,7 +15,6 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_worker
 from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
-from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
 
@@ -72,11 +71,10 @@ class ColocatedTrainer:
             for part, handle in enumerate(self._handles[:num_parts])
         ]
         stamps = self.backend.gather([stamp for stamp, _ in calls])
-        seconds = max(stamp["seconds"] for stamp in stamps)
-        if probe is None and self._config.curriculum_log.probe_levels and not isinstance(self.backend, LocalBackend):
+        if probe is None and self._config.curriculum_log.probe_levels and self.backend.works_beside:
             # A later one has. Its program is compiled, once, while updates go on; what fails there fails again.
             self._handles[last].call_beside("prepare_refresh", policy_version + curriculum.refresh_every)
-        return Refresh(parts=[part for _, part in calls], seconds=seconds, probe=stamps[last]["probe"])
+        return Refresh.of([part for _, part in calls], stamps)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         answers = self._all("run_update", num_updates)

@@ -18,7 +18,6 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.driver.curator_process import CuratorProcess
 from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.backend import Backend, Ticket
-from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 POLL_S = 0.02
@@ -27,13 +26,14 @@ POLL_S = 0.02
 class CuratorClient:
     """A `roles.Curator`."""
 
-    works_beside: bool
-
     def __init__(self, config: TrainConfig, backend: Backend, plans: Sequence[ProcessPlan]) -> None:
         self._config = config
         self._backend = backend
-        self.works_beside = not isinstance(backend, LocalBackend)  # there nothing is done at the same time
         self.place(plans)
+
+    @property
+    def works_beside(self) -> bool:
+        return self._backend.works_beside
 
     def place(self, plans: Sequence[ProcessPlan]) -> None:
         self.processes = [
@@ -71,7 +71,7 @@ class CuratorClient:
             return None
         parts, stamps = zip(*(self._parts[process] for process in self.processes), strict=True)
         self._parts = {}
-        return Refresh(parts=parts, seconds=max(stamp["seconds"] for stamp in stamps), probe=stamps[-1]["probe"])
+        return Refresh.of(parts, stamps)
 
     def cancel(self) -> None:
         for process in self.processes:

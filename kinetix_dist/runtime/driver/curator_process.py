@@ -16,7 +16,6 @@ from kinetix_dist.runtime.driver.process_beside import ProcessBeside
 from kinetix_dist.runtime.driver.weight_sync import resolve
 from kinetix_dist.runtime.processes.backend import Backend, Ticket
 from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
-from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
@@ -66,7 +65,7 @@ class CuratorProcess(ProcessBeside):
 
     def facts(self) -> list[dict[str, Any]]:
         """Of its process; that it was lost is a fact too, since training does not depend on it."""
-        if self._handle is None or isinstance(self._backend, LocalBackend):
+        if self._handle is None or not self._backend.works_beside:
             return []
         try:
             return self._backend.facts([self._handle])
@@ -107,7 +106,7 @@ class CuratorProcess(ProcessBeside):
         assert self._asked is not None and self._handle is not None
         _, policy_version, probe, _ = self._asked
         takes_probes = self._part == self._num_parts - 1 and self._config.curriculum_log.probe_levels > 0
-        if takes_probes and probe is None and not isinstance(self._backend, LocalBackend):
+        if takes_probes and probe is None and self._backend.works_beside:
             self._handle.call("prepare", policy_version + self._config.curriculum.refresh_every)
 
     def _ask(self) -> None:

@@ -70,6 +70,11 @@ class Refresh:
     seconds: float  # that the slowest took
     probe: Mapping[str, np.ndarray]  # what became of levels of the buffer before, see `Curriculum.play_probe`
 
+    @classmethod
+    def of(cls, parts: Sequence[Any], stamps: Sequence[Mapping[str, Any]]) -> Refresh:
+        """stamps: of each part, as `CuratorCore.refresh` gives them; the last one's process played the probe."""
+        return cls(parts=parts, seconds=max(stamp["seconds"] for stamp in stamps), probe=stamps[-1]["probe"])
+
 
 class Curator(Protocol):
     """Whatever refreshes the curriculum: processes beside training, each with a part of it, or those that train."""

@@ -63,6 +63,7 @@ class Backend(Protocol):
 
     sections: Sections  # which section of the run waits for processes, and how long it may
     losses: Losses  # of processes so far
+    works_beside: bool  # what is asked of a process is done while others work, and the driver goes on
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[Handle]:
         """One core a plan, as `Group` says; several that join a group form one JAX world, by rank."""

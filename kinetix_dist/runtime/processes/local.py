@@ -54,6 +54,7 @@ class LocalBackend:
     """Cores share this process and its devices."""
 
     has_lost_room = False
+    works_beside = False
 
     def __init__(self) -> None:
         self.sections = Sections()

@@ -99,6 +99,8 @@ class RayHandle:
 class RayBackend:
     """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
 
+    works_beside = True
+
     def __init__(
         self,
         *,
