@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -42,6 +43,8 @@ from jax2d.yielding_joints import yields
 # The kernel's tables of the state, which come after four others.
 STATE_ARGUMENT = 4
 STATE_TABLES = ("state_table", "impulse_table", "key_table")
+
+_TRACING = threading.Lock()  # programs may be traced in several threads, but Warp builds one kernel at a time
 
 
 @jax.tree_util.register_dataclass
@@ -252,12 +255,13 @@ def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Ca
         worlds = state[0].shape[1]
         if worlds == 0:  # the kernel cannot be launched for nobody
             return *state, jnp.zeros((out_rows, 0), jnp.int32)
-        call = call_for(worlds)
-        # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by what
-        # it says instead, equal programs are equal in every process and found in the compile cache.
-        call.launch_id = (num_steps << 32) | worlds
         shapes = dict(zip(STATE_TABLES, (table.shape for table in state))) | {"out_table": (out_rows, worlds)}
-        return tuple(call(*tables, num_steps, launch_dims=worlds, output_dims=shapes))
+        with _TRACING:
+            call = call_for(worlds)
+            # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by
+            # what it says instead, equal programs are equal in every process and found in the compile cache.
+            call.launch_id = (num_steps << 32) | worlds
+            return tuple(call(*tables, num_steps, launch_dims=worlds, output_dims=shapes))
 
     @launch.def_vmap
     def launch_folded(axis_size: int, is_mapped: Sequence[bool], *tables: Array) -> tuple[tuple, tuple]:

@@ -221,6 +221,10 @@ class Curriculum(abc.ABC):
         """What became of them, by the names below "probe/" in a refresh_*.npz. Not inside jit."""
         raise NotImplementedError
 
+    def compile_refresh(self, params: Any) -> None:
+        """Compiles what `refresh` or `refresh_part` will run with such parameters, ahead of it, as far as it pays."""
+        del params
+
     def compile_probe(self, params: Any, num_levels: int) -> None:
         """Compiles what `play_probe` will run with such parameters and so many levels, ahead of it."""
         del params, num_levels

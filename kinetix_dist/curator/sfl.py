@@ -173,6 +173,10 @@ class Sfl(Curriculum):
             "finished": np.asarray(outcome.num_finished),
         }
 
+    def compile_refresh(self, params: Any) -> None:
+        params, key = jax.device_put((params, jax.random.key(0)), self.tools.devices[0])
+        self._score_batch.lower(params, jax.random.fold_in(key, 0)).compile()
+
     def compile_probe(self, params: Any, num_levels: int) -> None:
         levels = jax.eval_shape(lambda: self._empty_levels(min(num_levels, self.num_places)))
         self._play.lower(params, levels, jax.random.key(0), self.tools.config.scoring_steps).compile()

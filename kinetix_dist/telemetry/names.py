@@ -182,7 +182,7 @@ _ALL = (
             Metric(f"runtime/moved_mib_{role}", "MiB", f"that processes of role {role} got and gave since their start"),
         )
     ),
-    Metric("runtime/compile_seconds", "s", "the process that compiled longest has compiled since its start"),
+    Metric("runtime/compile_seconds", "s", "compiled since its start by the process that did most, threads added up"),
     Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, beside training"),
     Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
     Metric(

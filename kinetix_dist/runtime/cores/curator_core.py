@@ -47,6 +47,10 @@ class CuratorCore:
             played = curriculum.play_probe(params, probe, probe_key)
         return {"seconds": time.monotonic() - began, "probe": played}, refreshed
 
+    def compile_ahead(self, params: Any, policy_version: int) -> None:
+        """What the refresh of that version takes longest to compile."""
+        self._curriculum(policy_version).compile_refresh(jax.device_put(params))
+
     def prepare(self, policy_version: int) -> None:
         """Compiles what the refresh of that version may need beyond those before: its probe. For a process that has
         answered one and waits for the next, so that training does not wait for the compiler then."""

@@ -104,6 +104,15 @@ class CurriculumState:
             self._values = local_values(self.placed)
         return self._values
 
+    @property
+    def shapes(self) -> Any:
+        """What `placed` is, or will be once a first refresh is adopted: arrays, or their shapes and shardings."""
+        if self.placed is not None or not self._curriculum.refreshes:
+            return self.placed
+        whole = replicated(self._mesh)
+        init = jax.eval_shape(self._curriculum.init)
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=whole), init)
+
     def metrics(self, num_updates: int) -> dict[str, float]:
         metrics = self._curriculum.metrics(self.values, num_updates)
         return {name: float(np.asarray(value)) for name, value in metrics.items()}

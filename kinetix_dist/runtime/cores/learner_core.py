@@ -80,6 +80,10 @@ class LearnerCore:
         self.state, metrics = self._update(self.state, static, trajectory, last_value)
         return metrics
 
+    def compile(self, static: Any, trajectory: Any, last_value: Any) -> None:
+        """For `learn` from arrays like these, of which shapes and shardings are enough."""
+        self._update.lower(self.state, static, trajectory, last_value).compile()
+
 
 @functools.lru_cache(maxsize=MAX_KEPT)
 def _init_program(config: TrainConfig, env: Environment, policy: Any) -> Callable[[], LearnerState]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax2d.scene import Array
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
@@ -66,12 +66,14 @@ class RolloutCore:
         self._first_group = groups.start
         self._groups_per_part = len(groups) // self.division.num_parts
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
+        self._mesh = mesh
+        self._batch_specs = Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds)
         self.program = jax.jit(
             on_devices(
                 self._play_shard,
                 mesh,
                 in_specs=(whole, whole, whole),
-                out_specs=(Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds), worlds, whole),
+                out_specs=(self._batch_specs, worlds, whole),
             )
         )
 
@@ -81,6 +83,16 @@ class RolloutCore:
         state: of the curriculum. The first two lie in all places of the division; what is there once more is in no sum.
         """
         return self.program(params, state, jnp.uint32(num_updates))
+
+    def traced(self, params: Any, state: Any) -> tuple[Any, Batch]:
+        """(the program of `play` for such arrays, to be lowered, shapes and shardings of the batch that it gives)."""
+        traced = self.program.trace(params, state, jnp.uint32(0))
+        batch, _, _ = traced.out_info
+        specs = jax.tree.broadcast(self._batch_specs, batch, is_leaf=lambda x: isinstance(x, PartitionSpec))
+        return traced, jax.tree.map(self._shape, batch, specs)
+
+    def _shape(self, array: Any, spec: PartitionSpec) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(array.shape, array.dtype, sharding=NamedSharding(self._mesh, spec))
 
     def _play_shard(self, params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
         config, env = self._config, self._env

@@ -15,6 +15,7 @@ from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values
+from kinetix_dist.runtime.cores import ahead
 from kinetix_dist.runtime.cores.copies import Copies
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
@@ -22,7 +23,7 @@ from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.memory import check_memory
 from kinetix_dist.runtime.cores.playing import Playing
-from kinetix_dist.runtime.cores.rollout_core import EPISODES
+from kinetix_dist.runtime.cores.rollout_core import EPISODES, RolloutCore
 from kinetix_dist.runtime.cores.staging import Staging, Stored
 from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
@@ -138,6 +139,27 @@ class LearnerWorker:
 class Worker(LearnerWorker):
     """Worlds on the devices of a learner shard: batches never leave them."""
 
+    def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
+        super().__init__(config, mesh)
+        self._ahead = ahead.Ahead()
+
+    def start(self, arrays: Mapping[str, np.ndarray] | None, ahead_of: int | None = None) -> None:
+        """ahead_of: programs of that update, and of a refresh by workers, are compiled in threads from now on, while
+        the process does what comes before it; where it has cores enough."""
+        super().start(arrays)
+        if ahead_of is not None and ahead.has_cores():
+            rollout = self._playing.rollout(self._enter_phase_of(ahead_of))
+            self._ahead.begin(lambda: self._compile_update(rollout))
+            has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
+            if self._config.has_curator and self._config.run.num_curators == 0 and has_part:
+                released = self.released()
+                self._ahead.begin(lambda: self._curator.compile_ahead(released, ahead_of))
+
+    def _compile_update(self, rollout: RolloutCore) -> None:
+        program, batch = rollout.traced(self._learner.params, self._state.shapes)
+        self._ahead.begin(lambda: self._learner.compile(*batch))
+        program.lower().compile()
+
     @functools.cached_property
     def _curator(self) -> CuratorCore:
         """Of a run whose workers score levels."""
@@ -147,6 +169,7 @@ class Worker(LearnerWorker):
         self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
     ) -> tuple[dict[str, Any], Any]:
         """As a curator does it, see `CuratorCore.refresh`, on the devices of this process alone."""
+        self._ahead.wait()
         return self._curator.refresh(params, policy_version, part, num_parts, probe, given)
 
     def prepare_refresh(self, policy_version: int) -> None:
@@ -156,6 +179,7 @@ class Worker(LearnerWorker):
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         """(metrics, seconds of "rollout" and "learn", episodes by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()
+        self._ahead.wait()
         rollout = self._playing.rollout(self._enter_phase_of(num_updates))
         batch, seen, sums = rollout.play(self._learner.params, self._state.placed, num_updates)
         sums = local_values(sums)  # waits for the rollout

@@ -29,7 +29,13 @@ from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.sizes import bytes_of
 
 # Package and file of Python frames in which a program is traced, lowered or compiled.
-COMPILING = (("jax", "partial_eval.py"), ("jax", "mlir.py"), ("jax", "compiler.py"), ("warp", "build.py"))
+COMPILING = (
+    ("jax", "partial_eval.py"),
+    ("jax", "mlir.py"),
+    ("jax", "compiler.py"),
+    ("warp", "build.py"),
+    ("cores", "ahead.py"),  # waits for threads that do
+)
 
 
 @dataclasses.dataclass(frozen=True)
