@@ -31,7 +31,7 @@ from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, LEVELS, REFRESH, write_snapshot
 
 DOCUMENTS = {"s": "s/swing_up", "m": "m/rocket_car", "l": "l/walker"}
-POLICY = {"checkpoint": "sfl_s"}
+POLICY = {"checkpoint": "generalist"}
 REPEATS = 20
 STEPS = 100
 NUM_THUMBNAILS = 1024

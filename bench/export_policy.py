@@ -1,6 +1,6 @@
 """Keeps of a training checkpoint what playing needs: the parameters of the policy and the configuration.
 
-    python bench/export_policy.py runs/sfl_s/checkpoints/00000343 pretrained/sfl_s
+    python bench/export_policy.py runs/sfl_s/checkpoints/00000343 pretrained/generalist
 
 Optimizer, curriculum and random streams stay behind, so the result (3 MB at the paper's sizes) can be evaluated and
 replayed but not resumed. Level sets given as paths are dropped from the configuration, and paths of ancestors are cut

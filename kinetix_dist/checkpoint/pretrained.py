@@ -1,4 +1,4 @@
-"""The policies that come with an installation, by name: `sfl_s` is pretrained/sfl_s of the checkout or of the wheel."""
+"""The policies that come with an installation, by name: `generalist` is pretrained/generalist of checkout or wheel."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """`kinetix-dist eval`: solve rates of a trained policy on a set of levels, next to policies that learned nothing.
 
     kinetix-dist eval --run runs/quickstart --levels designed_s
-    kinetix-dist eval --checkpoint pretrained/sfl_s --levels random_s --attempts 5 --json rates.json
+    kinetix-dist eval --checkpoint pretrained/generalist --levels random_s --attempts 5 --json rates.json
     kinetix-dist eval --policy random --levels designed_m
-    kinetix-dist eval --checkpoint pretrained/sfl_s --levels designed_s --record designed.mcap
+    kinetix-dist eval --checkpoint pretrained/generalist --levels designed_s --record designed.mcap
 
 An attempt is one episode from the start of a level; the first to finish counts. Intervals are Wilson's at 95 %.
 """

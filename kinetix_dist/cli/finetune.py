@@ -1,8 +1,8 @@
 """`kinetix-dist finetune`: trains on a set of levels from a policy that exists, or one policy for each level.
 
-    kinetix-dist finetune --from sfl_s --levels designed_s                    one policy for all of them
-    kinetix-dist finetune --from sfl_s --levels designed_s --each             one a level
-    kinetix-dist finetune --from sfl_s --levels designed_s --each --compare   and one a level from scratch, a picture
+    kinetix-dist finetune --from generalist --levels designed_s                    one policy for all of them
+    kinetix-dist finetune --from generalist --levels designed_s --each             one a level
+    kinetix-dist finetune --from generalist --levels designed_s --each --compare   and from scratch, with a picture
     kinetix-dist finetune --levels designed_s --each                          from scratch alone
 
 Network and environment are those of the policy, everything else is a recipe's; all options of `train` override it.

@@ -3,7 +3,7 @@
     kinetix-dist levels render s/hop_home start.png                      how it starts
     kinetix-dist levels render s/hop_home proof.gif --by proof           its proof, moving
     kinetix-dist levels render l/walker moments.png --by random          moments of a rollout side by side
-    kinetix-dist levels render random_m grid.gif --by trained --checkpoint sfl_m --count 6
+    kinetix-dist levels render random_m grid.gif --by trained --checkpoint generalist --count 6
     kinetix-dist levels render all_designed_m grid.png                   a grid of starts
 
 No display, no GPU and no system package is needed. GIFs are in real time; there is no MP4, which needs a video encoder.
@@ -41,7 +41,7 @@ class Render:
     """What is shown: the start alone, or a rollout without actions, with random ones, by the stored proof, or by
     the policy of --checkpoint."""
     checkpoint: Path | None = None
-    """Whose policy --by trained plays: a checkpoint directory, or a pretrained policy such as sfl_s."""
+    """Whose policy --by trained plays: a checkpoint directory, or a pretrained policy such as generalist."""
     count: int = 24
     """At most so many levels of a set, the first ones."""
     columns: int | None = None
@@ -80,7 +80,9 @@ def _check(args: Render) -> None:
     if args.by == "start" and suffix == ".gif":
         raise UserError("how a level starts does not move; name a .png, or give --by noop, random, proof or trained")
     if (args.by == "trained") != (args.checkpoint is not None):
-        raise UserError("--by trained needs --checkpoint, and nothing else takes one: a directory, or such as sfl_s")
+        raise UserError(
+            "--by trained needs --checkpoint, and nothing else takes one: a directory, or such as generalist"
+        )
     for name, number in (("count", args.count), ("columns", args.columns)):
         if number is not None and number < 1:
             raise UserError(f"--{name} is {number}; give 1 or more")

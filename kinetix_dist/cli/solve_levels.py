@@ -54,7 +54,7 @@ class Solve:
     method: Literal["stored", "random", "best_first", "cem", "policy"] | None = None
     """The only method to try; left out: all of them, policy only with --checkpoint, stored where there is a proof."""
     checkpoint: Path | None = None
-    """Whose policy --method policy plays: a checkpoint directory, or a pretrained policy such as sfl_s."""
+    """Whose policy --method policy plays: a checkpoint directory, or a pretrained policy such as generalist."""
     proofs: Path | None = None
     """The directory of the proofs; left out: levels/proofs for designed levels, else beside each level file."""
     worlds: int = 512
@@ -101,7 +101,9 @@ def _check(args: Solve) -> None:
         raise UserError(f"--worlds is {args.worlds}; give {MIN_WORLDS} or more")
     check_seed(args.seed)
     if args.method == "policy" and args.checkpoint is None:
-        raise UserError("--method policy needs --checkpoint: a checkpoint directory, or a pretrained policy (sfl_s)")
+        raise UserError(
+            "--method policy needs --checkpoint: a checkpoint directory, or a pretrained policy (generalist)"
+        )
     if args.checkpoint is not None and args.method not in (None, "policy"):
         raise UserError(f"--method {args.method} plays no policy; leave --checkpoint out")
     if args.check and (args.again or args.method or args.checkpoint):

@@ -112,7 +112,7 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (export_policy.main, ["nosuch", "to"], "there is no checkpoint nosuch"),
         (goal_following.main, [], "--checkpoint"),
         (goal_following.main, ["--checkpoint", "nosuch"], "nosuch"),
-        (goal_following.main, ["--checkpoint", "sfl_s", "--levels", "3"], "--levels is 3; an interval needs 4"),
+        (goal_following.main, ["--checkpoint", "generalist", "--levels", "3"], "--levels is 3; an interval needs 4"),
         (gpu_session.main, [], "give --part 1, 2 or 3"),
         (gpu_session.main, ["--part", "1", "--only", "nosuch"], "--only has 'nosuch'; part 1 has "),
         (learnability.main, ["nosuch", "--attempts", "1"], "--attempts is 1; give 2 or more"),

@@ -73,7 +73,7 @@ def test_rollouts_without_a_policy_and_with_one_are_drawn_side_by_side(
         (folder / f"{name}.json").write_text((levels_root() / "s" / f"{name}.json").read_text())
     assert render(str(folder), str(tmp_path / "noop.png"), "--by", "noop") == 0
     assert "kick: out of time after 256 steps" in capsys.readouterr().out
-    assert render(str(folder), str(tmp_path / "s.gif"), "--by", "trained", "--checkpoint", "sfl_s") == 0
+    assert render(str(folder), str(tmp_path / "s.gif"), "--by", "trained", "--checkpoint", "generalist") == 0
     with Image.open(tmp_path / "s.gif") as image:
         assert image.size[0] > 1.9 * image.size[1] / 1.2  # two beside each other
         assert image.n_frames > 5  # type: ignore[attr-defined]
@@ -99,7 +99,7 @@ def test_a_proof_of_another_level_is_refused_by_its_hash(tmp_path: Path, capsys:
         (["s/kick", "a.gif"], "how a level starts does not move"),
         (["s/kick", "no/a.png"], "cannot write no/a.png"),
         (["s/kick", "a.gif", "--by", "trained"], "--by trained needs --checkpoint"),
-        (["s/kick", "a.gif", "--by", "noop", "--checkpoint", "sfl_s"], "nothing else takes one"),
+        (["s/kick", "a.gif", "--by", "noop", "--checkpoint", "generalist"], "nothing else takes one"),
         (["s/kick", "a.gif", "--by", "noop", "--env.preset", "nosuch"], "unknown preset 'nosuch'"),
         (["random_s", "a.gif", "--by", "proof"], "drawn when it is used"),
         (["random_s", "a.png", "--count", "0"], "--count is 0; give 1 or more"),

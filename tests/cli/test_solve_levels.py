@@ -85,7 +85,7 @@ def test_what_is_wrong_is_one_line(level_file: Path, tmp_path: Path, capsys: pyt
     assert "--seconds is 0.0" in refusal(capsys, level, "--seconds", "0")
     assert "--worlds is 8; give 32 or more" in refusal(capsys, level, "--worlds", "8")
     assert "--method policy needs --checkpoint" in refusal(capsys, level, "--method", "policy")
-    assert "plays no policy" in refusal(capsys, level, "--method", "cem", "--checkpoint", "sfl_s")
+    assert "plays no policy" in refusal(capsys, level, "--method", "cem", "--checkpoint", "generalist")
     assert "searches nothing" in refusal(capsys, level, "--check", "--again")
     assert "give --check too" in refusal(capsys, level, "--picture", "a.png")
     assert "unknown preset 'exact'" in refusal(capsys, level, "--env.preset", "exact")

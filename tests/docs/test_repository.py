@@ -61,7 +61,7 @@ def a_run_to_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps({"config": to_dict(recipe("quickstart"))}))
     (run / "checkpoints").mkdir()
-    (run / "checkpoints" / "00000104").symlink_to(REPOSITORY / "pretrained" / "sfl_s")
+    (run / "checkpoints" / "00000104").symlink_to(REPOSITORY / "pretrained" / "generalist")
     monkeypatch.chdir(tmp_path)
 
 

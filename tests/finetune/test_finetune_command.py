@@ -117,7 +117,7 @@ def test_what_cannot_be_is_one_line(
         (("--stop-at", "1.5"), "--stop-at is 1.5"),
         (("--curriculum.name", "plr", "--curriculum.levels", ""), "curriculum.name is 'plr'"),
         (("--run", "a_run"), "a_run holds a run"),
-        (("--from", "sfl_s", "--run.start_optimizer", "True"), "run.start_optimizer is True"),
+        (("--from", "generalist", "--run.start_optimizer", "True"), "run.start_optimizer is True"),
     ],
 )
 def test_what_specialists_do_not_have_is_one_line(

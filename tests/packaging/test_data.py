@@ -40,17 +40,17 @@ def test_the_variable_names_other_levels(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_a_pretrained_policy_has_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {"sfl_s", "sfl_m"} <= set(pretrained_names())
+    assert "generalist" in pretrained_names()
     monkeypatch.chdir(tmp_path)
-    checkpoint = load_checkpoint(Path("sfl_s"))
-    assert checkpoint.path == REPOSITORY / "pretrained" / "sfl_s"
-    assert checkpoint.description["config"]["env"]["size"] == "s"
-    with pytest.raises(CheckpointError, match=r"no checkpoint sfl_x; pretrained policies here: .*sfl_s"):
-        load_checkpoint(Path("sfl_x"))
+    checkpoint = load_checkpoint(Path("generalist"))
+    assert checkpoint.path == REPOSITORY / "pretrained" / "generalist"
+    assert checkpoint.description["config"]["env"]["size"] == "l"
+    with pytest.raises(CheckpointError, match=r"no checkpoint generalists; pretrained policies here: .*generalist"):
+        load_checkpoint(Path("generalists"))
 
 
 def test_a_directory_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert find_checkpoint(Path("some/sfl_s")) == Path("some/sfl_s")
-    (tmp_path / "sfl_s").mkdir()
-    assert find_checkpoint(Path("sfl_s")) == Path("sfl_s")
+    assert find_checkpoint(Path("some/generalist")) == Path("some/generalist")
+    (tmp_path / "generalist").mkdir()
+    assert find_checkpoint(Path("generalist")) == Path("generalist")

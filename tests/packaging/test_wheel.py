@@ -33,7 +33,7 @@ def test_the_wheel_has_every_file_of_the_packages_and_the_data() -> None:
 
     in_wheel = {file.distribution_path for file in WheelBuilder(str(REPOSITORY)).recurse_included_files()}
     packages = set(files_below("jax2d", "kinetix_dist"))
-    data = {f"kinetix_dist/data/{name}" for name in files_below("levels", "pretrained/sfl_s")}
+    data = {f"kinetix_dist/data/{name}" for name in files_below("levels", "pretrained/generalist")}
     assert in_wheel == packages | data
     assert {
         "jax2d/warp/native/step.h",
@@ -41,7 +41,7 @@ def test_the_wheel_has_every_file_of_the_packages_and_the_data() -> None:
         "kinetix_dist/telemetry/rollout.proto",
         "kinetix_dist/data/levels/sets.toml",
         "kinetix_dist/data/levels/s/hop_home.json",
-        "kinetix_dist/data/pretrained/sfl_s/manifest.json",
+        "kinetix_dist/data/pretrained/generalist/manifest.json",
     } <= in_wheel
 
 
@@ -101,7 +101,9 @@ def test_commands_run_in_an_empty_directory(installed: Path, tmp_path: Path) -> 
     assert "designed_s" in kinetix_dist("levels", "list")
     levels = next(installed.glob("lib/*/site-packages/kinetix_dist/data/levels"))
     assert "files are valid" in kinetix_dist("levels", "validate", str(levels))
-    rates = kinetix_dist("eval", "--checkpoint", "sfl_s", "--levels", "s/hop_home", "--attempts", "1", "--no-baselines")
+    rates = kinetix_dist(
+        "eval", "--checkpoint", "generalist", "--levels", "s/hop_home", "--attempts", "1", "--no-baselines"
+    )
     assert "all, trained" in rates and str(installed) in rates
     kinetix_dist("train", "--recipe", "tiny", "--run", "run", "--recording.num_rollouts", "1",
                  "--evaluation.sets", "s/kick", "--evaluation.min_attempts", "4")  # fmt: skip

@@ -130,7 +130,7 @@ def test_random_actions_are_those_of_recorded_rollouts() -> None:
 
 
 def test_a_checkpoint_plays_as_in_recorded_rollouts_and_says_its_probabilities() -> None:
-    given = policy_of({"checkpoint": "sfl_s"})
+    given = policy_of({"checkpoint": "generalist"})
     assert given.trained is not None
     config = given.trained.env_config("s")
     session = Session(1, config, level(), seed=3)

@@ -98,7 +98,7 @@ def test_keys_of_a_stored_proof_solve_its_level_bit_for_bit(worker: Client) -> N
 
 
 def test_a_session_says_what_drives_what_and_how_it_is_stepped(worker: Client, tmp_path: Path) -> None:
-    config = json.loads((data_directory("pretrained") / "sfl_s" / "checkpoint.json").read_text())["config"]
+    config = json.loads((data_directory("pretrained") / "generalist" / "checkpoint.json").read_text())["config"]
     config["env"] |= {"frame_skip": 4, "max_steps": 99}
     (tmp_path / "config.json").write_text(json.dumps({"hash": "0", "config": config}))  # as RunDirectory writes it
     session = opened(worker, level={"document": document("m/rocket_car")}, env={"run": str(tmp_path)})
@@ -149,7 +149,7 @@ def test_seek_step_reset_and_take_over(worker: Client) -> None:
     assert ask("step")["step"] == 6 and ask("step")["last"] == 20
     taken = ask("take_over")
     assert (taken["step"], taken["last"], taken["policy"]) == (7, 7, {"kind": "keys"})
-    taken = ask("take_over", policy={"checkpoint": "sfl_s"})
+    taken = ask("take_over", policy={"checkpoint": "generalist"})
     assert taken["policy"]["num_updates"] > 0 and taken["sizes"]["outputs"] == 16
     worker.others.clear()
     ask("step")
@@ -305,7 +305,7 @@ def test_damaged_recordings_are_one_line(worker: Client, recording: Path, tmp_pa
 
 def make_run(path: Path, *updates: int) -> Path:
     for number in updates:
-        shutil.copytree(data_directory("pretrained") / "sfl_s", path / "checkpoints" / f"{number:08d}")
+        shutil.copytree(data_directory("pretrained") / "generalist", path / "checkpoints" / f"{number:08d}")
     return path
 
 
@@ -507,6 +507,6 @@ def test_bytes_that_are_no_message_are_said_and_skipped(worker: Client) -> None:
 
 def test_the_greeting_says_what_there_is(worker: Client) -> None:
     assert worker.hello["version"] == 1 and worker.hello["pid"] == worker.process.pid
-    assert {"sfl_s"} <= set(worker.hello["pretrained"]) and "default" in worker.hello["generators"]
+    assert {"generalist"} <= set(worker.hello["pretrained"]) and "default" in worker.hello["generators"]
     assert worker.hello["palette"]["role_palette"][1] == [70, 178, 98]
     assert worker.hello["sizes"]["s"] == {"polygons": 1, "circles": 2, "joints": 1, "thrusters": 1}

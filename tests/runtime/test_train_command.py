@@ -329,38 +329,29 @@ def test_a_start_is_kept_as_the_path_that_it_was(tmp_path, monkeypatch):
     (tmp_path / "here" / "policy").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "here")
     assert parse(["--from", "policy"]).config.run.start_from == str(tmp_path / "here" / "policy")
-    assert parse(["--from", "sfl_s"]).config.run.start_from == "sfl_s"
+    assert parse(["--from", "generalist"]).config.run.start_from == "generalist"
 
 
 def test_a_checkpoint_of_other_settings_of_the_engine_is_refused(capsys, tmp_path):
-    """The pretrained one learned with softer joints than today's."""
-    line = _refusal(capsys, "--recipe", "sfl_s", "--run.device", "cpu", *FROM_SFL_S, "--run", tmp_path / "run")
-    assert "learned with other settings of the engine: joint_hertz 60.0 instead of 88.0" in line
+    asked = ["--recipe", "pretrain_l", "--run.device", "cpu", "--env.physics.joint_hertz", "60"]
+    line = _refusal(capsys, *asked, *FROM_GENERALIST, "--run", tmp_path / "run")
+    assert "learned with other settings of the engine: joint_hertz 88.0 instead of 60.0" in line
     assert "--run.start_other_engine True" in line
 
 
 def test_a_checkpoint_without_an_optimiser_is_refused_where_that_is_asked_for(capsys, tmp_path):
-    asked = [
-        "--run.start_other_engine",
-        "True",
-        "--run.start_optimizer",
-        "True",
-        "--run.device",
-        "cpu",
-        "--policy.dtype",
-        "float32",
-    ]
-    line = _refusal(capsys, "--recipe", "sfl_s", *asked, *FROM_SFL_S, "--run", tmp_path / "run")
-    assert "pretrained/sfl_s holds the parameters of a policy and no optimiser" in line
+    asked = ["--recipe", "pretrain_l", "--run.start_optimizer", "True", "--run.device", "cpu"]
+    line = _refusal(capsys, *asked, *FROM_GENERALIST, "--run", tmp_path / "run")
+    assert "pretrained/generalist holds the parameters of a policy and no optimiser" in line
     assert "start_from names no checkpoint; give one (--from)" in _refusal(capsys, "--run.start_optimizer", "True")
 
 
 def test_a_resumed_run_goes_on_from_its_own_checkpoints(capsys, tmp_path):
-    line = _refusal(capsys, "--resume", "--run", tmp_path / "run", *FROM_SFL_S)
+    line = _refusal(capsys, "--resume", "--run", tmp_path / "run", *FROM_GENERALIST)
     assert "--from is for a new run" in line
 
 
-FROM_SFL_S = ["--from", "sfl_s", "--run.placement", "local"]
+FROM_GENERALIST = ["--from", "generalist", "--run.placement", "local"]
 
 
 # Physics
@@ -456,12 +447,9 @@ def test_a_checkpoint_of_such_a_version_is_not_resumed_but_can_be_played(tmp_pat
     assert from_dict_for_playing(to_dict(config)) == config
 
 
-@pytest.mark.parametrize("name", ["sfl_s", "sfl_m"])
-def test_pretrained_policies_have_a_configuration_that_can_be_played(name):
-    description = json.loads((REPOSITORY / "pretrained" / name / "checkpoint.json").read_text())
-    physics = from_dict_for_playing(description["config"]).env.physics
-    trained_with = {"joint_hertz": 60.0, "joint_hertz_share": 0.25, "joint_damping_ratio": 4.0}  # at df17aef
-    assert physics == preset("standard").replace(**trained_with)
+def test_the_pretrained_policy_learned_with_the_physics_that_is_played_with():
+    description = json.loads((REPOSITORY / "pretrained" / "generalist" / "checkpoint.json").read_text())
+    assert from_dict_for_playing(description["config"]).env.physics == preset("standard")
 
 
 def test_what_learned_by_kernels_for_hopper_gpus_can_be_played_anywhere():

@@ -86,7 +86,7 @@ def test_without_a_file_on_the_command_line_nothing_is_saved() -> None:
         assert "--no-play" in server.error("/api/engine")[1]
 
 
-@pytest.mark.parametrize("player", ["keys", "sfl_s", "a run"])
+@pytest.mark.parametrize("player", ["keys", "generalist", "a run"])
 def test_levels_play_names_the_level_and_who_plays_it(tmp_path: Path, levels: Path, player: str) -> None:
     run = tmp_path / "mine"
     run.mkdir()
@@ -95,7 +95,7 @@ def test_levels_play_names_the_level_and_who_plays_it(tmp_path: Path, levels: Pa
     with serving(levels / "mine.json", "--policy", policy, name="levels play") as server:
         about = server.json("/api/levels")
         assert about["opens"] == "file/mine.json" and about["files"]["only"] == "mine.json"
-        assert about["plays"] == {"keys": "keys", "sfl_s": "checkpoint:sfl_s", "a run": "run:mine"}[player]
+        assert about["plays"] == {"keys": "keys", "generalist": "checkpoint:generalist", "a run": "run:mine"}[player]
         assert [found["id"] for found in server.json("/api/runs")["runs"]] == (["mine"] if player == "a run" else [])
 
 
