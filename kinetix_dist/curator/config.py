@@ -173,6 +173,10 @@ class CurriculumConfig:
         """Whether a refresh is asked for at the start of this update, with the policy version of that number."""
         return num_updates % self.refresh_every == 0
 
+    def next_refresh(self, num_updates: int) -> int:
+        """The first update from this one on at which one is due."""
+        return -(-num_updates // self.refresh_every) * self.refresh_every
+
     def adopted_at(self, requested_at: int) -> int:
         """The update that first uses the refresh asked for at `requested_at`. The first one is used at once."""
         return requested_at if requested_at == 0 else requested_at + self.adopt_after

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import contextvars
 import threading
+import time
 from collections.abc import Iterator
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax2d.warp import ffi
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.runtime.cores import ahead
 from kinetix_dist.runtime.cores.ahead import THREAD, Ahead
 from kinetix_dist.runtime.cores.worker import Worker
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.processes.actor import _doing
+from kinetix_dist.runtime.processes.local import LocalBackend
 from tests.runtime.runs import tiny_config
 
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
@@ -56,18 +62,86 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
     lowered.clear()
     worker = Worker(config, mesh)
     worker.start(arrays, update)
-    worker._ahead.wait()
-    assert {name for name, thread in lowered if thread == THREAD} >= PROGRAMS
-    lowered.clear()
+    # At once: it waits for the threads, else it would compile them too.
     if not is_resumed:
         _, refreshed = worker.refresh(worker.released(), 0, 0, 1)
         worker.adopt(refreshed)
     metrics, *_ = worker.run_update(update)
-    assert not PROGRAMS & {name for name, _ in lowered}
+    worker._refresh_programs.wait()
+    assert sorted(found for found in lowered if found[0] in PROGRAMS) == sorted((name, THREAD) for name in PROGRAMS)
     np.testing.assert_equal(metrics, expected)
 
 
-def test_a_refresh_and_an_update_wait_for_programs_and_raise_what_kept_them_from_being_compiled():
+@pytest.mark.parametrize(("programs", "call"), [("_refresh_programs", "refresh"), ("_update_programs", "run_update")])
+def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs_it(programs, call):
+    worker = Worker.__new__(Worker)  # nothing else of it is asked for before
+    setattr(worker, programs, Ahead())
+
+    def fail() -> None:
+        raise ValueError("too large")
+
+    getattr(worker, programs).begin(fail)
+    with pytest.raises(ValueError, match="too large"):
+        getattr(worker, call)(*[None] * 4 if call == "refresh" else [0])
+
+
+class _Handle:
+    """Of a process that answers nothing."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+
+    def call(self, *call: Any) -> None:
+        self.calls.append(call)
+
+
+@pytest.mark.parametrize("works_beside", [False, True])
+def test_workers_that_work_beside_are_told_what_comes_first(works_beside):
+    handle = _Handle()
+
+    class Backend(LocalBackend):
+        def spawn(self, *arguments: Any) -> list[Any]:
+            return [handle]
+
+        def gather(self, tickets: Any) -> list[Any]:
+            return tickets
+
+        def kill(self, handles: Any) -> None:
+            pass
+
+    backend = Backend()
+    backend.works_beside = works_beside
+    ColocatedTrainer(tiny_config(num_updates=8), backend, []).start(7, None)
+    assert handle.calls == [("start", None, 7 if works_beside else None)]
+
+
+def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():
+    """Warp keeps the number of a launch in an object that all traces of a kernel share."""
+    launched = []
+
+    class Kernel:
+        launch_id = 0
+
+        def __call__(self, *tables: Any, launch_dims: int, output_dims: Any) -> list[Any]:
+            time.sleep(0.05)  # another thread traces meanwhile
+            launched.append((tables[-1], launch_dims, self.launch_id))
+            return [*tables[ffi.STATE_ARGUMENT : -1], jnp.zeros(output_dims["out_table"], jnp.int32)]
+
+    kernel = Kernel()
+
+    def trace(num_steps: int) -> None:
+        table = jax.ShapeDtypeStruct((2, num_steps), jnp.float32)
+        jax.eval_shape(ffi._launch(lambda worlds: kernel, 1, num_steps), *[table] * 7)
+
+    threads = [threading.Thread(target=trace, args=(number,)) for number in (1, 2, 3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(launched) == [(number, number, (number << 32) | number) for number in (1, 2, 3)]
+
+
+def test_who_waits_for_programs_raises_what_kept_them_from_being_compiled():
     programs, may_end = Ahead(), threading.Event()
 
     def compile_two() -> None:

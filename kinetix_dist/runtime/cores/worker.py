@@ -141,23 +141,23 @@ class Worker(LearnerWorker):
 
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
         super().__init__(config, mesh)
-        self._ahead = ahead.Ahead()
+        self._update_programs, self._refresh_programs = ahead.Ahead(), ahead.Ahead()
 
     def start(self, arrays: Mapping[str, np.ndarray] | None, ahead_of: int | None = None) -> None:
-        """ahead_of: programs of that update, and of a refresh by workers, are compiled in threads from now on, while
-        the process does what comes before it; where it has cores enough."""
+        """ahead_of: programs of that update, and of the next refresh by workers, are compiled in threads from now on,
+        while the process does what comes before it; where it has cores enough."""
         super().start(arrays)
         if ahead_of is not None and ahead.has_cores():
             rollout = self._playing.rollout(self._enter_phase_of(ahead_of))
-            self._ahead.begin(lambda: self._compile_update(rollout))
+            self._update_programs.begin(lambda: self._compile_update(rollout))
             has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
             if self._config.has_curator and self._config.run.num_curators == 0 and has_part:
-                released = self.released()
-                self._ahead.begin(lambda: self._curator.compile_ahead(released, ahead_of))
+                released, version = self.released(), self._config.curriculum.next_refresh(ahead_of)
+                self._refresh_programs.begin(lambda: self._curator.compile_ahead(released, version))
 
     def _compile_update(self, rollout: RolloutCore) -> None:
         program, batch = rollout.traced(self._learner.params, self._state.shapes)
-        self._ahead.begin(lambda: self._learner.compile(*batch))
+        self._update_programs.begin(lambda: self._learner.compile(*batch))
         program.lower().compile()
 
     @functools.cached_property
@@ -169,7 +169,7 @@ class Worker(LearnerWorker):
         self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
     ) -> tuple[dict[str, Any], Any]:
         """As a curator does it, see `CuratorCore.refresh`, on the devices of this process alone."""
-        self._ahead.wait()
+        self._refresh_programs.wait()
         return self._curator.refresh(params, policy_version, part, num_parts, probe, given)
 
     def prepare_refresh(self, policy_version: int) -> None:
@@ -179,7 +179,7 @@ class Worker(LearnerWorker):
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         """(metrics, seconds of "rollout" and "learn", episodes by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()
-        self._ahead.wait()
+        self._update_programs.wait()
         rollout = self._playing.rollout(self._enter_phase_of(num_updates))
         batch, seen, sums = rollout.play(self._learner.params, self._state.placed, num_updates)
         sums = local_values(sums)  # waits for the rollout

@@ -189,7 +189,8 @@ def _doing(thread: int, method: str, since: float) -> Doing:
     place = f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"
     # Python's innermost frame is JAX's where a device, or a collective with the other processes, is waited for.
     is_waiting = "jax" in Path(frame.f_code.co_filename).parts
-    what = f"in {method} for {time.monotonic() - since:.0f} s, at {place}"
+    place = f"compiling, at {place}" if is_compiling else f"at {place}"
+    what = f"in {method} for {time.monotonic() - since:.0f} s, {place}"
     return Doing(what=what, is_waiting=is_waiting, is_compiling=is_compiling)
 
 

@@ -28,12 +28,13 @@ class Sections:
         self.since = 0.0  # time.monotonic() of its beginning
         self._deadline = _FOREVER
         self._last_deadline = _FOREVER  # however long somebody compiles
+        self._may_compile = False  # at this pass
         self._compiled: set[str] = set()
 
     @contextmanager
     def section(self, name: str) -> Generator[None]:
         """Everything inside has the limit of this section; a loss inside carries its name."""
-        before = self.name, self.limit_s, self.since, self._deadline, self._last_deadline
+        before = self.name, self.limit_s, self.since, self._deadline, self._last_deadline, self._may_compile
         self.name = name
         self._begin(is_compiled=name in self._compiled)
         try:
@@ -43,11 +44,19 @@ class Sections:
             error.section = error.section or name
             raise
         finally:
-            self.name, self.limit_s, self.since, self._deadline, self._last_deadline = before
+            self.name, self.limit_s, self.since, self._deadline, self._last_deadline, self._may_compile = before
 
     @property
     def is_overdue(self) -> bool:
         return time.monotonic() > self._deadline
+
+    @property
+    def limits_in_words(self) -> str:
+        """Which the section that runs now has."""
+        words = f"the {self.limit_s:g} s of run.limits.{self.name}"
+        if self._may_compile and (compile_s := self.limits.get("compile")):
+            words += f" and the {compile_s:g} s of run.limits.compile"
+        return words
 
     def extend(self) -> bool:
         """Somebody compiles, at a first pass: the limit counts from now. False where that took too long already."""
@@ -65,5 +74,6 @@ class Sections:
     def _begin(self, *, is_compiled: bool) -> None:
         self.since, self.limit_s = time.monotonic(), self.limits.get(self.name, _FOREVER)
         self._deadline = self._last_deadline = self.since + self.limit_s
-        if self.name in _COMPILING and not is_compiled:
+        self._may_compile = self.name in _COMPILING and not is_compiled
+        if self._may_compile:
             self._last_deadline += self.limits.get("compile", 0.0)

@@ -131,7 +131,7 @@ class Supervisor:
         culprits = "; ".join(f"{self._name(actor)} {what}" for actor, what in to_blame.items())
         section = self._sections
         raise WorkerLostError(
-            f"not done within the {section.limit_s:g} s of run.limits.{section.name}: {culprits or 'no process waits'}",
+            f"not done within {section.limits_in_words}: {culprits or 'no process waits'}",
             process=self._name(next(iter(to_blame), None)),
             since=section.since,
         )
