@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 
 from jax2d.scene import Array
-from kinetix_dist.models.kernels.nvrtc import compile_ptx
+from kinetix_dist.models.kernels.nvrtc import cached_ptx
 from kinetix_dist.models.kernels.support import MULTIPROCESSORS
 
 FOLDER = Path(__file__).parent / "cuda"
@@ -63,7 +63,7 @@ def _shared_bytes(kernel: CudaKernel) -> int:
 @functools.cache
 def _ptx(file: str, macros: tuple[tuple[str, int], ...]) -> str:
     headers = {HEADER: (FOLDER / HEADER).read_text()}
-    return compile_ptx((FOLDER / file).read_text(), file, headers=headers, macros=dict(macros))
+    return cached_ptx((FOLDER / file).read_text(), file, headers=headers, macros=dict(macros))
 
 
 def _quoted(text: str) -> str:

@@ -3,20 +3,31 @@
 PTX is for compute capability 8.0, and says that it is of the version that brought what the kernels use: NVRTC writes
 its own, which is often newer than a driver that is new enough takes. The driver compiles it for the device, and keeps
 the result in its cache.
+
+Every process needs the texts before it can ask JAX's compile cache for a program with these kernels, and the compiler
+takes about a second a source: so they are kept in a folder of that cache.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
+import hashlib
 import importlib.util
+import os
 import re
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
+
+import jax
 
 ARCHITECTURE = "compute_80"
 PTX_VERSION = "7.1"  # of CUDA 11.1, November 2020
 NAMES = ("libnvrtc.so.13", "libnvrtc.so.12")
+OPTIONS = (f"--gpu-architecture={ARCHITECTURE}", "--std=c++17")
+CACHE = "ptx"  # folder of texts in JAX's compile cache
 
 
 class NvrtcError(RuntimeError):
@@ -40,6 +51,34 @@ def check_compiler() -> None:
     compile_ptx("", "nothing.cu", headers={}, macros={})
 
 
+def cached_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
+    """As `compile_ptx`, from JAX's compile cache where it is on and another process has written it there.
+
+    A file begins with the checksum of what follows: one that is damaged is written again.
+    """
+    folder = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
+    if not folder:
+        return compile_ptx(source, name, headers=headers, macros=macros)
+    asked_for = (source, name, sorted(headers.items()), sorted(macros.items()), OPTIONS, PTX_VERSION, _compiler())
+    path = Path(folder) / CACHE / f"{_checksum(repr(asked_for))}.ptx"
+    try:
+        checksum, _, ptx = path.read_text().partition("\n")
+        if _checksum(ptx) == checksum:
+            return ptx
+    except (OSError, UnicodeDecodeError):
+        pass  # it is not there, or not whole
+    ptx = compile_ptx(source, name, headers=headers, macros=macros)
+    draft = path.with_suffix(f".{os.getpid()}-{threading.get_ident()}.tmp")
+    with contextlib.suppress(OSError):  # a full or read-only disk is no reason not to train, as for programs
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            draft.write_text(f"{_checksum(ptx)}\n{ptx}")
+            draft.replace(path)
+        finally:
+            draft.unlink(missing_ok=True)
+    return ptx
+
+
 def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
     """PTX of a source with these headers, by the name that it includes them by. Raises NvrtcError."""
     program = ctypes.c_void_p()
@@ -50,11 +89,7 @@ def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: M
             ctypes.byref(program), source.encode(), name.encode(), len(headers), contents, names
         )
     )
-    options = [
-        f"--gpu-architecture={ARCHITECTURE}",
-        "--std=c++17",
-        *(f"-D{name}={value}" for name, value in macros.items()),
-    ]
+    options = [*OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
     try:
         status = library().nvrtcCompileProgram(
             program, len(options), (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
@@ -67,6 +102,18 @@ def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: M
     finally:
         library().nvrtcDestroyProgram(ctypes.byref(program))
     return re.sub(r"(?m)^\.version .*$", f".version {PTX_VERSION}", ptx, count=1)
+
+
+def _compiler() -> tuple[int, ...]:
+    """What tells compilers apart: version, and bytes of the library where it is a file of a package."""
+    major, minor = ctypes.c_int(), ctypes.c_int()
+    _check(library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor)))
+    file = Path(library()._name)
+    return major.value, minor.value, file.stat().st_size if file.is_file() else 0
+
+
+def _checksum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _in_packages() -> list[str]:

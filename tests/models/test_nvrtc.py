@@ -1,0 +1,89 @@
+"""Texts of kernels are compiled once for all processes that share a compile cache. The compiler here is a fake."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+from kinetix_dist.models.kernels import nvrtc
+
+SOURCE = {"source": "kernel", "name": "kernel.cu", "headers": {"tile.cuh": "tile"}, "macros": {"TOKENS": 7}}
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the compiler was asked for, in order."""
+    asked: list[str] = []
+
+    def compile_ptx(source: str, name: str, *, headers: dict[str, str], macros: dict[str, int]) -> str:
+        asked.append(name)
+        return f"{source} {headers} {macros}\nof two lines\n"
+
+    monkeypatch.setattr(nvrtc, "compile_ptx", compile_ptx)
+    monkeypatch.setattr(nvrtc, "_compiler", lambda: (13, 1, 100))
+    return asked
+
+
+@pytest.fixture
+def cache(tmp_path: Path) -> Iterator[Path]:
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    yield tmp_path
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_the_second_process_finds_what_the_first_one_compiled(compiled: list[str], cache: Path) -> None:
+    first = nvrtc.cached_ptx(**SOURCE)
+    assert nvrtc.cached_ptx(**SOURCE) == first == nvrtc.compile_ptx(**SOURCE)
+    assert len(compiled) == 2  # the first one, and the one of the line above
+    assert [path.suffix for path in (cache / nvrtc.CACHE).iterdir()] == [".ptx"]  # no draft is left
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"source": "another"},
+        {"name": "another.cu"},
+        {"headers": {"tile.cuh": "another"}},
+        {"macros": {"TOKENS": 8}},
+        {"macros": {"TOKENS": 7, "ROWS": 1}},
+    ],
+)
+def test_other_input_is_another_text(other: dict, compiled: list[str], cache: Path) -> None:
+    assert nvrtc.cached_ptx(**SOURCE) != nvrtc.cached_ptx(**SOURCE | other) or "name" in other
+    assert len(compiled) == 2
+
+
+def test_another_compiler_compiles_again(compiled: list[str], cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nvrtc.cached_ptx(**SOURCE)
+    monkeypatch.setattr(nvrtc, "_compiler", lambda: (13, 1, 101))
+    nvrtc.cached_ptx(**SOURCE)
+    assert len(compiled) == 2
+
+
+@pytest.mark.parametrize("damage", [b"", b"\xff\xfe", b"not the checksum\nptx", None])
+def test_a_damaged_file_is_written_again(damage: bytes | None, compiled: list[str], cache: Path) -> None:
+    ptx = nvrtc.cached_ptx(**SOURCE)
+    (file,) = (cache / nvrtc.CACHE).iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-1] if damage is None else damage)
+    assert nvrtc.cached_ptx(**SOURCE) == ptx
+    assert file.read_bytes() == whole
+    assert len(compiled) == 2
+
+
+def test_without_a_cache_and_on_a_disk_that_takes_nothing_it_is_compiled(compiled: list[str], cache: Path) -> None:
+    (cache / nvrtc.CACHE).write_text("a file where the folder is to be")
+    assert nvrtc.cached_ptx(**SOURCE) == nvrtc.cached_ptx(**SOURCE)
+    jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        nvrtc.cached_ptx(**SOURCE)
+    finally:
+        jax.config.update("jax_enable_compilation_cache", True)
+    assert len(compiled) == 3
+    jax.config.update("jax_compilation_cache_dir", None)
+    nvrtc.cached_ptx(**SOURCE)
+    assert len(compiled) == 4
