@@ -286,7 +286,7 @@ class TrainConfig:
                 f"curriculum.scoring_batch {self.curriculum.scoring_batch}, {self.curriculum.num_batches} in all: some "
                 "would have none; lower it or scoring_batch"
             )
-        if self.run.num_curators == 0 and self.has_curator and self.run.placement == "split":
+        if self.workers_curate and self.run.placement == "split":
             raise ConfigError(
                 "run.num_curators is 0, but in placement split no process both learns and plays, so none can score "
                 "levels between updates; set it to 1 or use run.placement colocated"
@@ -317,6 +317,11 @@ class TrainConfig:
     def has_curator(self) -> bool:
         """Whether levels are scored: by curators beside training, or by workers between updates."""
         return self.curriculum_class.refreshes
+
+    @property
+    def workers_curate(self) -> bool:
+        """Whether workers score levels, between updates."""
+        return self.has_curator and self.run.num_curators == 0
 
     @property
     def evaluates_beside(self) -> bool:

@@ -44,7 +44,7 @@ from jax2d.yielding_joints import yields
 STATE_ARGUMENT = 4
 STATE_TABLES = ("state_table", "impulse_table", "key_table")
 
-_TRACING = threading.Lock()  # programs may be traced in several threads, but Warp builds one kernel at a time
+_TRACING = threading.Lock()  # several threads may trace programs, but share a kernel and the number of its launch
 
 
 @jax.tree_util.register_dataclass

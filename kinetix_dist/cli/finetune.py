@@ -3,7 +3,7 @@
     kinetix-dist finetune --from generalist --levels designed_s                    one policy for all of them
     kinetix-dist finetune --from generalist --levels designed_s --each             one a level
     kinetix-dist finetune --from generalist --levels designed_s --each --compare   and from scratch, with a picture
-    kinetix-dist finetune --levels designed_s --each                          from scratch alone
+    kinetix-dist finetune --levels designed_s --each                               from scratch alone
 
 Network and environment are those of the policy, everything else is a recipe's; all options of `train` override it.
 Without --each it is an ordinary run of `train`. With --each results are stored as they come, and the same command

@@ -47,8 +47,8 @@ PROGRAMS = {"jit(call)", "jit(update)", "jit(_score)"}
 @pytest.mark.parametrize("is_resumed", [False, True])
 def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowered, is_resumed, monkeypatch):
     monkeypatch.setattr(ahead, "has_cores", lambda: True)
-    config = tiny_config(num_updates=8, num_curators=0)
-    before, mesh = Worker(config, data_mesh(jax.devices()[:1])), data_mesh(jax.devices()[:1])
+    config, mesh = tiny_config(num_updates=8, num_curators=0), data_mesh(jax.devices()[:1])
+    before = Worker(config, mesh)
     before.start(None)
     _, refreshed = before.refresh(before.released(), 0, 0, 1)
     before.adopt(refreshed)

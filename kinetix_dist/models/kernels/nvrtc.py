@@ -15,13 +15,13 @@ import ctypes
 import functools
 import hashlib
 import importlib.util
-import os
 import re
-import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import jax
+
+from kinetix_dist.telemetry.json_lines import replace_file
 
 ARCHITECTURE = "compute_80"
 PTX_VERSION = "7.1"  # of CUDA 11.1, November 2020
@@ -68,14 +68,10 @@ def cached_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Ma
     except (OSError, UnicodeDecodeError):
         pass  # it is not there, or not whole
     ptx = compile_ptx(source, name, headers=headers, macros=macros)
-    draft = path.with_suffix(f".{os.getpid()}-{threading.get_ident()}.tmp")
-    with contextlib.suppress(OSError):  # a full or read-only disk is no reason not to train, as for programs
+    # A full or read-only disk is no reason not to train, as for programs; nor is another process that writes the same.
+    with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            draft.write_text(f"{_checksum(ptx)}\n{ptx}")
-            draft.replace(path)
-        finally:
-            draft.unlink(missing_ok=True)
+        replace_file(path, f"{_checksum(ptx)}\n{ptx}".encode())
     return ptx
 
 

@@ -49,7 +49,7 @@ class CuratorCore:
 
     def compile_ahead(self, params: Any, policy_version: int) -> None:
         """What the refresh of that version takes longest to compile."""
-        self._curriculum(policy_version).compile_refresh(jax.device_put(params))
+        self._curriculum(policy_version).compile_refresh(params)
 
     def prepare(self, policy_version: int) -> None:
         """Compiles what the refresh of that version may need beyond those before: its probe. For a process that has

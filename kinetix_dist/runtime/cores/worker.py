@@ -151,7 +151,7 @@ class Worker(LearnerWorker):
             rollout = self._playing.rollout(self._enter_phase_of(ahead_of))
             self._update_programs.begin(lambda: self._compile_update(rollout))
             has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
-            if self._config.has_curator and self._config.run.num_curators == 0 and has_part:
+            if self._config.workers_curate and has_part:
                 released, version = self.released(), self._config.curriculum.next_refresh(ahead_of)
                 self._refresh_programs.begin(lambda: self._curator.compile_ahead(released, version))
 

@@ -306,7 +306,7 @@ def _start_roles(
 def _curator(config: TrainConfig, backend: Backend, trainer: Trainer, plans: Sequence[ProcessPlan]) -> Curator | None:
     if not config.has_curator:
         return None
-    if config.run.num_curators == 0:
+    if config.workers_curate:
         assert isinstance(trainer, ColocatedTrainer), "TrainConfig refuses it for other placements"
         return CurationByWorkers(trainer)
     return CuratorClient(config, backend, plans)

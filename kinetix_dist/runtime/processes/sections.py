@@ -28,13 +28,12 @@ class Sections:
         self.since = 0.0  # time.monotonic() of its beginning
         self._deadline = _FOREVER
         self._last_deadline = _FOREVER  # however long somebody compiles
-        self._may_compile = False  # at this pass
         self._compiled: set[str] = set()
 
     @contextmanager
     def section(self, name: str) -> Generator[None]:
         """Everything inside has the limit of this section; a loss inside carries its name."""
-        before = self.name, self.limit_s, self.since, self._deadline, self._last_deadline, self._may_compile
+        before = self.name, self.limit_s, self.since, self._deadline, self._last_deadline
         self.name = name
         self._begin(is_compiled=name in self._compiled)
         try:
@@ -44,7 +43,7 @@ class Sections:
             error.section = error.section or name
             raise
         finally:
-            self.name, self.limit_s, self.since, self._deadline, self._last_deadline, self._may_compile = before
+            self.name, self.limit_s, self.since, self._deadline, self._last_deadline = before
 
     @property
     def is_overdue(self) -> bool:
@@ -54,8 +53,8 @@ class Sections:
     def limits_in_words(self) -> str:
         """Which the section that runs now has."""
         words = f"the {self.limit_s:g} s of run.limits.{self.name}"
-        if self._may_compile and (compile_s := self.limits.get("compile")):
-            words += f" and the {compile_s:g} s of run.limits.compile"
+        if self._last_deadline > self.since + self.limit_s:  # a pass that may compile
+            words += f" and the {self.limits['compile']:g} s of run.limits.compile"
         return words
 
     def extend(self) -> bool:
@@ -74,6 +73,5 @@ class Sections:
     def _begin(self, *, is_compiled: bool) -> None:
         self.since, self.limit_s = time.monotonic(), self.limits.get(self.name, _FOREVER)
         self._deadline = self._last_deadline = self.since + self.limit_s
-        self._may_compile = self.name in _COMPILING and not is_compiled
-        if self._may_compile:
+        if self.name in _COMPILING and not is_compiled:
             self._last_deadline += self.limits.get("compile", 0.0)
