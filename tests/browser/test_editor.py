@@ -353,7 +353,7 @@ def test_what_is_wrong_leads_to_its_shape_and_nothing_is_lost(editing: Callable[
 def test_a_policy_plays_with_its_value_and_64_attempts_have_an_interval(editing: Callable[..., Any]) -> None:
     bench, _ = editing("s/hop_home")
     page = bench.page
-    page.get_by_label("who plays").select_option("checkpoint:sfl_s")
+    page.get_by_label("who plays").select_option("checkpoint:generalist")
     page.get_by_role("button", name="play", exact=False).first.click()
     mind = page.locator(".mind")
     mind.wait_for()

@@ -132,7 +132,9 @@ def test_play_ends_in_one_line_with_its_worker_and_with_the_server(editing: Call
     [worker] = [c for c in psutil.Process(server.process.pid).children() if "play.worker" in " ".join(c.cmdline())]
     worker.kill()
     page.get_by_role("alert").filter(has_text="the engine worker died (exit status -9)").wait_for()
+    page.get_by_role("button", name="✎ edit").wait_for()
     picture.press("Escape")
+    page.get_by_role("alert").wait_for(state="detached")
     page.get_by_text("✓ Valid").wait_for()  # the level is there, and another worker
     play()
     end(server.process)

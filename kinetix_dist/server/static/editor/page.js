@@ -220,6 +220,9 @@ function useKeys(editor, play, start) {
         latest.current();
       } else if (play.isOpen) {
         if (playKey(play, key) || play.press(event.key, true)) event.preventDefault();
+      } else if (key === "escape" && play.problem) {
+        event.preventDefault();
+        void play.close();
       } else {
         // Tab goes on through the page but from the picture; Enter is that of a button that has the focus.
         if (key.endsWith("tab") && !target.matches(".editor-canvas")) return;

@@ -68,7 +68,6 @@ export class Play {
     const own = ++this.opened;
     this.isOpening = true;
     this.isStored = "run" in level;
-    this.problem = this.outcome = "";
     this.last = 0;
     this.changed();
     try {
@@ -92,9 +91,11 @@ export class Play {
     this.changed();
   }
 
+  /** Ends what is played, and what was wrong with it is not shown any more. */
   async close() {
     this.opened += 1;
     const session = this.session?.session;
+    this.problem = this.outcome = "";
     this.session = this.frame = null;
     this.isRunning = this.isOpening = false;
     this.pressed.clear();

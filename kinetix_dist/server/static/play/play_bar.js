@@ -29,7 +29,7 @@ export function PolicyChoice({ value, choose, engine, people = true, label }) {
 export function PlayBar({ play, children }) {
   const { session, frame } = play;
   const isPerson = session?.policy.kind === "keys";
-  if (play.problem && !session) return html`<div class="play-bar"><p class="bad" role="alert">${play.problem}</p></div>`;
+  if (play.problem && !session) return html`<div class="play-bar"><p class="bad" role="alert">${play.problem}</p>${children}</div>`;
   if (!session || !frame) return html`<div class="play-bar"><p class="soft" role="status">preparing: the first play of a size is compiled, some seconds ...</p></div>`;
   return html`<div class="play-bar">
     <div class="row">
