@@ -1,6 +1,6 @@
 """Chooses the levels of the sets `frontier_s|m|l`, to be run once, with policies of several recipes.
 
-    python -m bench.frontier_sets --policies sfl_s sfl_m runs/m --json levels/frontier_sets.json
+    python -m bench.frontier_sets --policies generalist runs/s runs/m --json levels/frontier_sets.json
 
 Levels of a stream are looked at in its order. One is kept when random actions solve it in fewer than 20 % of 64
 attempts, doing nothing does not solve it, and at least one of the policies solves it in 64 attempts. A size ends at

@@ -1,6 +1,6 @@
 """How well policies go below a goal, by kind of body (paper, "Zero-shot Locomotion of an Arbitrary Morphology").
 
-    python -m bench.goal_following --checkpoint sfl_m --morphologies car thrusters random
+    python -m bench.goal_following --checkpoint generalist --morphologies car thrusters random
 
 Each level (kinetix_dist/level/goal_following.py) is played for 64 environment steps, to get there, and for 64 more, in
 which the x of green is compared with that of the goal. Printed for the policy and for random actions: the correlation
@@ -41,7 +41,7 @@ LARGE = "snake"  # has no room in size M
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__, prog="python -m bench.goal_following")
-    parser.add_argument("--checkpoint", type=Path, required=True, help="a checkpoint, or a policy such as sfl_m")
+    parser.add_argument("--checkpoint", type=Path, required=True, help="a checkpoint, or a pretrained policy such as generalist")
     parser.add_argument("--morphologies", nargs="+", choices=tuple(MORPHOLOGIES), default=list(MORPHOLOGIES))
     parser.add_argument("--levels", type=int, default=512, help="of each morphology")
     parser.add_argument("--seed", type=int, default=0, help="of levels and actions")

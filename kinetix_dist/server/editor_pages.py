@@ -34,7 +34,7 @@ class EditorConfig:
     files: LevelFiles | None = None  # None: nothing can be saved here, levels are downloaded
     # The level that is shown first: "designed/s/hop_home", "file/mine.json"; None: the gallery.
     opens: str | None = None
-    # Who plays it at once: "keys", "random", "noop" or "checkpoint:sfl_s"; None: it is shown for editing.
+    # Who plays it at once: "keys", "random", "noop" or "checkpoint:generalist"; None: it is shown for editing.
     plays: str | None = None
 
 

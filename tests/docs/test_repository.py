@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from kinetix_dist.checkpoint.pretrained import pretrained_names
 from kinetix_dist.cli.main import COMMANDS, parse_args
 from tests.helpers import REPOSITORY
 
@@ -76,6 +77,30 @@ def test_every_documented_command_parses(document: str, line: str) -> None:
         parse(arguments)
     else:
         parse_args(module.Args, arguments, prog=f"kinetix-dist {name}")
+
+
+# Those of results, of the log and of changes are of their own time.
+OF_TODAY = [
+    path
+    for pattern in ("*.md", "docs/*.md", "bench/*", "pretrained/*.md", "kinetix_dist/**/*.py")
+    for path in REPOSITORY.glob(pattern)
+    if path.suffix in (".md", ".py") and path.name not in ("CHANGELOG.md", "lab_log.md")
+]
+PLAYERS = {*pretrained_names(), "random", "noop", "keys"}
+
+
+def test_every_pretrained_policy_that_a_command_names_exists() -> None:
+    """A policy that is named without a path: `--from generalist`, in commands of documents and docstrings."""
+    command = re.compile(r"^ *(?:kinetix-dist|python -m) .*", re.MULTILINE)
+    option = re.compile(r"--(?:checkpoint|from|policy|policies) ([a-z][a-z0-9_]*)(?![\w/.])")
+    named = {
+        (path.name, name)
+        for path in OF_TODAY
+        for line in command.findall(path.read_text())
+        for name in option.findall(line)
+    }
+    assert {"README.md", "levels.md"} <= {file for file, _ in named}
+    assert {(file, name) for file, name in named if name not in PLAYERS} == set()
 
 
 @pytest.mark.parametrize(("document", "line"), commands("make"))
