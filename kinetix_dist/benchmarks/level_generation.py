@@ -36,7 +36,7 @@ class Options:
     sizes: tuple[str, ...] = tuple(SIZES)
     """Sizes of levels."""
     generators: tuple[str, ...] = ("default",)
-    """Generators: "default", "kinetix" (the public package's) or "locomotion"."""
+    """Generators: "default", "kinetix" (the public package's), "locomotion", "tasks" or one of its kinds."""
     levels: tuple[int, ...] = (4096,)
     """Numbers of levels to keep in one run."""
     repeats: int = 7

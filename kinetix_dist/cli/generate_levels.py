@@ -36,7 +36,8 @@ class Generate:
     size: Literal["s", "m", "l"] | None = None
     """Of random levels, "m" if left out; other levels have the size of the set or the run."""
     generator: str | None = None
-    """Which random levels: "default", "kinetix" or "locomotion"; default if nothing else is asked for."""
+    """Which random levels: "default", "kinetix", "locomotion", "tasks" or one of its kinds, such as "car";
+    default if nothing else is asked for."""
     like: str | None = None
     """Levels between those of this set, directory or random set (random_s, ...): an autoencoder is trained on them."""
     steps: int | None = None

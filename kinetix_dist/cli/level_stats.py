@@ -26,7 +26,7 @@ class Stats:
     size: Literal["s", "m", "l"] = "m"
     """Of the levels."""
     generator: str = "default"
-    """Which distribution: "default", "kinetix" (the public package's) or "locomotion"."""
+    """Which distribution: "default", "kinetix" (the public package's), "locomotion", "tasks" or one of its kinds."""
     levels: int = 10_000
     """How many to draw, unfiltered."""
     seed: int = 0

@@ -13,7 +13,9 @@ PUBLISHED_DETAILS = (
     "joined_to_walls",  # where every polygon holds two joints, any is joined, walls too
     "limits_from_zero",  # limits of a hinge count from equal angles of its shapes, not from those at the start
 )
-LOCOMOTION_KINDS = ("car", "unicycle", "walker", "arm")  # of level/locomotion.py
+# Of level/locomotion.py: those drawn unless others are asked for, and all.
+LOCOMOTION_KINDS = ("car", "unicycle", "walker", "arm")
+ALL_KINDS = (*LOCOMOTION_KINDS, "runner", "snake", "cartpole", "flyer", "pusher", "beam")
 _CHANCES = (
     "locomotion_share",
     "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",
@@ -91,10 +93,8 @@ class GeneratorConfig:
             raise ValueError(
                 f"GeneratorConfig.published_details has {unknown[0]!r}; there are {', '.join(PUBLISHED_DETAILS)}"
             )
-        if unknown := [name for name in self.locomotion_kinds if name not in LOCOMOTION_KINDS]:
-            raise ValueError(
-                f"GeneratorConfig.locomotion_kinds has {unknown[0]!r}; there are {', '.join(LOCOMOTION_KINDS)}"
-            )
+        if unknown := [name for name in self.locomotion_kinds if name not in ALL_KINDS]:
+            raise ValueError(f"GeneratorConfig.locomotion_kinds has {unknown[0]!r}; there are {', '.join(ALL_KINDS)}")
         smallest = 2.0 * max(self.min_half_extent * math.sqrt(2.0), self.min_radius / self.circle_size_factor)
         if self.max_shape_size < smallest:
             raise ValueError(
@@ -119,6 +119,8 @@ GENERATORS = {
         forced_motor_on_chance=0.8,
     ),
     "locomotion": GeneratorConfig(locomotion_share=1.0),
+    "tasks": GeneratorConfig(locomotion_share=1.0, locomotion_kinds=ALL_KINDS),
+    **{kind: GeneratorConfig(locomotion_share=1.0, locomotion_kinds=(kind,)) for kind in ALL_KINDS},
 }
 
 

@@ -15,22 +15,20 @@ from collections.abc import Callable
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, Thrusters
+from jax2d.scene import Capacity
+from kinetix_dist.level.bodies import CLEARANCE_M, GRAVITY_M_S2, NEWTON, build_car
 from kinetix_dist.level.derive import derive
-from kinetix_dist.level.draft import Draft, DrivenThrusters, draft_to_level, empty_draft, write_slot
+from kinetix_dist.level.draft import draft_to_level, empty_draft
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.locomotion import CLEARANCE_M, build_car
 from kinetix_dist.level.roles import Role
-from kinetix_dist.level.things import Draws, Hinge, Part, Thing, extent, with_hinges, with_parts
+from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent, moved, with_hinges, with_jets, with_parts
 from kinetix_dist.level.walls import FLOOR_TOP_M, PASSES_THROUGH
 
 GOAL_HEIGHT_M = 4.5
 GOAL_RADIUS_M = 0.25
 GOAL_MARGIN_M = 0.5  # of its centre from the walls
 _NUM_LINKS = 5
-_GRAVITY_M_S2 = 9.81
-_NEWTON = 0.1  # thruster power that gives one
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -58,8 +56,7 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
     thing = needs.build(draws, capacity)
     lowest, highest = extent(thing.parts)
     middle = jnp.stack([0.5 * (WORLD_SIZE_M - lowest[0] - highest[0]), FLOOR_TOP_M + CLEARANCE_M - lowest[1]])
-    parts = [dataclasses.replace(part, position=part.position + middle) for part in thing.parts]
-    hinges = [dataclasses.replace(hinge, at=hinge.at + middle) for hinge in thing.hinges]
+    thing = moved(thing, middle)
     goal_x = draws.between(GOAL_MARGIN_M, WORLD_SIZE_M - GOAL_MARGIN_M)
     goal = Part(
         position=jnp.stack([goal_x, jnp.asarray(GOAL_HEIGHT_M)]),
@@ -67,10 +64,9 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
         role=Role.BLUE,
         is_fixed=True,
     )
-    draft, slots = with_parts(empty_draft(capacity), [*parts, goal], capacity)
-    draft = with_hinges(draws, draft, hinges, slots, capacity, GeneratorConfig())
-    if morphology == "thrusters":
-        draft = _with_thrusters(draft, slots[0], thing.parts[0])
+    draft, slots = with_parts(empty_draft(capacity), [*thing.parts, goal], capacity)
+    draft = with_hinges(draws, draft, thing.hinges, slots, capacity, GeneratorConfig())
+    draft = with_jets(draft, thing.jets, slots)
     level, is_fixed = draft_to_level(draft, capacity)
     # Nothing but walls touches the goal.
     mode = jnp.where(level.shape_role == Role.BLUE, PASSES_THROUGH, level.collision_mode)
@@ -97,26 +93,20 @@ def _snake(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def _box(draws: Draws, capacity: Capacity) -> Thing:
+    """Two jets at its ends, each pushing up and to the middle with nine tenths of the weight."""
     half = jnp.stack([draws.between(0.2, 0.35), draws.between(0.08, 0.14)])
-    return Thing(parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN)], hinges=[])
-
-
-def _with_thrusters(draft: Draft, slot: int, box: Part) -> Draft:
-    """Two, at its ends, each pushing up and to the middle with nine tenths of the weight."""
-    assert box.half is not None
-    weight_n = 4.0 * box.half[0] * box.half[1] * _GRAVITY_M_S2
-    thrusters = draft.driven_thrusters
-    for number, side in enumerate((-1.0, 1.0)):
-        row = Thrusters(
-            active=jnp.array(True),
-            body=jnp.array(slot),
-            position=jnp.stack([side * 0.8 * box.half[0], jnp.zeros(())]),
+    power = 0.9 * (4.0 * half[0] * half[1] * GRAVITY_M_S2) * NEWTON
+    jets = [
+        Jet(
+            of=0,
+            at=jnp.stack([side * 0.8 * half[0], jnp.zeros(())]),
             angle=jnp.asarray(0.5 * math.pi + 0.4 * side),
-            power=0.9 * weight_n * _NEWTON,
+            power=power,
+            colour=colour,
         )
-        driven = DrivenThrusters(thrusters=row, colour=jnp.array(number))
-        thrusters = write_slot(thrusters, jnp.array(number), driven, jnp.array(True))
-    return dataclasses.replace(draft, driven_thrusters=thrusters)
+        for colour, side in enumerate((-1.0, 1.0))
+    ]
+    return Thing(parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN)], hinges=[], jets=jets)
 
 
 def _random(draws: Draws, capacity: Capacity) -> Thing:

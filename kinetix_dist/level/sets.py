@@ -4,8 +4,9 @@
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
 ("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
-walkers, unicycles and arms "locomotion_s" to "locomotion_l"), a set to develop with ("dev_random_s", "dev_designed_s",
-"frontier_s" and so on), or a file or directory of level files, ours or of the public package.
+walkers, unicycles and arms "locomotion_s" to "locomotion_l", ten kinds of things "tasks_s" to "tasks_l"), a set to
+develop with ("dev_random_s", "dev_designed_s", "frontier_s" and so on), or a file or directory of level files, ours or
+of the public package.
 
 What is published is measured on held-out and designed sets; what is chosen (settings, recipes, networks) is chosen on
 sets to develop with, which share no random level with them: else what is published would be too good.
@@ -55,7 +56,12 @@ class RandomSet:
 
 RANDOM_SETS = {
     f"{prefix}_{size}": RandomSet(name=f"{prefix}_{size}", size=size, generator=generator)
-    for prefix, generator in (("random", "default"), ("kinetix", "kinetix"), ("locomotion", "locomotion"))
+    for prefix, generator in {
+        "random": "default",
+        "kinetix": "kinetix",
+        "locomotion": "locomotion",
+        "tasks": "tasks",
+    }.items()
     for size in SIZES
 } | {
     f"dev_random_{size}": RandomSet(

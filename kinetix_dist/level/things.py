@@ -7,13 +7,14 @@ when it is traced, which of them there are is not: each has its own slot and say
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity
-from kinetix_dist.level.draft import Draft, Shapes, first_free, hinge_or_weld, read_slot, write_slot
+from jax2d.scene import Capacity, Thrusters
+from kinetix_dist.level.draft import Draft, DrivenThrusters, Shapes, first_free, hinge_or_weld, read_slot, write_slot
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS
 from kinetix_dist.level.overlap import world_corners
@@ -31,6 +32,7 @@ class Draws:
         self._used = 0
 
     def between(self, low: float | Array, high: float | Array) -> Array:
+        assert self._used < _NUM_DRAWS  # JAX would give the last one again
         draw = self._numbers[self._used]
         self._used += 1
         return low + draw * (high - low)
@@ -64,17 +66,62 @@ class Hinge:
     b: int
     at: Array  # [2] m
     limit: Array | None = None
+    has_motor: bool = True
+    active: bool | Array = True
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Jet:
+    """A thruster on a part. at and angle (rad, of the push) are in the frame of the part."""
+
+    of: int
+    at: Array  # [2] m
+    angle: Array
+    power: Array
+    colour: int
     active: bool | Array = True
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Thing:
-    """What is built: parts, hinges, and where the goal of something that cannot go anywhere is (None: it can go)."""
+    """What is built, and what its level is to be like."""
 
     parts: list[Part]
     hinges: list[Hinge]
+    jets: list[Jet] = dataclasses.field(default_factory=list)
+    # Of something that cannot go anywhere; None: it can, and the goal is to be to the right of it
     middle: Array | None = None  # [2] m, where its origin is in the world
     goal: Array | None = None  # [2] m, from its origin
+    goal_radius: Array | None = None  # m, None: as drawn for all
+    # Of something that can go
+    is_handed: bool = False  # it faces to the right, so that it is mirrored where the goal is to the left
+    height: Array | float = 0.0  # m, of its lowest point above the floor
+    goal_nearness: int = 1  # the distance of the goal is a share of what there is room for, drawn to this power
+    goal_rise: tuple[float, float] = (0.0, 0.5)  # of the goal's lowest point above the floor, as shares of its height
+    goal_height: Array | None = None  # m, of the goal's centre in the world, instead
+    has_bump: bool = True  # sometimes, on the floor on the way
+    gap: Array | None = None  # m, half of what two pillars on the way leave, if there are any
+    floor_is_red: Array | None = None  # None: as often as in all levels
+
+
+def moved(thing: Thing, by: Array) -> Thing:
+    """The thing, its origin at `by` ([2] m)."""
+    parts = [dataclasses.replace(part, position=part.position + by) for part in thing.parts]
+    hinges = [dataclasses.replace(hinge, at=hinge.at + by) for hinge in thing.hinges]
+    return dataclasses.replace(thing, parts=parts, hinges=hinges)
+
+
+def mirrored(thing: Thing, is_wanted: Array) -> Thing:
+    """The thing with left and right exchanged, where that is wanted. Boxes and circles are their own mirror images."""
+    sign = jnp.where(is_wanted, -1.0, 1.0)
+    flip = jnp.stack([sign, jnp.ones(())])
+    parts = [dataclasses.replace(one, position=one.position * flip, angle=one.angle * sign) for one in thing.parts]
+    hinges = [dataclasses.replace(hinge, at=hinge.at * flip) for hinge in thing.hinges]
+    jets = [
+        dataclasses.replace(jet, at=jet.at * flip, angle=jnp.where(is_wanted, math.pi - jet.angle, jet.angle))
+        for jet in thing.jets
+    ]
+    return dataclasses.replace(thing, parts=parts, hinges=hinges, jets=jets)
 
 
 def extent(parts: list[Part]) -> tuple[Array, Array]:
@@ -138,7 +185,7 @@ def with_hinges(
             anchor_b=_local(of_b, hinge.at),
             is_weld=jnp.array(False),
             rest_angle=of_b.angle - of_a.angle,
-            motor_on=jnp.array(True),
+            motor_on=jnp.array(hinge.has_motor),
             motor_speed=draws.between(config.motor_speed_min, config.motor_speed_max),
             motor_power=draws.between(config.motor_power_min, strongest),
             has_limits=jnp.array(hinge.limit is not None),
@@ -148,6 +195,22 @@ def with_hinges(
         )
         joints = write_slot(joints, first_free(joints.joints.active), joint, jnp.asarray(hinge.active))
     return dataclasses.replace(draft, driven_joints=joints)
+
+
+def with_jets(draft: Draft, jets: list[Jet], slots: list[int]) -> Draft:
+    """The draft with thrusters, in the first slots."""
+    thrusters = draft.driven_thrusters
+    for slot, jet in enumerate(jets):
+        row = Thrusters(
+            active=jnp.asarray(jet.active),
+            body=jnp.array(slots[jet.of]),
+            position=jet.at,
+            angle=jet.angle,
+            power=jet.power,
+        )
+        driven = DrivenThrusters(thrusters=row, colour=jnp.array(jet.colour))
+        thrusters = write_slot(thrusters, jnp.array(slot), driven, jnp.asarray(jet.active))
+    return dataclasses.replace(draft, driven_thrusters=thrusters)
 
 
 def _local(shape: Shapes, point: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Cars, unicycles, walkers and arms: what every one of hundreds must be, and that they can be mixed with others."""
+"""Levels with one thing that can do something: what every one of hundreds must be, and mixtures with others."""
 
 from __future__ import annotations
 
@@ -11,29 +11,34 @@ import pytest
 
 from jax2d.scene import Capacity
 from kinetix_dist.level.generator import generate_level, generate_levels
-from kinetix_dist.level.generator_config import LOCOMOTION_KINDS, GeneratorConfig, generator
+from kinetix_dist.level.generator_config import ALL_KINDS, LOCOMOTION_KINDS, GeneratorConfig, generator
 from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.overlap import world_corners
 from kinetix_dist.level.roles import Role
 from kinetix_dist.level.statistics import overlaps
+from kinetix_dist.level.things import Draws
 from kinetix_dist.level.walls import FLOOR_TOP_M
 from tests.level.valid import assert_valid
 
 NUM_LEVELS = 512
-KINDS_OF = {"s": ("unicycle", "arm"), "m": LOCOMOTION_KINDS, "l": LOCOMOTION_KINDS}
+KINDS_OF = {
+    "s": ("unicycle", "arm"),
+    "m": (*LOCOMOTION_KINDS, "snake", "cartpole", "flyer", "pusher", "beam"),
+    "l": ALL_KINDS,
+}
 
 
 @functools.cache
 def levels_of(size: str, kind: str | None = None) -> Level:
-    config = GeneratorConfig(locomotion_share=1.0, locomotion_kinds=(kind,)) if kind else generator("locomotion")
+    config = generator(kind or "locomotion")
     return jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES[size], config))
 
 
 @pytest.mark.parametrize(("size", "kind"), [(size, kind) for size, kinds in KINDS_OF.items() for kind in kinds])
 def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kind: str) -> None:
     levels = levels_of(size, kind)
-    assert_valid(levels, SIZES[size])
+    assert_valid(levels, SIZES[size], max_red=3 if kind == "flyer" else 1)  # pillars and the floor
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(levels) if leaf.dtype.kind == "f")
     overlap = overlaps(levels)
     assert not (overlap & levels.scene.shapes.can_touch).any()
@@ -42,11 +47,13 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
     assert not depth[levels.scene.shapes.inverse_mass[:, None, NUM_WALLS:].repeat(NUM_WALLS, 1) > 0].any()
     green = levels.shape_role == Role.GREEN
     assert (levels.scene.shapes.inverse_mass[green & levels.scene.shapes.active] > 0).all()
-    held = levels.scene.joints.active
-    assert held.any(axis=1).all() and levels.scene.joints.motor_on[held].all()
+    joints, jets = levels.scene.joints, levels.scene.thrusters.active
+    has_motor = joints.active & joints.motor_on
+    assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
+    assert (joints.active & ~joints.motor_on).any() == (kind == "cartpole")  # nothing but a hinge holds the pole
 
 
-@pytest.mark.parametrize("kind", ["car", "unicycle", "walker"])
+@pytest.mark.parametrize("kind", ["car", "unicycle", "walker", "runner", "snake", "cartpole", "pusher"])
 def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(kind: str) -> None:
     levels = levels_of("l", kind)
     shapes, polygons = levels.scene.shapes, SIZES["l"].polygons
@@ -61,6 +68,90 @@ def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(kind: str) -> N
     assert np.abs(apart).min() > 0.3
     assert 0.4 < (apart > 0).mean() < 0.6  # to either side
     assert (levels.position[moves] > 0).all() and (levels.position[moves] < WORLD_SIZE_M).all()
+
+
+def test_a_flyer_has_jets_that_carry_it() -> None:
+    """10 N for each unit of power, in the direction of its angle (docs/level_format.md); gravity 9.81 m/s2."""
+    for size in "ml":
+        levels = levels_of(size, "flyer")
+        jets = levels.scene.thrusters
+        assert (jets.active.sum(axis=1) == 2).all() and (
+            levels.thruster_colour[:, 0] != levels.thruster_colour[:, 1]
+        ).all()
+        upwards_n = (10.0 * jets.power * np.sin(jets.angle)).sum(axis=1)
+        is_green = levels.shape_role == Role.GREEN
+        weight_n = 9.81 / levels.scene.shapes.inverse_mass[is_green]
+        assert (upwards_n > 1.15 * weight_n).all() and (upwards_n < 3.0 * weight_n).all()
+        sideways_n = np.abs(10.0 * jets.power * np.cos(jets.angle)).max(axis=1)
+        assert (sideways_n > 0.05 * weight_n).all()
+        assert (levels.position[is_green][:, 1] > FLOOR_TOP_M + 0.6).all()
+    is_pillar = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass == 0) & (levels.shape_role != Role.BLUE)
+    is_pillar[:, :NUM_WALLS] = False
+    assert set(is_pillar.sum(axis=1)) == {0, 2}
+
+
+def test_a_runner_faces_its_goal() -> None:
+    levels = levels_of("l", "runner")
+    joints = levels.scene.joints
+    row = np.arange(NUM_LEVELS)
+    # The shape with one joint that is not green is a foot.
+    ends = np.stack(
+        [
+            (joints.active[:, :, None] & (joints_of[:, :, None] == np.arange(levels.position.shape[1]))).sum(1)
+            for joints_of in (joints.a, joints.b)
+        ]
+    ).sum(0)
+    foot = np.argmax((ends == 1) & (levels.shape_role != Role.GREEN), axis=1)
+    joint = np.argmax(joints.active & ((joints.a == foot[:, None]) | (joints.b == foot[:, None])), axis=1)
+    is_a = joints.a[row, joint] == foot
+    anchor = np.where(is_a[:, None], joints.anchor_a[row, joint], joints.anchor_b[row, joint])
+    forward = -anchor[:, 0]  # feet are level: their centre from the ankle
+    apart = (levels.position[levels.shape_role == Role.BLUE] - levels.position[levels.shape_role == Role.GREEN])[:, 0]
+    assert (np.sign(forward) == np.sign(apart)).all()
+    assert set((joints.active).sum(axis=1)) == {3, 6}
+
+
+def test_what_is_pushed_lies_between_the_car_and_the_goal() -> None:
+    levels = levels_of("l", "pusher")
+    shapes = levels.scene.shapes
+    is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
+    is_car = shapes.active & (shapes.inverse_mass > 0) & ~is_green & ~is_blue
+    green, blue = levels.position[is_green][:, 0], levels.position[is_blue][:, 0]
+    car = np.stack([levels.position[row, mask, 0].mean() for row, mask in enumerate(is_car)])
+    assert (is_car.sum(axis=1) == 3).all()
+    assert (np.sign(green - car) == np.sign(blue - green)).all()
+    is_disc = is_green[:, SIZES["l"].polygons :].any(axis=1)
+    assert 0.4 < is_disc.mean() < 0.6
+    assert not (levels_of("m", "pusher").shape_role[:, SIZES["m"].polygons :] == Role.GREEN).any()  # no room for a disc
+
+
+def test_a_pole_stands_beside_a_goal_of_its_upper_half_and_a_disc_on_a_beam_must_pass_below() -> None:
+    poles = levels_of("l", "cartpole")
+    is_green, is_blue = poles.shape_role == Role.GREEN, poles.shape_role == Role.BLUE
+    assert (np.abs(poles.angle[is_green]) < 0.061).all()
+    assert (poles.position[is_blue][:, 1] > poles.position[is_green][:, 1]).all()
+    has_jets = poles.scene.thrusters.active.any(axis=1)
+    assert 0.3 < has_jets.mean() < 0.5 and (has_jets == (poles.scene.joints.active.sum(axis=1) == 1)).all()
+
+    beams = levels_of("l", "beam")
+    polygons = SIZES["l"].polygons
+    is_green, is_blue = beams.shape_role == Role.GREEN, beams.shape_role == Role.BLUE
+    disc, goal = beams.position[is_green], beams.position[is_blue]
+    reach = (beams.scene.shapes.radius * (is_green | is_blue)[:, polygons:]).sum(axis=1)
+    assert (goal[:, 1] - disc[:, 1] < reach).all()  # held level, it touches
+    assert (np.abs(goal[:, 0] - disc[:, 0]) > reach).all()  # and does not yet
+    is_pivot = beams.scene.shapes.active & (beams.scene.shapes.inverse_mass == 0) & ~is_blue
+    is_pivot[:, :NUM_WALLS] = False
+    pivot = beams.position[is_pivot]
+    assert (np.sign(goal[:, 0] - pivot[:, 0]) == -np.sign(disc[:, 0] - pivot[:, 0])).all()
+
+
+def test_numbers_that_were_not_drawn_are_not_used() -> None:
+    draws = Draws(jax.random.key(0))
+    for _ in range(64):
+        draws.between(0.0, 1.0)
+    with pytest.raises(AssertionError):
+        draws.between(0.0, 1.0)
 
 
 def test_an_arm_can_reach_its_goal_and_has_two_links_or_more_where_there_is_room() -> None:
@@ -111,7 +202,7 @@ def test_a_level_depends_on_its_key_and_number_alone() -> None:
 
 
 def test_what_cannot_be_drawn_is_refused_with_its_name() -> None:
-    with pytest.raises(ValueError, match=r"locomotion_kinds has 'boat'; there are car, unicycle, walker, arm"):
+    with pytest.raises(ValueError, match=r"locomotion_kinds has 'boat'; there are car, unicycle, walker, arm, runner"):
         GeneratorConfig(locomotion_kinds=("car", "boat"))
     with pytest.raises(ValueError, match=r"locomotion_share is 1\.5; chances are 0 to 1"):
         GeneratorConfig(locomotion_share=1.5)

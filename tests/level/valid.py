@@ -11,12 +11,12 @@ from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import empty_level
 
 
-def assert_valid(level: Level, capacity: Capacity) -> None:
+def assert_valid(level: Level, capacity: Capacity, *, max_red: int = 1) -> None:
     """level: a batch, numpy."""
     num_levels = len(level.position)
     scene, joints, thrusters = level.scene, level.scene.joints, level.scene.thrusters
     check_scene(scene, capacity, np.dtype(np.float32), batch=(num_levels,))
-    for role, most, least in ((Role.GREEN, 1, 1), (Role.BLUE, 1, 1), (Role.RED, 1, 0)):
+    for role, most, least in ((Role.GREEN, 1, 1), (Role.BLUE, 1, 1), (Role.RED, max_red, 0)):
         count = (scene.shapes.active & (level.shape_role == role)).sum(axis=1)
         assert least <= count.min() and count.max() <= most
     of = np.arange(num_levels)[:, None]

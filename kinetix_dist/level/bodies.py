@@ -1,0 +1,289 @@
+"""Bodies of the levels of `locomotion.py`, each built about an origin of its own. docs/level_format.md has pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import jax.numpy as jnp
+
+from jax2d.fields import Array
+from jax2d.scene import Capacity
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.roles import Role
+from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent
+from kinetix_dist.level.walls import FLOOR_TOP_M
+
+CLEARANCE_M = 0.01  # above what carries it, so that nothing touches it at the start
+MAX_LEGS = 3  # of a walker
+MAX_LINKS = 4  # of an arm
+MAX_SNAKE_LINKS = 6
+GRAVITY_M_S2 = 9.81
+NEWTON = 0.1  # thruster power that gives one
+
+
+def build_unicycle(draws: Draws, capacity: Capacity) -> Thing:
+    """A box above a wheel."""
+    radius = draws.between(0.14, 0.28)
+    # Tall enough that it stands out above the wheel: green is what must touch blue.
+    half = jnp.stack([draws.between(0.1, 0.3), draws.between(0.8 * radius, 0.35)])
+    height = half[1] * draws.between(0.75, 0.95)
+    wheel = Part(position=jnp.zeros(2), radius=radius)
+    body = Part(position=jnp.stack([jnp.zeros(()), height]), half=half, role=Role.GREEN)
+    return Thing(parts=[body, wheel], hinges=[Hinge(a=0, b=1, at=jnp.zeros(2))])
+
+
+def build_car(draws: Draws, capacity: Capacity) -> Thing:
+    """A chassis on two wheels of different sizes, both on the floor; about as long as the wheels reach, so that green is
+    not kept from the goal by a wheel."""
+    radii = [draws.between(0.14, 0.28) for _ in range(2)]
+    along = draws.between(0.3, 0.55)  # half the distance of the axles, level
+    axles = [jnp.stack([-along, radii[0]]), jnp.stack([along, radii[1]])]
+    slope = jnp.arctan2(radii[1] - radii[0], 2.0 * along)
+    wheelbase = jnp.hypot(2.0 * along, radii[1] - radii[0])
+    reach = 0.5 * wheelbase + draws.between(0.85, 1.3) * jnp.maximum(*radii)
+    half = jnp.stack([reach, draws.between(0.07, 0.16)])
+    up = jnp.stack([-jnp.sin(slope), jnp.cos(slope)])
+    centre = 0.5 * (axles[0] + axles[1]) + 0.5 * half[1] * up
+    chassis = Part(position=centre, angle=slope, half=half, role=Role.GREEN)
+    wheels = [Part(position=axle, radius=radius) for axle, radius in zip(axles, radii, strict=True)]
+    return Thing(parts=[chassis, *wheels], hinges=[Hinge(a=0, b=1 + k, at=axle) for k, axle in enumerate(axles)])
+
+
+def build_walker(draws: Draws, capacity: Capacity) -> Thing:
+    """A torso on legs of one or two links: as many as there is room for, 2 at least where there is."""
+    room = min(capacity.polygons - NUM_WALLS - 1, capacity.joints)
+    max_legs = min(room, MAX_LEGS)
+    has_shins = room >= 2 * max_legs
+    torso_half = jnp.stack([draws.between(0.2, 0.5), draws.between(0.08, 0.16)])
+    parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
+    hinges: list[Hinge] = []
+    num_legs, with_shins = draws.number(min(2, max_legs), max_legs), draws.chance(0.6)
+    thigh, shin = (jnp.stack([draws.between(0.04, 0.08), draws.between(0.14, 0.28)]) for _ in range(2))
+    for leg in range(max_legs):
+        # Hips are spread evenly under the torso, whatever the number of legs.
+        share = (leg + 0.5) / jnp.maximum(num_legs, 1) * 2.0 - 1.0
+        hip = jnp.stack([0.85 * share * torso_half[0], -0.7 * torso_half[1]])
+        active = leg < num_legs
+        knee = _add_link(draws, parts, hinges, 0, hip, thigh, active)
+        if has_shins:
+            _add_link(draws, parts, hinges, len(parts) - 1, knee, shin, active & with_shins)
+    return Thing(parts=parts, hinges=hinges)
+
+
+def _add_link(
+    draws: Draws,
+    parts: list[Part],
+    hinges: list[Hinge],
+    of: int,
+    at: Array,
+    half: Array,
+    active: Array,
+    lean: Array | None = None,
+) -> Array:
+    """Hangs a box with its upper end at a point of part `of`, at an angle (rad, None: any); where its other end is."""
+    angle = draws.between(-0.45, 0.45) if lean is None else lean
+    down = jnp.stack([jnp.sin(angle), -jnp.cos(angle)])
+    inside = 0.85 * half[1]
+    parts.append(Part(position=at + inside * down, angle=angle, half=half, active=active))
+    hinges.append(Hinge(a=of, b=len(parts) - 1, at=at, limit=draws.between(0.5, 1.2), active=active))
+    return at + 2.0 * inside * down
+
+
+def build_arm(draws: Draws, capacity: Capacity) -> Thing:
+    """Links on a fixed disc, all to one side of it; the goal is to the other side, within reach."""
+    num_links = min(capacity.polygons - NUM_WALLS, capacity.joints, MAX_LINKS)
+    count = draws.number(min(2, num_links), num_links)
+    reach = draws.between(0.8, 1.4)
+    towards = -0.5 * math.pi + draws.between(-1.0, 1.0)  # hangs, so that few fall onto their goal
+    parts = [Part(position=jnp.zeros(2), radius=draws.between(0.1, 0.18), is_fixed=True)]
+    hinges, at = [], jnp.zeros(2)
+    length = reach / count
+    width = draws.between(0.04, 0.08)
+    for link in range(num_links):
+        angle = towards + draws.between(-0.6, 0.6)
+        along = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        active = link < count
+        role = jnp.where(link == count - 1, Role.GREEN, Role.NONE)
+        half = jnp.stack([0.5 * length + 0.5 * width, width])
+        parts.append(Part(position=at + 0.5 * length * along, angle=angle, half=half, role=role, active=active))
+        hinges.append(Hinge(a=link, b=link + 1, at=at, active=active))
+        at = at + length * along
+    # Links keep within 0.6 rad of one direction: what is more than 1.9 rad from it is behind all of them.
+    goal_angle = towards + math.pi + draws.between(-1.0, 1.0)
+    distance = jnp.maximum(0.6, draws.between(0.5, 0.9) * reach)
+    goal = distance * jnp.stack([jnp.cos(goal_angle), jnp.sin(goal_angle)])
+    middle = jnp.stack([draws.between(1.8, WORLD_SIZE_M - 1.8), draws.between(FLOOR_TOP_M + 1.7, 3.2)])
+    return Thing(parts=parts, hinges=hinges, middle=middle, goal=goal)
+
+
+def build_runner(draws: Draws, capacity: Capacity) -> Thing:
+    """A torso on one leg or two legs of thigh, shin and foot, as hoppers and cheetahs have: knees and feet one way."""
+    legs = 2 if min(capacity.polygons - NUM_WALLS - 1, capacity.joints) >= 6 else 1
+    has_two = draws.chance(0.6) & (legs == 2)
+    along, across = draws.between(0.35, 0.7), draws.between(0.07, 0.13)
+    # One leg carries an upright torso, two a level one.
+    upright = jnp.stack([draws.between(0.1, 0.15), draws.between(0.22, 0.36)])
+    torso_half = jnp.where(has_two, jnp.stack([along, across]), upright)
+    parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
+    hinges: list[Hinge] = []
+    bend = draws.between(0.0, 0.5)
+    thigh, shin = (jnp.stack([draws.between(0.05, 0.075), draws.between(0.17, 0.27)]) for _ in range(2))
+    foot = jnp.stack([draws.between(0.12, 0.22), draws.between(0.04, 0.055)])
+    for leg in range(legs):
+        active = has_two if leg else jnp.array(True)
+        hip = jnp.where(has_two, (0.8 if leg else -0.8) * torso_half[0], 0.0)
+        knee = _add_link(draws, parts, hinges, 0, jnp.stack([hip, -0.7 * torso_half[1]]), thigh, active, lean=bend)
+        ankle = _add_link(draws, parts, hinges, len(parts) - 1, knee, shin, active, lean=-bend)
+        parts.append(Part(position=ankle + jnp.stack([0.4 * foot[0], 0.0]), half=foot, active=active))
+        hinges.append(Hinge(a=len(parts) - 2, b=len(parts) - 1, at=ankle, limit=draws.between(0.4, 0.9), active=active))
+    return Thing(parts=parts, hinges=hinges, is_handed=True, goal_nearness=2)
+
+
+def build_snake(draws: Draws, capacity: Capacity) -> Thing:
+    """Links in a row on the floor, one of them green."""
+    num_links = min(capacity.polygons - NUM_WALLS, capacity.joints + 1, MAX_SNAKE_LINKS)
+    count = draws.number(min(3, num_links), num_links)
+    half = jnp.stack([draws.between(0.75, 1.1) / (count + 1.0), draws.between(0.05, 0.09)])
+    green = draws.number(0, num_links - 1) % count
+    step, limit = 1.7 * half[0], draws.between(0.7, 1.4)
+    parts = [
+        Part(
+            position=jnp.stack([link * step, jnp.zeros(())]),
+            half=half,
+            role=jnp.where(green == link, Role.GREEN, Role.NONE),
+            active=link < count,
+        )
+        for link in range(num_links)
+    ]
+    hinges = [
+        Hinge(
+            a=link, b=link + 1, at=jnp.stack([(link + 0.5) * step, jnp.zeros(())]), limit=limit, active=link + 1 < count
+        )
+        for link in range(num_links - 1)
+    ]
+    return Thing(parts=parts, hinges=hinges, goal_nearness=3, floor_is_red=jnp.array(False))
+
+
+def build_cartpole(draws: Draws, capacity: Capacity) -> Thing:
+    """A green pole that stands on a cart, held by nothing but a hinge. Wheels with motors, or jets to both sides."""
+    may_roll = capacity.circles >= 3 and capacity.joints >= 3
+    may_fly = capacity.thrusters >= 2
+    has_wheels = draws.chance(0.6) & may_roll if may_fly else jnp.array(True)
+    cart_half = jnp.stack([draws.between(0.25, 0.45), draws.between(0.08, 0.14)])
+    pole_half = jnp.stack([draws.between(0.04, 0.07), draws.between(0.35, 0.75)])
+    tilt = draws.between(-0.06, 0.06)
+    radius = draws.between(0.12, 0.2)
+    hinge_at = jnp.stack([jnp.zeros(()), 0.6 * cart_half[1]])
+    up = jnp.stack([-jnp.sin(tilt), jnp.cos(tilt)])
+    cart = Part(position=jnp.zeros(2), half=cart_half)
+    pole = Part(position=hinge_at + 0.95 * pole_half[1] * up, angle=tilt, half=pole_half, role=Role.GREEN)
+    parts, hinges = [cart, pole], [Hinge(a=0, b=1, at=hinge_at, has_motor=False)]
+    if may_roll:
+        for side in (-1.0, 1.0):
+            axle = jnp.stack([side * 0.8 * cart_half[0], -0.7 * cart_half[1]])
+            parts.append(Part(position=axle, radius=radius, active=has_wheels))
+            hinges.append(Hinge(a=0, b=len(parts) - 1, at=axle, active=has_wheels))
+    jets = []
+    if may_fly:
+        mass = 4.0 * (cart_half[0] * cart_half[1] + pole_half[0] * pole_half[1])
+        power = draws.between(1.2, 2.5) * mass * GRAVITY_M_S2 * NEWTON
+        for colour, side in enumerate((-1.0, 1.0)):
+            at = jnp.stack([side * 0.8 * cart_half[0], jnp.zeros(())])
+            angle = jnp.asarray(0.0 if side < 0.0 else math.pi)
+            jets.append(Jet(of=0, at=at, angle=angle, power=power, colour=colour, active=~has_wheels))
+    # The goal is as high as the upper half of the pole: one that fell hardly reaches it.
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        jets=jets,
+        goal_rise=(0.55, 0.95),
+        goal_nearness=3,
+        has_bump=False,
+        floor_is_red=draws.chance(0.8),
+    )
+
+
+def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
+    """A green box with two jets that carry it, in the air, and a gap on the way: up and to the side, or both tilted."""
+    half = jnp.stack([draws.between(0.13, 0.25), draws.between(0.09, 0.18)])
+    weight = 4.0 * half[0] * half[1] * GRAVITY_M_S2
+    is_pair = draws.chance(0.6)
+    lift = draws.between(1.2, 2.2)  # of the weight, by all that push up
+    tilt = draws.between(0.15, 0.5)
+    jets = []
+    for colour, side in enumerate((-1.0, 1.0)):
+        up_alone = 1.0 if colour == 0 else 0.3  # one up and a weaker one to the side
+        power = weight * NEWTON * lift * jnp.where(is_pair, 0.6, up_alone)
+        angle = jnp.where(is_pair, 0.5 * math.pi + tilt * side, 0.5 * math.pi if colour == 0 else 0.0)
+        at = jnp.stack([jnp.where(is_pair, side * 0.7 * half[0], 0.0), jnp.zeros(())])
+        jets.append(Jet(of=0, at=at, angle=angle, power=power, colour=colour))
+    return Thing(
+        parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN)],
+        hinges=[],
+        jets=jets,
+        is_handed=True,
+        height=draws.between(0.6, 2.6),
+        goal_height=draws.between(0.8, 4.2),
+        has_bump=False,
+        gap=jnp.max(half) + draws.between(0.25, 0.8),
+        floor_is_red=draws.chance(0.6),
+    )
+
+
+def build_pusher(draws: Draws, capacity: Capacity) -> Thing:
+    """A car and, before it, what it is to push to the goal: a green box, or a disc where there is room for one more."""
+    car = build_car(draws, capacity)
+    chassis, *wheels = car.parts
+    _, highest = extent(car.parts)
+    size = draws.between(0.1, 0.22)
+    at = jnp.stack([highest[0] + draws.between(0.05, 0.5) + size, jnp.zeros(())])
+    is_disc = draws.chance(0.5) if capacity.circles >= 4 else jnp.array(False)
+    loads = [
+        Part(
+            position=at + jnp.stack([jnp.zeros(()), size]),
+            half=jnp.stack([size, size]),
+            role=Role.GREEN,
+            active=~is_disc,
+        )
+    ]
+    if capacity.circles >= 4:
+        loads.append(Part(position=at + jnp.stack([jnp.zeros(()), size]), radius=size, role=Role.GREEN, active=is_disc))
+    parts = [dataclasses.replace(chassis, role=Role.NONE), *wheels, *loads]
+    return Thing(
+        parts=parts,
+        hinges=car.hinges,
+        is_handed=True,
+        has_bump=False,
+        goal_rise=(0.0, 0.1),
+        floor_is_red=jnp.array(False),
+    )
+
+
+def build_beam(draws: Draws, capacity: Capacity) -> Thing:
+    """A beam on a pivot with a motor, and a green disc on one side of it; the goal is above the other end."""
+    half = jnp.stack([draws.between(0.9, 1.7), draws.between(0.05, 0.08)])
+    ball = draws.between(0.1, 0.22)
+    side = jnp.where(draws.chance(0.5), 1.0, -1.0)
+    pivot = draws.between(0.1, 0.16)
+    start = -side * draws.between(0.1, 0.8) * (half[0] - ball)
+    parts = [
+        # Below the upper side of the beam: what rolls along it passes.
+        Part(position=jnp.stack([jnp.zeros(()), 0.5 * half[1] - pivot]), radius=pivot, is_fixed=True),
+        Part(position=jnp.zeros(2), half=half),
+        Part(position=jnp.stack([start, half[1] + ball + CLEARANCE_M]), radius=ball, role=Role.GREEN),
+    ]
+    hinges = [Hinge(a=0, b=1, at=jnp.zeros(2), limit=draws.between(0.15, 0.5))]
+    # A disc that rolls below the goal touches it where the beam is held about level.
+    goal_radius = draws.between(0.08, 0.15)
+    goal_y = half[1] + 2.0 * ball + draws.between(0.1, 0.8) * goal_radius
+    goal = jnp.stack([side * draws.between(0.6, 0.95) * half[0], goal_y])
+    middle = jnp.stack([draws.between(1.9, WORLD_SIZE_M - 1.9), draws.between(FLOOR_TOP_M + 1.1, 3.2)])
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        middle=middle,
+        goal=goal,
+        goal_radius=goal_radius,
+        floor_is_red=draws.chance(0.7),
+    )
