@@ -137,17 +137,27 @@ def evaluate(
     if len(names) != num_levels:
         raise ValueError(f"{len(names)} names were given for {num_levels} levels")
     total = num_levels * attempts
-    chunk_size = min(max_worlds, total)
-    chunks = []
-    for start in range(0, total, chunk_size):
-        # The last chunk repeats its last attempt to keep its size; those are cut off below.
-        index = jnp.minimum(jnp.arange(start, start + chunk_size), total - 1)
-        chunks.append(jax.device_get(_attempt_chunk(env, *player, levels, key, index, index // attempts)))
+    chunks = [
+        jax.device_get(_attempt_chunk(env, *player, levels, key, index, index // attempts))
+        for index in _chunks(total, max_worlds)
+    ]
     episodes = jax.tree.map(lambda *parts: np.concatenate(parts)[:total].reshape(num_levels, attempts), *chunks)
     return SolveRates(
         total=solve_rate("all", episodes),
         levels=tuple(solve_rate(name, index_worlds(episodes, i)) for i, name in enumerate(names)),
     )
+
+
+def compile_evaluation(env: Environment, player: Player, levels: Level, *, attempts: int, key: Array) -> None:
+    """Compiles what `evaluate` runs with the same arguments."""
+    index = _chunks(int(np.shape(levels.angle)[0]) * attempts, MAX_WORLDS)[0]
+    _attempt_chunk.lower(env, *player, levels, key, index, index // attempts).compile()
+
+
+def _chunks(total: int, max_worlds: int) -> list[Array]:
+    """Indices of attempts that are played at once, of equal lengths: the last ones repeat the last attempt."""
+    size = min(max_worlds, total)
+    return [jnp.minimum(jnp.arange(start, start + size), total - 1) for start in range(0, total, size)]
 
 
 @jax.tree_util.register_dataclass

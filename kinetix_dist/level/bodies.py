@@ -34,8 +34,8 @@ def build_unicycle(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_car(draws: Draws, capacity: Capacity) -> Thing:
-    """A chassis on two wheels of different sizes, both on the floor; about as long as the wheels reach, so that green is
-    not kept from the goal by a wheel."""
+    """A chassis on two wheels of different sizes, both on the floor. It is about as long as the wheels reach, so that
+    no wheel keeps green from the goal."""
     radii = [draws.between(0.14, 0.28) for _ in range(2)]
     along = draws.between(0.3, 0.55)  # half the distance of the axles, level
     axles = [jnp.stack([-along, radii[0]]), jnp.stack([along, radii[1]])]

@@ -70,10 +70,36 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
     worker._refresh_programs.wait()
     assert sorted(found for found in lowered if found[0] in PROGRAMS) == sorted((name, THREAD) for name in PROGRAMS)
     np.testing.assert_equal(metrics, expected)
+    worker._evaluation_programs.wait()
 
 
-@pytest.mark.parametrize(("programs", "call"), [("_refresh_programs", "refresh"), ("_update_programs", "run_update")])
-def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs_it(programs, call):
+def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_beside_that_of_random_actions(lowered, monkeypatch):
+    monkeypatch.setattr(ahead, "has_cores", lambda: True)
+    config, mesh = tiny_config(num_updates=8), data_mesh(jax.devices()[:1])
+    before = Worker(config, mesh)
+    before.start(None)
+    expected = [before.evaluate(use_policy) for use_policy in (False, True)]
+
+    jax.clear_caches()
+    lowered.clear()
+    worker = Worker(config, mesh)
+    worker.start(None, 0)
+    rates = [worker.evaluate(use_policy) for use_policy in (False, True)]
+    assert rates == expected
+    assert sorted(thread == THREAD for name, thread in lowered if name == "jit(_attempt_chunk)") == [False, True]
+    worker._update_programs.wait()
+
+
+CALLS: dict[str, tuple[str, list[Any]]] = {
+    "_refresh_programs": ("refresh", [None] * 4),
+    "_update_programs": ("run_update", [0]),
+    "_evaluation_programs": ("evaluate", [True]),
+}
+
+
+@pytest.mark.parametrize("programs", CALLS)
+def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs_it(programs):
+    call, arguments = CALLS[programs]
     worker = Worker.__new__(Worker)  # nothing else of it is asked for before
     setattr(worker, programs, Ahead())
 
@@ -82,7 +108,7 @@ def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs
 
     getattr(worker, programs).begin(fail)
     with pytest.raises(ValueError, match="too large"):
-        getattr(worker, call)(*[None] * 4 if call == "refresh" else [0])
+        getattr(worker, call)(*arguments)
 
 
 class _Handle:

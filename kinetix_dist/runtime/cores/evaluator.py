@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.evaluation.evaluate import evaluate
+from kinetix_dist.evaluation.evaluate import compile_evaluation, evaluate
 from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
@@ -29,6 +30,7 @@ class Evaluator:
         self._env = env
         self._network = NetworkPolicy(module, env.action_distribution)
         self._sets: dict[str, tuple[Level, list[str]]] | None = None
+        self._loading = threading.Lock()
 
     def evaluate(self, params: Any | None) -> dict[str, dict[str, Any]]:
         """{set: {"rate", "attempts", "low", "high", "levels"}} of a network's parameters; None: of random actions.
@@ -37,14 +39,11 @@ class Evaluator:
 
         The levels, attempts and keys are the same every time, so that before and after are paired.
         """
-        sets = self._load()
-        repeated = [_repeat(levels, self._config.attempts_of(len(names))) for levels, names in sets.values()]
-        batch = jax.tree.map(lambda *xs: np.concatenate(xs), *repeated)
         random = Player(RandomPolicy(self._env.action_space))
-        player = random if params is None else Player(self._network, jax.device_put(params))
-        rates = evaluate(self._env, player, batch, attempts=1, key=self._key())
+        player = random if params is None else self._player(params)
+        rates = evaluate(self._env, player, self._batch(), attempts=1, key=self._key())
         result, start = {}, 0
-        for name, (_, level_names) in sets.items():
+        for name, (_, level_names) in self._load().items():
             a_level = self._config.attempts_of(len(level_names))
             attempts = len(level_names) * a_level
             tried = [attempt.solved for attempt in rates.levels[start : start + attempts]]
@@ -61,6 +60,10 @@ class Evaluator:
             start += attempts
         return result
 
+    def compile_ahead(self, params: Any) -> None:
+        """The program that plays with a network."""
+        compile_evaluation(self._env, self._player(params), self._batch(), attempts=1, key=self._key())
+
     def record(self, params: Any, num_rollouts: int, num_updates: int) -> list[Any]:
         """Rollouts on the levels of all sets, as many solved as unsolved ones where there are both."""
         if num_rollouts == 0:
@@ -70,7 +73,7 @@ class Evaluator:
         names = [name for _, level_names in sets for name in level_names]
         played = record_rollouts(
             self._env,
-            Player(self._network, jax.device_put(params)),
+            self._player(params),
             batch,
             self._key(),
             names=names,
@@ -82,10 +85,19 @@ class Evaluator:
         num_solved = min(len(solved), max(num_rollouts // 2, num_rollouts - len(unsolved)))
         return solved[:num_solved] + unsolved[: num_rollouts - num_solved]
 
+    def _player(self, params: Any) -> Player:
+        return Player(self._network, jax.device_put(params))
+
+    def _batch(self) -> Level:
+        """Levels of all sets, each as often as it is tried."""
+        repeated = [_repeat(levels, self._config.attempts_of(len(names))) for levels, names in self._load().values()]
+        return jax.tree.map(lambda *xs: np.concatenate(xs), *repeated)
+
     def _load(self) -> dict[str, tuple[Level, list[str]]]:
-        if self._sets is None:
-            self._sets = {name: load_level_set(name, self._size) for name in self._config.sets}
-        return self._sets
+        with self._loading:  # programs are compiled by another thread
+            if self._sets is None:
+                self._sets = {name: load_level_set(name, self._size) for name in self._config.sets}
+            return self._sets
 
     def _key(self) -> Any:
         return jax.random.key(EVALUATION_STREAM)

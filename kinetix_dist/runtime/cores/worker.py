@@ -142,6 +142,7 @@ class Worker(LearnerWorker):
     def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
         super().__init__(config, mesh)
         self._update_programs, self._refresh_programs = ahead.Ahead(), ahead.Ahead()
+        self._evaluation_programs = ahead.Ahead()
 
     def start(self, arrays: Mapping[str, np.ndarray] | None, ahead_of: int | None = None) -> None:
         """ahead_of: programs of that update, and of the next refresh by workers, are compiled in threads from now on,
@@ -150,6 +151,9 @@ class Worker(LearnerWorker):
         if ahead_of is not None and ahead.has_cores():
             rollout = self._playing.rollout(self._enter_phase_of(ahead_of))
             self._update_programs.begin(lambda: self._compile_update(rollout))
+            if arrays is None and jax.process_index() == 0:  # a new run begins with evaluations, see `training_run.py`
+                params = self.released()
+                self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(params))
             has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
             if self._config.workers_curate and has_part:
                 released, version = self.released(), self._config.curriculum.next_refresh(ahead_of)
@@ -159,6 +163,11 @@ class Worker(LearnerWorker):
         program, batch = rollout.traced(self._learner.params, self._state.shapes)
         self._update_programs.begin(lambda: self._learner.compile(*batch))
         program.lower().compile()
+
+    def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
+        if use_policy:
+            self._evaluation_programs.wait()
+        return super().evaluate(use_policy)
 
     @functools.cached_property
     def _curator(self) -> CuratorCore:
