@@ -15,10 +15,10 @@ from tests.helpers import REPOSITORY
 
 
 def run_command(*arguments: str, path: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Runs `kinetix-dist` in a new process; modules in `path` come before all installed ones."""
+    """Runs `python -m kinetix_dist` in a new process; modules in `path` come before all installed ones."""
     places = [str(path)] if path else []
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([*places, str(REPOSITORY)])}
-    command = [sys.executable, "-m", "kinetix_dist.cli.main", *arguments]
+    command = [sys.executable, "-m", "kinetix_dist", *arguments]
     return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, check=False)
 
 

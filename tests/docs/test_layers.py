@@ -12,6 +12,7 @@ from tests.helpers import REPOSITORY
 
 # A module may import layers to the right of its own, and its own package; siblings in one layer never see each other.
 LAYERS = (
+    ("__main__",),
     ("cli",),
     ("benchmarks", "finetune", "server", "sweep"),
     ("recipes",),
