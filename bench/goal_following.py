@@ -41,7 +41,7 @@ LARGE = "snake"  # has no room in size M
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__, prog="python -m bench.goal_following")
-    parser.add_argument("--checkpoint", type=Path, required=True, help="a checkpoint, or a pretrained policy such as generalist")
+    parser.add_argument("--checkpoint", type=Path, required=True, help="a checkpoint or a pretrained policy")
     parser.add_argument("--morphologies", nargs="+", choices=tuple(MORPHOLOGIES), default=list(MORPHOLOGIES))
     parser.add_argument("--levels", type=int, default=512, help="of each morphology")
     parser.add_argument("--seed", type=int, default=0, help="of levels and actions")

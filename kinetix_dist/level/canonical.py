@@ -4,9 +4,10 @@
                            [0, 2 pi) and the shape's own frame: a box begins at (+, +)
     ends of a joint        a is the lower slot; polygons come before circles
     axis of a slider       an angle in [-pi, pi]; one within is kept bit for bit
+    speed of a wheel       positive, as random and public levels have it (`turned_colours`)
 
-A policy reads corners and ends as they are stored, so that an order of its own in a file, an importer or a generator
-would be a difference that it has to learn. `derive` brings every level into this form; whatever makes levels ends
+A policy reads all of this as it is stored, so that an order of its own in a file, an importer or a generator would be
+a difference that it has to learn. `derive` brings every level into this form; whatever makes levels ends
 there. Slots are not ordered: policies see shapes as a set. Everything here is pure and traceable.
 """
 
@@ -19,9 +20,9 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from jax2d.scene import JointKind, Joints
+from jax2d.scene import JointDrive, JointKind, Joints
 from jax2d.shapes import polygon_mass_properties
-from kinetix_dist.level.level import Level
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, Level
 from kinetix_dist.level.select import select_first
 
 SEAM_TOLERANCE_RAD = 1e-4  # a corner at angle 0 is computed at up to some 1e-5 rad to either side of it in float32
@@ -36,7 +37,36 @@ def canonical(level: Level) -> Level:
     ordered = in_order(joints)
     ordered = dataclasses.replace(ordered, axis_angle=_wrapped(ordered.axis_angle))
     scene = level.scene.replace(shapes={"vertices": jnp.where(is_polygon, vertices, shapes.vertices)}, joints=ordered)
-    return dataclasses.replace(level, scene=scene)
+    level = dataclasses.replace(level, scene=scene)
+    is_turned = _obeys(level) & turned_colours(level)[level.motor_colour]
+    speed = jnp.where(is_turned, negative(ordered.motor_speed), ordered.motor_speed)
+    return dataclasses.replace(level, scene=scene.replace(joints={"motor_speed": speed}))
+
+
+def turned_colours(level: Level) -> Array:
+    """`[4]` bool: motor colours that `canonical` turns round, of a level whose ends of joints are in order.
+
+    Whether forward or backward is the way to the goal is for who acts to find out, and where a speed is negative the
+    two have changed places. Between two polygons random levels have both signs, but every wheel of theirs, and of the
+    public levels, has a positive speed: what drives a wheel by a negative one is driven the wrong way by a policy that
+    never saw one. So where all wheels of a colour have negative speeds, all motors of the colour get the other sign:
+    the same level, whose actions forward and backward of this colour have changed places.
+    """
+    joints = level.scene.joints
+    num_polygons = level.scene.shapes.num_vertices.shape[0]
+    obeys = _obeys(level)
+    is_wheel = obeys & joints.is_kind(JointKind.REVOLUTE) & (joints.a < num_polygons) & (joints.b >= num_polygons)
+    of_colour = jnp.asarray(level.motor_colour)[None, :] == jnp.arange(NUM_MOTOR_COLOURS)[:, None]  # [4, J]
+    has_wheel = (of_colour & is_wheel).any(axis=1)
+    other_way = (of_colour & is_wheel & (joints.motor_speed >= 0)).any(axis=1)
+    other_drive = (of_colour & obeys & ~joints.is_drive(JointDrive.VELOCITY)).any(axis=1)
+    return has_wheel & ~other_way & ~other_drive
+
+
+def _obeys(level: Level) -> Array:
+    """`[J]` bool: motors that do what the action of their colour says."""
+    joints = level.scene.joints
+    return jnp.asarray(joints.active) & joints.motor_on & ~jnp.asarray(level.motor_auto)
 
 
 def in_order(joints: Joints) -> Joints:

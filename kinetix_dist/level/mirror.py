@@ -1,4 +1,5 @@
-"""A level seen in a mirror: left and right change places, and the same actions do the same there."""
+"""A level seen in a mirror: left and right change places. The same actions do the same there, but that forward and
+backward change places for colours of wheels: all turn the other way there, and `canonical` turns them round."""
 
 from __future__ import annotations
 

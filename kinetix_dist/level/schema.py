@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from jax2d.scene import Capacity
+from kinetix_dist.level.canonical import in_order, turned_colours
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo, dump_document, level_to_json
 from kinetix_dist.level.fit import capacity_of_size
@@ -26,7 +27,15 @@ from kinetix_dist.level.roles import ROLE_NAMES
 from kinetix_dist.level.validate import LevelFormatError, read_document, validate_document
 from kinetix_dist.level.walls import WALL_NAMES, empty_level, pad_vertices
 
-__all__ = ["LevelFormatError", "LevelInfo", "level_from_json", "level_to_json", "load_level", "save_level"]
+__all__ = [
+    "LevelFormatError",
+    "LevelInfo",
+    "level_from_json",
+    "level_to_json",
+    "load_level",
+    "save_level",
+    "turned_colours_of",
+]
 
 
 def load_level(path: str | Path, size: str | None = None) -> tuple[Level, LevelInfo]:
@@ -60,7 +69,15 @@ def level_from_json(document: Any, size: str | Capacity | None = None) -> Level:
         except ValueError as error:
             raise LevelFormatError("size", f"unknown size {size_name!r}", "use one of s, m, l") from error
     validate_document(document, capacity, size_name)
-    return _assemble(document, capacity)
+    return complete(*_assemble(document, capacity))
+
+
+def turned_colours_of(document: Any) -> np.ndarray:
+    """[4] bool: motor colours of a valid document whose actions forward and backward have changed places in its level,
+    see `canonical.turned_colours`."""
+    level, _ = _assemble(document, capacity_of_size(document["size"]))
+    joints = in_order(level.scene.joints)
+    return np.asarray(turned_colours(dataclasses.replace(level, scene=level.scene.replace(joints=joints))))
 
 
 def document_info(document: dict[str, Any]) -> LevelInfo:
@@ -70,7 +87,8 @@ def document_info(document: dict[str, Any]) -> LevelInfo:
     return LevelInfo(**given | {"tags": tuple(given.get("tags", ()))})
 
 
-def _assemble(document: dict[str, Any], capacity: Capacity) -> Level:
+def _assemble(document: dict[str, Any], capacity: Capacity) -> tuple[Level, np.ndarray]:
+    """What the document says, before anything is derived from it, and which shapes are fixed."""
     level = empty_level(capacity)
     scene = level.scene
     is_fixed = np.asarray(scene.shapes.active).copy()  # the walls
@@ -111,7 +129,7 @@ def _assemble(document: dict[str, Any], capacity: Capacity) -> Level:
         scene.thrusters.power[slot] = thruster.get("power", 1.0)
         level.thruster_colour[slot] = thruster.get("colour", 0)
     scene.gravity[:] = document.get("gravity", (0.0, -9.81))
-    return complete(level, is_fixed)
+    return level, is_fixed
 
 
 def _corners(shape: dict[str, Any]) -> list[list[float]]:

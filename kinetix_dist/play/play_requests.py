@@ -38,7 +38,7 @@ def open_session(request: Request, loop: SessionLoop) -> tuple[Session, dict[str
     number = loop.reserve()
     try:
         request.progress("compiling")
-        session = Session(number, env_config, given.level, seed=seed)
+        session = Session(number, env_config, given.level, seed=seed, turned_colours=given.turned_colours)
         actor = policy.actor(env_config, given.level)
         session.warm_up(actor)
         session.set_actor(actor)

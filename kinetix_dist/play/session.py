@@ -23,7 +23,7 @@ from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState
 from kinetix_dist.evaluation.policies import Player, first_memory
-from kinetix_dist.level.level import Level
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, Level
 from kinetix_dist.play import frames, programs
 from kinetix_dist.play.wire import BAD_REQUEST, NOT_FOUND, RequestError
 
@@ -63,8 +63,13 @@ class Moment:
 class Session:
     """See above. Raises RequestError for what cannot be done."""
 
-    def __init__(self, number: int, env_config: EnvConfig, level: Level, *, seed: int) -> None:
+    def __init__(
+        self, number: int, env_config: EnvConfig, level: Level, *, seed: int, turned_colours: np.ndarray | None = None
+    ) -> None:
+        """turned_colours: [4] bool, those by which a person's forward is backward in the level (None: none), since a
+        person goes by the document of the level."""
         self.number, self.seed = number, seed
+        self._turned = np.zeros(NUM_MOTOR_COLOURS, bool) if turned_colours is None else turned_colours
         self.level = level
         self.person_env = programs.environment(dataclasses.replace(env_config, action_space=PERSON_SPACE.name))
         self.prepared = programs.prepare(self.person_env, stack_worlds([level]))
@@ -145,6 +150,10 @@ class Session:
             PERSON_SPACE.check(given, 1)
         except ValueError as error:
             raise RequestError(BAD_REQUEST, str(error)) from error
+        motors = given[:, :NUM_MOTOR_COLOURS]
+        given[:, :NUM_MOTOR_COLOURS] = np.where(
+            self._turned & (motors > 0), 3 - motors, motors
+        )  # forward 1, backward 2
         self.action, self.seq = given, seq
 
     def step(self) -> bool:

@@ -34,6 +34,7 @@ from bench import (
     runs_at_once,
     scoring,
     size_arrays,
+    smoke,
     soak,
     training_memory,
 )
@@ -65,6 +66,7 @@ PROGRAMS = [
     runs_at_once.main,
     size_arrays.main,
     scoring.main,
+    smoke.main,
     soak.main,
     training_memory.main,
 ]
@@ -118,6 +120,9 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (learnability.main, ["nosuch", "--attempts", "1"], "--attempts is 1; give 2 or more"),
         (scoring.main, ["nosuch"], "nosuch is not a directory; give a run directory"),
         (scoring.main, ["nosuch", "--measure", "1"], "--measure is 1; give 2 or more attempts"),
+        (smoke.main, ["--updates", "1"], "--updates is 1; the first one is not timed, so give 2 or more"),
+        (smoke.main, ["--keep", "."], ". exists; name a new directory"),
+        (smoke.main, ["--recipe", "tinny"], "unknown recipe 'tinny'; did you mean 'tiny'?"),
         (kernel_profile.main, ["--worlds", "33"], "--worlds is 33; give a multiple of 32"),
         (kernel_profile.main, ["--preset", "nosuch"], "'nosuch'"),
         (

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import json
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,8 @@ from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.schema import level_from_json, level_to_json
+from kinetix_dist.level.schema import level_from_json, level_to_json, turned_colours_of
+from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.walls import WALL_NAMES, empty_level
 from tests.level.one_level_four_ways import BOX, by_file, by_generator, by_hand, by_public_file
 from tests.slots import shuffled_slots, take_slots
@@ -135,6 +137,94 @@ def test_a_level_is_seen_alike_whoever_made_it(kind: JointKind) -> None:
             np.testing.assert_allclose(
                 getattr(seen[0], field.name), getattr(other, field.name), atol=2e-6, err_msg=f"{maker} {field.name}"
             )
+
+
+# Wheels
+
+
+def vehicle(*motors: dict[str, Any], second: str = "circle") -> dict[str, Any]:
+    """A bar with a wheel for each motor, the last of which may be a box instead."""
+    wheels = [
+        {"id": f"wheel_{k}", "type": "circle", "radius": 0.2, "position": [1.5 + 0.9 * k, 0.6]}
+        for k in range(len(motors))
+    ]
+    if second == "box":
+        wheels[-1] = {"id": wheels[-1]["id"], "type": "box", "width": 0.6, "height": 0.1, "position": [2.4, 0.9]}
+    return {
+        "format": "kinetix-dist-level",
+        "version": 1,
+        "name": "vehicle",
+        "size": "m",
+        "shapes": [
+            {"id": "bar", "type": "box", "width": 1.4, "height": 0.14, "position": [2.0, 0.75], "role": "green"},
+            *wheels,
+            {"id": "goal", "type": "circle", "radius": 0.3, "position": [4.5, 0.75], "role": "blue", "fixed": True},
+        ],
+        "joints": [
+            {"type": "revolute", "a": "bar", "b": wheel["id"], "anchor": wheel["position"], "motor": motor}
+            for wheel, motor in zip(wheels, motors, strict=True)
+        ],
+    }
+
+
+def motor(speed: float, colour: int = 0, **more: Any) -> dict[str, Any]:
+    return {"speed": speed, "power": 1.0, "colour": colour} | more
+
+
+@pytest.mark.parametrize(
+    ("motors", "second", "speeds", "turned"),
+    [
+        ([motor(-1.0)], "circle", [1.0], [0]),
+        ([motor(1.5)], "circle", [1.5], []),
+        ([motor(-1.0), motor(-2.0)], "circle", [1.0, 2.0], [0]),
+        ([motor(-1.0), motor(-2.0, 3)], "circle", [1.0, 2.0], [0, 3]),
+        ([motor(-1.0), motor(2.0)], "circle", [-1.0, 2.0], []),  # gears: nobody could exchange that
+        ([motor(-1.0), motor(2.0, 1)], "circle", [1.0, 2.0], [0]),
+        ([motor(-1.0, auto=True)], "circle", [-1.0], []),  # obeys nobody
+        ([motor(-1.0), motor(-2.0, auto=True)], "circle", [1.0, -2.0], [0]),
+        ([motor(-1.0), motor(2.0)], "box", [1.0, -2.0], [0]),  # all motors of the colour with its wheels
+        ([motor(1.0), motor(-2.0)], "box", [1.0, -2.0], []),
+        ([motor(1.0), motor(-2.0, 2)], "box", [1.0, -2.0], []),  # a hinge of polygons has either sign at random too
+        ([motor(0.0), motor(-1.0)], "circle", [0.0, -1.0], []),
+    ],
+)
+def test_wheels_of_a_colour_have_positive_speeds(
+    motors: list[dict[str, Any]], second: str, speeds: list[float], turned: list[int]
+) -> None:
+    document = vehicle(*motors, second=second)
+    level = level_from_json(document)
+    np.testing.assert_array_equal(level.scene.joints.motor_speed[: len(speeds)], np.float32(speeds))
+    np.testing.assert_array_equal(np.flatnonzero(turned_colours_of(document)), turned)
+
+
+def test_a_level_that_is_turned_round_is_driven_by_the_other_actions_bit_for_bit() -> None:
+    """The engine is asked: what the file says by forward, the level does by backward; number by number it is the level
+    whose file has positive speeds."""
+    given, positive = vehicle(motor(-1.0), motor(-2.0, 1)), vehicle(motor(1.0), motor(2.0, 1))
+    level, other = level_from_json(given), level_from_json(positive)
+    for leaf, same in zip(jax.tree.leaves(level), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(leaf, same)
+    as_written = level.scene.replace(joints={"motor_speed": -level.scene.joints.motor_speed})
+    scenes = jax.tree.map(np.asarray, stack_worlds([level.scene, as_written]))
+    engine = Engine(capacity_of(level.scene))
+    state = engine.initial_state(scenes, np.stack([level.position] * 2), np.stack([level.angle] * 2))
+    motors = np.array([[-1.0, -1.0], [1.0, 1.0]], np.float32)
+    controls = Controls(motor=motors, thruster=np.zeros((2, 2), np.float32))
+    after, _ = engine.step(scenes, state, controls, num_steps=30)
+    assert np.abs(np.asarray(after.position)[0, BOX, 0] - level.position[BOX, 0]) > 0.2  # it drives
+    np.testing.assert_array_equal(after.position[0], after.position[1])
+    np.testing.assert_array_equal(after.angle[0], after.angle[1])
+
+
+@pytest.mark.parametrize("size", ["s", "m", "l"])
+def test_wheels_of_random_levels_and_of_designed_ones_have_one_sign(size: str) -> None:
+    designed, _ = load_level_set(f"all_designed_{size}", size)
+    for levels in (designed, stack_worlds(levels_of(size))):
+        joints = levels.scene.joints
+        is_wheel = (
+            joints.active & joints.motor_on & (joints.a < SIZES[size].polygons) & (joints.b >= SIZES[size].polygons)
+        )
+        assert is_wheel.sum() > 2 and (joints.motor_speed[is_wheel & ~levels.motor_auto] > 0).all()
 
 
 # Relabelling

@@ -1,4 +1,4 @@
-"""Levels in a mirror: the engine plays them as the mirror image, by the same actions."""
+"""Levels in a mirror: the engine plays them as the mirror image, by the same actions or those of wheels exchanged."""
 
 from __future__ import annotations
 
@@ -26,13 +26,28 @@ def levels():
     return env, both, jax.jit(jax.vmap(mirrored))(both)
 
 
+def colours_of_wheels(levels) -> np.ndarray:
+    """[n, 4] motor colours that drive a circle that is joined to a polygon."""
+    joints, polygons = jax.device_get(levels.scene.joints), levels.scene.shapes.num_vertices.shape[1]
+    found = np.zeros((len(levels.angle), 4), bool)
+    for world, joint in np.argwhere(joints.active & joints.motor_on & ~np.asarray(levels.motor_auto)):
+        if joints.a[world, joint] < polygons <= joints.b[world, joint]:
+            assert joints.motor_speed[world, joint] > 0
+            found[world, levels.motor_colour[world, joint]] = True
+    return found
+
+
 def test_the_mirror_image_moves_as_the_level_does(levels):
     env, plain, image = levels
     space, num_worlds = env.action_space, plain.position.shape[0]
     actions = jnp.stack([space.sample(jax.random.key(step), num_worlds) for step in range(STEPS)])
+    has_wheel = colours_of_wheels(plain)
+    assert 0.05 < has_wheel.mean() < 0.95
+    turned = np.concatenate([has_wheel, np.zeros((num_worlds, 2), bool)], axis=1)
+    exchanged = jnp.where(turned & (actions > 0), 3 - actions, actions)
 
     @jax.jit
-    def play(levels):
+    def play(levels, actions):
         prepared = env.prepare(levels)
 
         def step(state, action):
@@ -41,7 +56,7 @@ def test_the_mirror_image_moves_as_the_level_does(levels):
 
         return jax.lax.scan(step, env.reset(prepared)[0], actions)[1]
 
-    (bodies, solved, failed), (seen, solved_there, failed_there) = play(plain), play(image)
+    (bodies, solved, failed), (seen, solved_there, failed_there) = play(plain, actions), play(image, exchanged)
     walls = 4
     x = np.concatenate([WORLD_SIZE_M - bodies[..., :1], bodies[..., 1:2], -bodies[..., 2:3], bodies[..., 3:4]], axis=-1)
     exists = np.asarray(plain.scene.shapes.active)[:, walls:]

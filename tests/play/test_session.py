@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 
 import jax
 import numpy as np
@@ -21,6 +22,7 @@ from kinetix_dist.level.schema import load_level
 from kinetix_dist.play import frames, programs
 from kinetix_dist.play.actors import policy_of
 from kinetix_dist.play.attempts import Progress, play_attempts, steps_until_noop_solves
+from kinetix_dist.play.levels import level_of
 from kinetix_dist.play.session import Session
 from kinetix_dist.play.wire import RequestError
 
@@ -102,6 +104,19 @@ def test_seeking_and_playing_on_gives_the_same_bytes() -> None:
         ours, theirs = frames.decode(one, sizes), frames.decode(other, sizes)
         np.testing.assert_array_equal(ours.poses, theirs.poses)
         assert (ours.reward, ours.total_reward, ours.flags) == (theirs.reward, theirs.total_reward, theirs.flags)
+
+
+def test_a_person_drives_a_level_as_its_file_says_where_the_level_is_turned_round() -> None:
+    """drag_cart has a negative speed, so that forward is to the right; its level has a positive one."""
+    document = json.loads((levels_root() / "s" / "drag_cart.json").read_text())
+    given = level_of({"document": document})
+    session = Session(1, CONFIG, given.level, seed=0, turned_colours=given.turned_colours)
+    bar = document["shapes"][0]["position"][0]
+    slot = int(np.flatnonzero(np.isclose(given.level.position[:, 0], bar))[0])
+    for action, way in ((1, 1), (2, -1)):
+        session.reset()
+        frame = frames.decode(play(session, np.array([[action, 0, 0, 0, 0, 0]] * 8))[-1], session.sizes)
+        assert np.sign(frame.poses[slot, 0] - bar) == way
 
 
 def test_other_actions_after_taking_over_lead_elsewhere() -> None:

@@ -1,0 +1,177 @@
+"""What must work on every machine: a run on Ray is trained, resumed and evaluated, each by the command of a user.
+
+    python -m bench.smoke --json runs/smoke.json                                 # recipe tiny, on the CPU
+    python -m bench.smoke --device gpu --json runs/smoke.json                    # recipe sfl_s, one process a GPU
+    python -m bench.smoke --device gpu --options run.gpu_memory_gib=40 curriculum.refresh_every=2
+
+Curator and evaluator work beside training, as by default. Each record is a command: exit code, seconds, seconds from
+the command until the metrics of its first update were written, environment steps a second of its later updates
+(median), seconds of them spent compiling. Exit code 1 where a command fails or leaves out what it was for: a row of
+every update, all values of it finite, a solve rate. The table comes last, with the last words of what failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from bench.drill_run import REPOSITORY
+from bench.program import exit_code, output_file, parser_of, report_each
+from kinetix_dist.errors import UserError
+from kinetix_dist.recipes import recipe
+from kinetix_dist.telemetry.json_lines import read_lines
+
+RECIPES = {"cpu": "tiny", "gpu": "sfl_s"}
+OPTIONS = ("--run.checkpoint_every", "2", "--evaluation.sets", "random_s", "--recording.make_pictures", "False")
+ATTEMPTS = 4
+LAST_WORDS = 2000  # characters kept of a command that failed
+LOOK_EVERY_S = 0.05
+
+
+@dataclasses.dataclass
+class Smoke:
+    """One run directory, and the commands that work on it, one after the other."""
+
+    folder: Path
+    args: argparse.Namespace
+
+    @property
+    def run(self) -> Path:
+        return self.folder / "run"
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        steps = recipe(self.args.recipe).rollout.steps_per_update * self.args.updates
+        options = [part for option in self.args.options for part in f"--{option}".split("=", 1)]
+        new = ["--recipe", self.args.recipe, "--run.device", self.args.device, "--run.placement", "colocated"]
+        train = ["train", "--run", str(self.run)]
+        yield self._train("train", [*train, *new, *OPTIONS, *options, "--run.total_env_steps", str(steps)], 1)
+        yield self._train("resume", [*train, "--resume", "--run.total_env_steps", str(2 * steps)], 2)
+        yield self._evaluate()
+
+    def _train(self, name: str, arguments: list[str], times: int) -> dict[str, Any]:
+        before = len(self._rows())
+        record = self._command(name, arguments, num_rows=before)
+        rows = self._rows()
+        record["env_steps_per_second"] = _median(row["progress/env_steps_per_second"] for row in rows[before + 1 :])
+        record["compile_seconds"] = rows[-1].get("runtime/compile_seconds") if rows else None
+        expected = list(range(1, times * self.args.updates + 1))
+        if (found := [row["progress/updates"] for row in rows]) != expected:
+            record["wrong"].append(f"metrics are of updates {found}, {expected[0]} to {expected[-1]} were to be made")
+        for row in rows:
+            bad = [key for key, value in row.items() if isinstance(value, float) and not math.isfinite(value)]
+            record["wrong"] += [f"{key} of update {row['progress/updates']:.0f} is not finite" for key in bad]
+        return record
+
+    def _evaluate(self) -> dict[str, Any]:
+        file = self.folder / "eval.json"
+        arguments = ["--run", str(self.run), "--levels", self.args.levels, "--attempts", str(ATTEMPTS)]
+        record = self._command("eval", ["eval", *arguments, "--json", str(file)])
+        record["solve_rate"] = json.loads(file.read_text())["solve_rate"]["trained"]["rate"] if file.exists() else None
+        if record["solve_rate"] is None:
+            record["wrong"].append("there is no solve rate")
+        return record
+
+    def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
+        """num_rows: of metrics before; None: none are waited for."""
+        command = [sys.executable, "-m", "kinetix_dist", *arguments]
+        python_path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
+        began, first = time.monotonic(), None
+        with (self.folder / f"{name}.log").open("w+") as said:
+            process = subprocess.Popen(
+                command,
+                env=os.environ | {"PYTHONPATH": python_path},
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=subprocess.STDOUT,
+            )
+            while process.poll() is None:
+                if num_rows is not None and first is None and len(self._rows()) > num_rows:
+                    first = round(time.monotonic() - began, 2)
+                if time.monotonic() - began > self.args.seconds:
+                    process.terminate()  # `train` saves and ends its processes
+                    process.wait()
+                time.sleep(LOOK_EVERY_S)
+            said.seek(0)
+            words = said.read()
+        seconds = round(time.monotonic() - began, 1)
+        wrong = []
+        if seconds > self.args.seconds:
+            wrong.append(f"it took more than {self.args.seconds:g} s and was ended")
+        elif process.returncode:
+            wrong.append(f"exit code {process.returncode}: {words[-LAST_WORDS:]}")
+        return {
+            "command": name,
+            "recipe": self.args.recipe,
+            "device": self.args.device,
+            "exit_code": process.returncode,
+            "seconds": seconds,
+            "first_update_seconds": first,
+            "wrong": wrong,
+        }
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return read_lines(self.run / "metrics" / "metrics.jsonl").rows
+
+
+def _median(values: Iterator[float]) -> float | None:
+    found = list(values)
+    return round(statistics.median(found)) if found else None
+
+
+def main() -> int:
+    parser = parser_of(__doc__, "python -m bench.smoke")
+    parser.add_argument("--device", choices=tuple(RECIPES), default="cpu")
+    parser.add_argument("--recipe", help=f"default: {RECIPES['cpu']} on a CPU, {RECIPES['gpu']} on GPUs")
+    parser.add_argument("--updates", type=int, default=4, help="of each of the two trainings")
+    parser.add_argument("--levels", default="designed_s", help="that are evaluated at the end")
+    parser.add_argument("--options", nargs="*", default=[], metavar="NAME=VALUE", help="of train, without the dashes")
+    parser.add_argument("--seconds", type=float, default=600.0, help="for each command")
+    parser.add_argument("--keep", type=Path, help="a new directory for run and logs, which are thrown away otherwise")
+    parser.add_argument("--json", type=output_file, help="a file for the records")
+    args = parser.parse_args()
+    args.recipe = args.recipe or RECIPES[args.device]
+    return exit_code(parser, lambda: _smoke(args))
+
+
+def _smoke(args: argparse.Namespace) -> int:
+    if args.updates < 2:
+        raise UserError(f"--updates is {args.updates}; the first one is not timed, so give 2 or more")
+    if args.keep is not None and args.keep.exists():
+        raise UserError(f"{args.keep} exists; name a new directory")
+    recipe(args.recipe)  # refuses an unknown one
+    folder = args.keep or Path(tempfile.mkdtemp(prefix="kinetix-smoke-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    found: list[dict[str, Any]] = []
+
+    def kept() -> Iterator[dict[str, Any]]:
+        for record in Smoke(folder, args).records():
+            found.append(record)
+            yield record
+
+    report_each(kept(), args.json, text=lambda record: f"{record['command']}: {record['seconds']} s")
+    print(f"\n{'command':<8} {'exit':>4} {'seconds':>8} {'first update':>13} {'env steps/s':>12}")
+    for record in found:
+        rate = record.get("env_steps_per_second") or ""
+        first = record["first_update_seconds"] or ""
+        print(f"{record['command']:<8} {record['exit_code']:>4} {record['seconds']:>8} {first:>13} {rate:>12}")
+    wrong = [f"{record['command']}: {what}" for record in found for what in record["wrong"]]
+    print("\n".join(wrong) if wrong else "all as it is to be")
+    if args.keep is None:
+        shutil.rmtree(folder)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
