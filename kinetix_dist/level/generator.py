@@ -35,19 +35,29 @@ from kinetix_dist.level.locomotion import generate_locomotion_level
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose, shape_mass
 from kinetix_dist.level.roles import Role
+from kinetix_dist.level.variety import vary
 
 __all__ = ["GeneratorConfig", "generate_level", "generate_levels"]
 
 _NUM_FIRST = 3  # green, blue, and the shape that a forced motor needs
 _NUM_THRUSTER_DRAWS = 9
 _LOCOMOTION_STREAM = 0x4C4F  # "LO": folded into a level's key
+_VARIETY_STREAM = 0x5641  # "VA"
 
 
 def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     """One random level. Exactly one green and one blue, at least one motor or thruster. Consumes `key`.
 
-    A share `config.locomotion_share` of the levels are those of `locomotion.py`.
+    A share `config.locomotion_share` of the levels are those of `locomotion.py`; of all of them `config.varied_share`
+    are varied by `variety.py`.
     """
+    level = _level(key, capacity, config)
+    if config.varied_share == 0.0:
+        return level
+    return vary(jax.random.fold_in(key, _VARIETY_STREAM), level, config.varied_share)
+
+
+def _level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     if config.locomotion_share == 0.0:
         return _random_level(key, capacity, config)
     is_locomotion = jax.random.uniform(jax.random.fold_in(key, _LOCOMOTION_STREAM)) < config.locomotion_share

@@ -17,7 +17,7 @@ PUBLISHED_DETAILS = (
 LOCOMOTION_KINDS = ("car", "unicycle", "walker", "arm")
 ALL_KINDS = (*LOCOMOTION_KINDS, "runner", "snake", "cartpole", "flyer", "pusher", "beam")
 _CHANCES = (
-    "locomotion_share",
+    "locomotion_share", "varied_share",
     "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",
     "motor_on_chance", "forced_motor_on_chance", "limits_chance", "fixed_joint_chance", "thruster_aligned_chance",
     "joined_shape_chance", "free_shape_chance", "thruster_chance", "floor_blue_chance", "floor_red_chance",
@@ -72,6 +72,8 @@ class GeneratorConfig:
     # Levels with something that can go somewhere, see `locomotion.py`
     locomotion_share: float = 0.0  # of the levels; the others are random as above
     locomotion_kinds: tuple[str, ...] = LOCOMOTION_KINDS  # those for which the size has room are equally likely
+    # Levels, of all of these, with other powers, densities, frictions and so on, see `variety.py`
+    varied_share: float = 0.0
 
     def __post_init__(self) -> None:
         for name in _CHANCES:

@@ -1,0 +1,89 @@
+"""Random levels with other physics: weak motors and thrusters, heavy and slippery shapes, motion, low gravity.
+
+    generate_level -> vary, for a share `config.varied_share` of the levels
+
+The generator of the public package gives every wheel the same power and every thruster more than the weight of what it
+pushes, and all shapes one density and one friction. People draw others, and a policy that has never seen them acts as
+if there were none. Each of the changes below is made to half of the levels that are varied. Where shapes are does not
+change, so that nothing overlaps that did not. Pure, for one level; works inside jit and vmap.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+from kinetix_dist.level.connections import connections
+from kinetix_dist.level.derive import derive
+from kinetix_dist.level.level import NUM_WALLS, Level
+from kinetix_dist.level.roles import Role
+
+# Lowest and highest factor, by which all of a level's are multiplied; the logarithm of it is uniform.
+MOTOR_POWER = (0.05, 1.0)
+THRUSTER_POWER = (0.1, 1.5)
+# The same, of each shape that moves.
+DENSITY = (0.5, 4.0)
+FRICTION = (0.1, 1.2)  # of each shape, uniform
+GRAVITY = (0.2, 1.1)  # factor, uniform
+VELOCITY_M_S = 1.5  # largest, along each axis, that all shapes of a body have at the start
+
+
+def vary(key: Array, level: Level, share: float) -> Level:
+    """The level, or, with that chance, one that differs in some of these. Consumes `key`."""
+    scene = level.scene
+    shapes, joints, thrusters = scene.shapes, scene.joints, scene.thrusters
+    num_shapes = level.angle.shape[0]
+    keys = jax.random.split(key, 4)
+    coin, *coins = jax.random.uniform(keys[0], (9,))
+    motor, thruster, heavy, rough, moving, pulled, held, red = (each < 0.5 for each in coins)
+    levelwide = jax.random.uniform(keys[1], (3,))
+    of_shape = jax.random.uniform(keys[2], (2, num_shapes))
+    exists = jnp.asarray(shapes.active)
+    is_fixed = exists & (shapes.inverse_mass == 0)
+
+    motor_power = joints.motor_power * jnp.where(motor, _log_uniform(levelwide[0], MOTOR_POWER), 1.0)
+    thruster_power = thrusters.power * jnp.where(thruster, _log_uniform(levelwide[1], THRUSTER_POWER), 1.0)
+    gravity = scene.gravity * jnp.where(pulled, _uniform(levelwide[2], GRAVITY), 1.0)
+    density = shapes.density * jnp.where(heavy & exists & ~is_fixed, _log_uniform(of_shape[0], DENSITY), 1.0)
+    friction = jnp.where(rough & exists, _uniform(of_shape[1], FRICTION), shapes.friction)
+
+    # A goal that stays where it is; shapes besides the floor that must not be touched.
+    _, is_one_body = connections(joints.a, joints.b, joints.active, num_shapes)
+    is_pushed = jnp.zeros(num_shapes, bool).at[thrusters.body].max(jnp.asarray(thrusters.active))
+    is_alone = (is_one_body.sum(axis=1) == 1) & ~is_pushed
+    is_fixed = is_fixed | (held & exists & is_alone & (level.shape_role == Role.BLUE))
+    is_spare = is_fixed & (level.shape_role == Role.NONE) & (jnp.arange(num_shapes) >= NUM_WALLS)
+    role = jnp.where(red & is_spare, Role.RED, level.shape_role).astype(level.shape_role.dtype)
+
+    # Shapes that are joined move as one, if they move.
+    push = jax.random.uniform(keys[3], (num_shapes, 2), minval=-VELOCITY_M_S, maxval=VELOCITY_M_S)
+    push = push[jnp.argmax(is_one_body, axis=1)]
+    is_held = (is_one_body & is_fixed[None, :]).any(axis=1)
+    velocity = level.velocity + jnp.where((moving & exists & ~is_held)[:, None], push, 0.0)
+
+    changed = dataclasses.replace(
+        level,
+        scene=scene.replace(
+            shapes={"density": density, "friction": friction},
+            joints={"motor_power": motor_power},
+            thrusters={"power": thruster_power},
+            gravity=gravity,
+        ),
+        velocity=velocity,
+        shape_role=role,
+    )
+    varied = derive(changed, is_fixed)
+    return jax.tree.map(lambda new, old: jnp.where(coin < share, new, old), varied, level)
+
+
+def _uniform(draw: Array, limits: tuple[float, float]) -> Array:
+    low, high = limits
+    return low + (high - low) * draw
+
+
+def _log_uniform(draw: Array, limits: tuple[float, float]) -> Array:
+    low, high = limits
+    return low * (high / low) ** draw

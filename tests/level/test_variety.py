@@ -1,0 +1,125 @@
+"""Levels with other physics: what changes, by how much, and what must not."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.generator_config import GeneratorConfig, generator
+from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
+from kinetix_dist.level.roles import Role
+from tests.level.valid import assert_valid
+
+NUM_LEVELS = 512
+
+
+@functools.cache
+def levels_of(size: str, share: float, name: str = "default") -> Level:
+    config = dataclasses.replace(generator(name), varied_share=share)
+    return jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES[size], config))
+
+
+def bodies(levels: Level, world: int) -> list[set[int]]:
+    """Shapes that joints hold together, found by walking."""
+    joints = levels.scene.joints
+    groups = [{shape} for shape in range(levels.angle.shape[1])]
+    for joint in np.flatnonzero(joints.active[world]):
+        ends = [next(g for g in groups if end[world, joint] in g) for end in (joints.a, joints.b)]
+        if ends[0] is not ends[1]:
+            groups.remove(ends[1])
+            ends[0].update(ends[1])
+    return groups
+
+
+@pytest.mark.parametrize(("size", "name"), [("s", "default"), ("l", "default"), ("l", "tasks")])
+def test_a_varied_level_is_valid_and_looks_as_before(size: str, name: str) -> None:
+    plain, varied = levels_of(size, 0.0, name), levels_of(size, 1.0, name)
+    assert_valid(varied, SIZES[size], max_red=SIZES[size].shapes)
+    shapes, before = varied.scene.shapes, plain.scene.shapes
+    for path in ("active", "vertices", "radius", "num_vertices"):
+        np.testing.assert_allclose(getattr(shapes, path), getattr(before, path), atol=1e-5)
+    np.testing.assert_allclose(varied.position, plain.position, atol=1e-5)
+    np.testing.assert_array_equal(varied.scene.joints.active, plain.scene.joints.active)
+    was_red = plain.shape_role == Role.RED
+    np.testing.assert_array_equal(varied.shape_role[was_red], plain.shape_role[was_red])
+    green_or_blue = np.isin(plain.shape_role, (Role.GREEN, Role.BLUE))
+    np.testing.assert_array_equal(varied.shape_role[green_or_blue], plain.shape_role[green_or_blue])
+
+
+def test_each_change_is_made_to_half_of_the_levels_within_its_limits() -> None:
+    plain, varied = levels_of("l", 0.0), levels_of("l", 1.0)
+    shapes, joints, thrusters = varied.scene.shapes, varied.scene.joints, varied.scene.thrusters
+    exists = shapes.active & (np.arange(shapes.active.shape[1]) >= NUM_WALLS)
+    moves = exists & (shapes.inverse_mass > 0)
+
+    def share(changed: np.ndarray, where: np.ndarray) -> float:
+        """Of the levels that have something to change."""
+        return (changed & where).any(1)[where.any(1)].mean()
+
+    has_motor = joints.active & joints.motor_on
+    power = np.where(has_motor, joints.motor_power / np.where(has_motor, plain.scene.joints.motor_power, 1), 1)
+    push = np.where(thrusters.active, thrusters.power / np.where(thrusters.active, plain.scene.thrusters.power, 1), 1)
+    gravity = varied.scene.gravity[:, 1:] / plain.scene.gravity[:, 1:]
+    speed = np.abs(varied.velocity).max(axis=-1)
+    for value, low, high, where in (
+        (power, 0.05, 1.0, has_motor),
+        (push, 0.1, 1.5, thrusters.active),
+        (gravity, 0.2, 1.1, np.ones_like(gravity, bool)),
+        (shapes.density, 0.5, 4.0, moves),
+        (shapes.friction, 0.1, 1.2, exists),
+    ):
+        assert value[where].min() > low - 1e-3 and value[where].max() < high + 1e-3
+        assert 0.4 < share(np.abs(value - 1.0) > 1e-6, where) < 0.6
+    assert speed[moves].max() < 1.5 + 1e-6 and not speed[shapes.active & (shapes.inverse_mass == 0)].any()
+    assert 0.3 < (speed > 0).any(axis=1).mean() < 0.6
+    # Mass follows from density, in every level: mass by the engine's own formula is what `assert_valid` compares.
+    heavier = (shapes.density > 1.01) & moves
+    assert (shapes.inverse_mass[heavier] < plain.scene.shapes.inverse_mass[heavier]).all()
+
+
+def test_what_is_joined_begins_to_move_as_one_or_not_at_all() -> None:
+    levels = levels_of("l", 1.0)
+    shapes = levels.scene.shapes
+    for world in range(64):
+        for body in bodies(levels, world):
+            members = sorted(shape for shape in body if shapes.active[world, shape])
+            velocities = levels.velocity[world, members]
+            if len(members) and (shapes.inverse_mass[world, members] == 0).any():
+                assert not velocities.any()
+            elif len(members):
+                assert (velocities == velocities[0]).all()
+
+
+def test_only_a_goal_that_nothing_holds_or_drives_is_fixed() -> None:
+    plain, varied = levels_of("s", 0.0), levels_of("s", 1.0)
+    is_new = (varied.scene.shapes.inverse_mass == 0) & (plain.scene.shapes.inverse_mass > 0)
+    assert 0.1 < is_new.any(axis=1).mean() < 0.6
+    assert (varied.shape_role[is_new] == Role.BLUE).all()
+    joints, thrusters = varied.scene.joints, varied.scene.thrusters
+    for world, shape in np.argwhere(is_new):
+        assert shape not in joints.a[world][joints.active[world]]
+        assert shape not in joints.b[world][joints.active[world]]
+        assert shape not in thrusters.body[world][thrusters.active[world]]
+
+
+def test_a_share_of_the_levels_is_varied_and_the_others_are_as_without() -> None:
+    plain, mixed, varied = (levels_of("s", share) for share in (0.0, 0.3, 1.0))
+
+    def same(one: Level, other: Level) -> np.ndarray:
+        leaves = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+        close = [np.isclose(a, b, rtol=1e-5, atol=1e-6).reshape(NUM_LEVELS, -1).all(axis=1) for a, b in leaves]
+        return np.all(close, axis=0)
+
+    is_plain, is_varied = same(mixed, plain), same(mixed, varied)
+    assert (is_plain | is_varied).all()
+    assert abs((~is_plain).mean() - 0.3) < 0.08
+
+
+def test_a_share_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"varied_share is -0\.1; chances are 0 to 1"):
+        GeneratorConfig(varied_share=-0.1)
