@@ -3,9 +3,10 @@
     generate_level -> vary, for a share `config.varied_share` of the levels
 
 The generator of the public package gives every wheel the same power and every thruster more than the weight of what it
-pushes, and all shapes one density and one friction. People draw others, and a policy that has never seen them acts as
-if there were none. Each of the changes below is made to half of the levels that are varied. Where shapes are does not
-change, so that nothing overlaps that did not. Pure, for one level; works inside jit and vmap.
+pushes, all shapes one density and one friction, and hangs nothing on a wall. People draw other things, and a policy
+that has never seen them acts as if there were none. Each of the changes below is made to half of the levels that are
+varied. Where shapes are does not change, so that nothing overlaps that did not. Pure, for one level; works inside jit
+and vmap.
 """
 
 from __future__ import annotations
@@ -33,13 +34,16 @@ VELOCITY_M_S = 1.5  # largest, along each axis, that all shapes of a body have a
 
 def vary(key: Array, level: Level, share: float) -> Level:
     """The level, or, with that chance, one that differs in some of these. Consumes `key`."""
-    scene = level.scene
-    shapes, joints, thrusters = scene.shapes, scene.joints, scene.thrusters
+    original = level
     num_shapes = level.angle.shape[0]
     keys = jax.random.split(key, 4)
-    coin, *coins = jax.random.uniform(keys[0], (9,))
-    motor, thruster, heavy, rough, moving, pulled, held, red = (each < 0.5 for each in coins)
-    levelwide = jax.random.uniform(keys[1], (3,))
+    coin, *coins = jax.random.uniform(keys[0], (10,))
+    motor, thruster, heavy, rough, moving, pulled, held, red, hung = (each < 0.5 for each in coins)
+    levelwide = jax.random.uniform(keys[1], (4,))
+    wall = jnp.floor(levelwide[3] * NUM_WALLS).astype(jnp.int32)
+    level = jax.tree.map(lambda new, old: jnp.where(hung, new, old), _hung_on_wall(level, wall), level)
+    scene = level.scene
+    shapes, joints, thrusters = scene.shapes, scene.joints, scene.thrusters
     of_shape = jax.random.uniform(keys[2], (2, num_shapes))
     exists = jnp.asarray(shapes.active)
     is_fixed = exists & (shapes.inverse_mass == 0)
@@ -52,8 +56,7 @@ def vary(key: Array, level: Level, share: float) -> Level:
 
     # A goal that stays where it is; shapes besides the floor that must not be touched.
     _, is_one_body = connections(joints.a, joints.b, joints.active, num_shapes)
-    is_pushed = jnp.zeros(num_shapes, bool).at[thrusters.body].max(jnp.asarray(thrusters.active))
-    is_alone = (is_one_body.sum(axis=1) == 1) & ~is_pushed
+    is_alone = (is_one_body.sum(axis=1) == 1) & ~_is_pushed(level)
     is_fixed = is_fixed | (held & exists & is_alone & (level.shape_role == Role.BLUE))
     is_spare = is_fixed & (level.shape_role == Role.NONE) & (jnp.arange(num_shapes) >= NUM_WALLS)
     role = jnp.where(red & is_spare, Role.RED, level.shape_role).astype(level.shape_role.dtype)
@@ -76,7 +79,44 @@ def vary(key: Array, level: Level, share: float) -> Level:
         shape_role=role,
     )
     varied = derive(changed, is_fixed)
-    return jax.tree.map(lambda new, old: jnp.where(coin < share, new, old), varied, level)
+    return jax.tree.map(lambda new, old: jnp.where(coin < share, new, old), varied, original)
+
+
+def _hung_on_wall(level: Level, wall: Array) -> Level:
+    """What a fixed shape without a role holds by joints is held by a wall instead, and the shape is gone: as people
+    hang things. The level itself where there is no such shape."""
+    scene = level.scene
+    shapes, joints = scene.shapes, scene.joints
+    slots, active = jnp.arange(level.angle.shape[0]), jnp.asarray(joints.active)
+    is_end = [active[:, None] & (end[:, None] == slots) for end in (joints.a, joints.b)]  # [J, n]
+    holds = jnp.asarray(shapes.active) & (shapes.inverse_mass == 0) & (slots >= NUM_WALLS)
+    holds = holds & (level.shape_role == Role.NONE) & (is_end[0] | is_end[1]).any(axis=0) & ~_is_pushed(level)
+    hub, has_hub = jnp.argmax(holds), holds.any()
+    angle, cos, sin = level.angle[hub], jnp.cos(level.angle[hub]), jnp.sin(level.angle[hub])
+    offset = level.position[hub] - level.position[wall]  # walls are level
+
+    def of_wall(anchor: Array) -> Array:
+        turned = [cos * anchor[:, 0] - sin * anchor[:, 1], sin * anchor[:, 0] + cos * anchor[:, 1]]
+        return jnp.stack(turned, axis=-1) + offset
+
+    by_a, by_b = (end[:, hub] & has_hub for end in is_end)
+    hung = {
+        "a": jnp.where(by_a, wall, joints.a),
+        "b": jnp.where(by_b, wall, joints.b),
+        "anchor_a": jnp.where(by_a[:, None], of_wall(joints.anchor_a), joints.anchor_a),
+        "anchor_b": jnp.where(by_b[:, None], of_wall(joints.anchor_b), joints.anchor_b),
+        "rest_angle": joints.rest_angle + jnp.where(by_a, angle, 0.0) - jnp.where(by_b, angle, 0.0),
+    }
+    is_gone = has_hub & (slots == hub)
+    return dataclasses.replace(
+        level, scene=scene.replace(shapes={"active": jnp.asarray(shapes.active) & ~is_gone}, joints=hung)
+    )
+
+
+def _is_pushed(level: Level) -> Array:
+    """[n] bool: shapes that have a thruster."""
+    thrusters = level.scene.thrusters
+    return jnp.zeros(level.angle.shape[0], bool).at[thrusters.body].max(jnp.asarray(thrusters.active))
 
 
 def _uniform(draw: Array, limits: tuple[float, float]) -> Array:

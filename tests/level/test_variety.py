@@ -9,10 +9,14 @@ import jax
 import numpy as np
 import pytest
 
+from jax2d.engine import Engine
+from jax2d.scene import Controls
+from kinetix_dist.level.derive import derive
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig, generator
 from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
 from kinetix_dist.level.roles import Role
+from kinetix_dist.level.variety import _hung_on_wall
 from tests.level.valid import assert_valid
 
 NUM_LEVELS = 512
@@ -41,8 +45,14 @@ def test_a_varied_level_is_valid_and_looks_as_before(size: str, name: str) -> No
     plain, varied = levels_of(size, 0.0, name), levels_of(size, 1.0, name)
     assert_valid(varied, SIZES[size], max_red=SIZES[size].shapes)
     shapes, before = varied.scene.shapes, plain.scene.shapes
-    for path in ("active", "vertices", "radius", "num_vertices"):
+    for path in ("vertices", "radius", "num_vertices"):
         np.testing.assert_allclose(getattr(shapes, path), getattr(before, path), atol=1e-5)
+    is_gone = before.active & ~shapes.active
+    assert (shapes.active <= before.active).all() and (is_gone.sum(axis=1) <= 1).all()
+    assert (before.inverse_mass[is_gone] == 0).all() and (plain.shape_role[is_gone] == Role.NONE).all()
+    assert is_gone.any() == (size != "s")  # no random level of S has a fixed shape
+    joints, on_wall = varied.scene.joints, is_gone.any(axis=1)
+    np.testing.assert_array_equal((joints.active & (joints.a < NUM_WALLS)).any(axis=1), on_wall)
     np.testing.assert_allclose(varied.position, plain.position, atol=1e-5)
     np.testing.assert_array_equal(varied.scene.joints.active, plain.scene.joints.active)
     was_red = plain.shape_role == Role.RED
@@ -80,6 +90,33 @@ def test_each_change_is_made_to_half_of_the_levels_within_its_limits() -> None:
     # Mass follows from density, in every level: mass by the engine's own formula is what `assert_valid` compares.
     heavier = (shapes.density > 1.01) & moves
     assert (shapes.inverse_mass[heavier] < plain.scene.shapes.inverse_mass[heavier]).all()
+
+
+def test_what_hangs_on_a_wall_moves_as_on_the_disc_before() -> None:
+    """The engine is asked: arms of four links with all motors on."""
+    arms = levels_of("l", 0.0, "arm")
+    walls = jax.numpy.arange(NUM_LEVELS) % NUM_WALLS
+    hung = jax.jit(jax.vmap(lambda level, wall: derived(_hung_on_wall(level, wall))))(arms, walls)
+    hung = jax.tree.map(np.asarray, hung)
+    capacity = SIZES["l"]
+    engine = Engine(capacity)
+    states = []
+    motors, thrusters = (np.ones((NUM_LEVELS, n), np.float32) for n in (capacity.joints, capacity.thrusters))
+    controls = Controls(motor=motors, thruster=thrusters)
+    for levels in (arms, hung):
+        state = engine.initial_state(levels.scene, levels.position, levels.angle)
+        states.append(jax.device_get(engine.step(levels.scene, state, controls, num_steps=20)[0]))
+    there = hung.scene.shapes.active
+    assert (arms.scene.shapes.active.sum(axis=1) - there.sum(axis=1) == 1).all()
+    off = np.abs(states[0].position - states[1].position).max(axis=-1) * there
+    moved = np.abs(states[0].position - arms.position).max(axis=-1) * there
+    assert np.quantile(moved.max(axis=1), 0.1) > 0.1
+    assert np.quantile(off.max(axis=1), 0.9) < 2e-3  # rounding of anchors in the frame of a wall; contacts are chaotic
+
+
+def derived(level: Level) -> Level:
+    shapes = level.scene.shapes
+    return derive(level, shapes.active & (shapes.inverse_mass == 0))
 
 
 def test_what_is_joined_begins_to_move_as_one_or_not_at_all() -> None:
