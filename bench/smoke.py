@@ -29,6 +29,7 @@ from typing import Any
 
 from bench.drill_run import REPOSITORY
 from bench.program import exit_code, output_file, parser_of, report_each
+from kinetix_dist.config import ConfigError
 from kinetix_dist.errors import UserError
 from kinetix_dist.recipes import recipe
 from kinetix_dist.telemetry.json_lines import read_lines
@@ -150,7 +151,10 @@ def _smoke(args: argparse.Namespace) -> int:
         raise UserError(f"--updates is {args.updates}; the first one is not timed, so give 2 or more")
     if args.keep is not None and args.keep.exists():
         raise UserError(f"{args.keep} exists; name a new directory")
-    recipe(args.recipe)  # refuses an unknown one
+    try:
+        recipe(args.recipe)
+    except ConfigError as error:
+        raise UserError(str(error)) from None
     folder = args.keep or Path(tempfile.mkdtemp(prefix="kinetix-smoke-"))
     folder.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []

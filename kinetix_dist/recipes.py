@@ -18,6 +18,7 @@ from kinetix_dist.config import (
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.config import AnnealConfig, PpoConfig
+from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.phases import PhaseConfig
@@ -42,7 +43,13 @@ def quickstart() -> TrainConfig:
             mask_unbound_heads=True,
         ),
         curriculum=CurriculumConfig(
-            num_candidates=512, scoring_batch=256, scoring_steps=192, refresh_every=16, adopt_after=2, buffer_size=128
+            num_candidates=512,
+            scoring_batch=256,
+            scoring_steps=192,
+            refresh_every=16,
+            adopt_after=2,
+            buffer_size=128,
+            generator=GeneratorConfig(varied_share=0.5),
         ),
         rollout=RolloutConfig(num_envs=256, num_steps=64, num_groups=8),
         evaluation=EvaluationConfig(sets=("random_s", "designed_s"), attempts=4, min_attempts=400),
