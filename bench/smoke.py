@@ -13,11 +13,12 @@ every update, all values of it finite, a solve rate. The table comes last, with 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import json
-import math
 import os
 import shutil
+import signal
 import statistics
 import subprocess
 import sys
@@ -26,6 +27,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from bench.drill_run import REPOSITORY
 from bench.program import exit_code, output_file, parser_of, report_each
@@ -39,6 +42,8 @@ OPTIONS = ("--run.checkpoint_every", "2", "--evaluation.sets", "random_s", "--re
 ATTEMPTS = 4
 LAST_WORDS = 2000  # characters kept of a command that failed
 LOOK_EVERY_S = 0.05
+GRACE_S = 40.0  # for a run to save and end after SIGTERM
+OWN_OPTIONS = ("rollout.", "phases", "run.total_env_steps", "run.device", "run.placement")  # what smoke says itself
 
 
 @dataclasses.dataclass
@@ -68,11 +73,10 @@ class Smoke:
         record["env_steps_per_second"] = _median(row["progress/env_steps_per_second"] for row in rows[before + 1 :])
         record["compile_seconds"] = rows[-1].get("runtime/compile_seconds") if rows else None
         expected = list(range(1, times * self.args.updates + 1))
-        if (found := [row["progress/updates"] for row in rows]) != expected:
+        if (found := [row["update"] for row in rows]) != expected:
             record["wrong"].append(f"metrics are of updates {found}, {expected[0]} to {expected[-1]} were to be made")
-        for row in rows:
-            bad = [key for key, value in row.items() if isinstance(value, float) and not math.isfinite(value)]
-            record["wrong"] += [f"{key} of update {row['progress/updates']:.0f} is not finite" for key in bad]
+        for row in rows:  # null is what a file of metrics has for what is not finite
+            record["wrong"] += [f"{key} of update {row['update']} is not finite" for key in row if row[key] is None]
         return record
 
     def _evaluate(self) -> dict[str, Any]:
@@ -97,18 +101,18 @@ class Smoke:
                 stdout=said,
                 stderr=subprocess.STDOUT,
             )
-            while process.poll() is None:
-                if num_rows is not None and first is None and len(self._rows()) > num_rows:
-                    first = round(time.monotonic() - began, 2)
-                if time.monotonic() - began > self.args.seconds:
-                    process.terminate()  # `train` saves and ends its processes
-                    process.wait()
-                time.sleep(LOOK_EVERY_S)
+            try:
+                while process.poll() is None and time.monotonic() - began < self.args.seconds:
+                    if num_rows is not None and first is None and len(self._rows()) > num_rows:
+                        first = round(time.monotonic() - began, 2)
+                    time.sleep(LOOK_EVERY_S)
+            finally:
+                was_ended = _end(process)
             said.seek(0)
             words = said.read()
         seconds = round(time.monotonic() - began, 1)
         wrong = []
-        if seconds > self.args.seconds:
+        if was_ended:
             wrong.append(f"it took more than {self.args.seconds:g} s and was ended")
         elif process.returncode:
             wrong.append(f"exit code {process.returncode}: {words[-LAST_WORDS:]}")
@@ -124,6 +128,24 @@ class Smoke:
 
     def _rows(self) -> list[dict[str, Any]]:
         return read_lines(self.run / "metrics" / "metrics.jsonl").rows
+
+
+def _end(process: subprocess.Popen[str]) -> bool:
+    """Ends a command that goes on, with all that it started. Whether it had to."""
+    if process.poll() is not None:
+        return False
+    started = psutil.Process(process.pid).children(recursive=True)
+    process.terminate()  # `train` saves, and ends its processes
+    try:
+        process.wait(GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    for child in started:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            child.kill()
+    psutil.wait_procs(started, timeout=GRACE_S)
+    return True
 
 
 def _median(values: Iterator[float]) -> float | None:
@@ -155,8 +177,20 @@ def _smoke(args: argparse.Namespace) -> int:
         recipe(args.recipe)
     except ConfigError as error:
         raise UserError(str(error)) from None
+    for option in args.options:
+        if "=" not in option or option.startswith(OWN_OPTIONS):
+            raise UserError(f"--options has {option!r}; give NAME=VALUE, none of {', '.join(OWN_OPTIONS)}")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that commands are ended with this one
     folder = args.keep or Path(tempfile.mkdtemp(prefix="kinetix-smoke-"))
     folder.mkdir(parents=True, exist_ok=True)
+    try:
+        return _show(args, folder)
+    finally:
+        if args.keep is None:
+            shutil.rmtree(folder)
+
+
+def _show(args: argparse.Namespace, folder: Path) -> int:
     found: list[dict[str, Any]] = []
 
     def kept() -> Iterator[dict[str, Any]]:
@@ -172,8 +206,6 @@ def _smoke(args: argparse.Namespace) -> int:
         print(f"{record['command']:<8} {record['exit_code']:>4} {record['seconds']:>8} {first:>13} {rate:>12}")
     wrong = [f"{record['command']}: {what}" for record in found for what in record["wrong"]]
     print("\n".join(wrong) if wrong else "all as it is to be")
-    if args.keep is None:
-        shutil.rmtree(folder)
     return 1 if wrong else 0
 
 

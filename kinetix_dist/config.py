@@ -25,7 +25,9 @@ from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
+from kinetix_dist.level.generator_config import ALL_KINDS
 from kinetix_dist.level.level import SIZES
+from kinetix_dist.level.locomotion import fitting_kinds
 from kinetix_dist.level.size_mixture import sizes_drawn
 from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
@@ -299,6 +301,17 @@ class TrainConfig:
         if self.phases:
             self.check_batch()
             _ = self.schedule  # raises for phases that cannot run
+
+    def check_generator(self) -> None:
+        """Raises ConfigError where a size of levels has no room for any kind that the generator is to draw."""
+        generator = self.curriculum.generator
+        for size in sizes_drawn(self.curriculum.sizes) or [self.env.size]:
+            if generator.locomotion_share and not fitting_kinds(generator.locomotion_kinds, SIZES[size]):
+                raise ConfigError(
+                    f"curriculum.generator.locomotion_kinds {', '.join(generator.locomotion_kinds)}: levels of size "
+                    f"{size!r} have room for none; add one of {', '.join(fitting_kinds(ALL_KINDS, SIZES[size]))}, or "
+                    "use a larger size"
+                )
 
     def check_batch(self) -> None:
         """Raises ValueError, with the numbers, where what is played in an update cannot be divided as asked."""

@@ -55,7 +55,7 @@ def run_stats(args: Stats) -> int:
     with user_errors(ValueError, OSError):
         config = generator(args.generator)
         reference = None if args.beside is None else read_described(args.beside, args.size)
-    levels = generate_levels(jax.random.key(args.seed), args.levels, capacity_of_size(args.size), config)
+        levels = generate_levels(jax.random.key(args.seed), args.levels, capacity_of_size(args.size), config)
     found = statistics(levels)
     is_solved = np.asarray(noop_solved(levels))
     found[f"solved in {NOOP_STEPS} steps without actions"] = Share(hits=int(is_solved.sum()), total=args.levels)

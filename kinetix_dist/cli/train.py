@@ -126,6 +126,9 @@ def parse(
     if phases is not None:  # after fields are overridden, which have to go with them
         with user_errors(ValueError, prefix=f"{known.phases}: "):
             config = with_phases(config, phases)
+    with user_errors(ValueError):
+        for phase in config.schedule.phases:
+            phase.config.check_generator()
     return Args(config=config, run=run, resume=known.resume)
 
 

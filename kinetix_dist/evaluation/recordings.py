@@ -25,7 +25,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.evaluation.policies import Player, Policy, act, first_memory
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.schema import LevelInfo, level_from_json, level_to_json
+from kinetix_dist.level.schema import LevelInfo, level_as_written, level_to_json
 from kinetix_dist.telemetry.mcap_reader import read_recording
 from kinetix_dist.telemetry.recording import Recording, Rollout
 
@@ -113,8 +113,8 @@ def encode_level(level: Level, name: str, size: str) -> str:
 
 
 def decode_level(text: str) -> Level:
-    """The level of a recording. Raises LevelFormatError."""
-    return level_from_json(json.loads(text))
+    """The level of a recording, its motors as they were when actions were recorded. Raises LevelFormatError."""
+    return level_as_written(json.loads(text))
 
 
 def read_rollouts(path: str | os.PathLike[str]) -> Recording:

@@ -38,9 +38,7 @@ def canonical(level: Level) -> Level:
     ordered = dataclasses.replace(ordered, axis_angle=_wrapped(ordered.axis_angle))
     scene = level.scene.replace(shapes={"vertices": jnp.where(is_polygon, vertices, shapes.vertices)}, joints=ordered)
     level = dataclasses.replace(level, scene=scene)
-    is_turned = _obeys(level) & turned_colours(level)[level.motor_colour]
-    speed = jnp.where(is_turned, negative(ordered.motor_speed), ordered.motor_speed)
-    return dataclasses.replace(level, scene=scene.replace(joints={"motor_speed": speed}))
+    return turn_round(level, turned_colours(level))
 
 
 def turned_colours(level: Level) -> Array:
@@ -49,7 +47,8 @@ def turned_colours(level: Level) -> Array:
     Whether forward or backward is the way to the goal is for who acts to find out, and where a speed is negative the
     two have changed places. Between two polygons random levels have both signs, but every wheel of theirs, and of the
     public levels, has a positive speed: what drives a wheel by a negative one is driven the wrong way by a policy that
-    never saw one. So where all wheels of a colour have negative speeds, all motors of the colour get the other sign:
+    never saw one. A wheel is a circle that a revolute joint with such a motor holds to a polygon, walls included. So
+    where all wheels of a colour have negative speeds, all motors of the colour get the other sign:
     the same level, whose actions forward and backward of this colour have changed places.
     """
     joints = level.scene.joints
@@ -61,6 +60,14 @@ def turned_colours(level: Level) -> Array:
     other_way = (of_colour & is_wheel & (joints.motor_speed >= 0)).any(axis=1)
     other_drive = (of_colour & obeys & ~joints.is_drive(JointDrive.VELOCITY)).any(axis=1)
     return has_wheel & ~other_way & ~other_drive
+
+
+def turn_round(level: Level, colours: Array) -> Level:
+    """The level with the other sign of the speeds of all motors that obey these colours ([4] bool)."""
+    joints = level.scene.joints
+    is_turned = _obeys(level) & jnp.asarray(colours)[level.motor_colour]
+    speed = jnp.where(is_turned, negative(joints.motor_speed), joints.motor_speed)
+    return dataclasses.replace(level, scene=level.scene.replace(joints={"motor_speed": speed}))
 
 
 def _obeys(level: Level) -> Array:

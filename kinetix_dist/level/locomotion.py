@@ -11,7 +11,7 @@ works inside jit and vmap; sizes are those at which motors and jets of these pow
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -52,10 +52,12 @@ def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorC
 
     Raises ValueError where there is room for none of them.
     """
-    kinds = [kind for kind in config.locomotion_kinds if _KINDS[kind].fits(capacity)]
+    kinds = fitting_kinds(config.locomotion_kinds, capacity)
     if not kinds:
+        of = f"{capacity.polygons} polygons, {capacity.circles} circles, {capacity.joints} joints"
         raise ValueError(
-            f"no kind of locomotion_kinds {config.locomotion_kinds} fits {capacity}; use a larger size or other kinds"
+            f"no kind of locomotion_kinds {', '.join(config.locomotion_kinds)} has room in {of} and "
+            f"{capacity.thrusters} thrusters; use a larger size or other kinds"
         )
     kind_key, *keys = jax.random.split(key, 1 + len(kinds))
     drafts = [_draw(kind_of, one, capacity, config) for kind_of, one in zip((_KINDS[k] for k in kinds), keys)]
@@ -63,6 +65,11 @@ def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorC
     draft = jax.tree.map(lambda *columns: jnp.stack(columns)[chosen], *drafts)
     order = jax.random.uniform(jax.random.fold_in(kind_key, 1), (num_permutation_draws(draft),))
     return derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
+
+
+def fitting_kinds(kinds: Sequence[str], capacity: Capacity) -> list[str]:
+    """Those for which there is room."""
+    return [kind for kind in kinds if _KINDS[kind].fits(capacity)]
 
 
 def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) -> Draft:

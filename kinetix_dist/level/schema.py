@@ -15,10 +15,11 @@ import math
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from jax2d.scene import Capacity
-from kinetix_dist.level.canonical import in_order, turned_colours
+from kinetix_dist.level.canonical import in_order, turn_round, turned_colours
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo, dump_document, level_to_json
 from kinetix_dist.level.fit import capacity_of_size
@@ -30,6 +31,7 @@ from kinetix_dist.level.walls import WALL_NAMES, empty_level, pad_vertices
 __all__ = [
     "LevelFormatError",
     "LevelInfo",
+    "level_as_written",
     "level_from_json",
     "level_to_json",
     "load_level",
@@ -78,6 +80,13 @@ def turned_colours_of(document: Any) -> np.ndarray:
     level, _ = _assemble(document, capacity_of_size(document["size"]))
     joints = in_order(level.scene.joints)
     return np.asarray(turned_colours(dataclasses.replace(level, scene=level.scene.replace(joints=joints))))
+
+
+def level_as_written(document: Any) -> Level:
+    """The level of a valid document with the signs of its motors as they are in it: that of actions which were recorded
+    with them."""
+    level = level_from_json(document)
+    return jax.tree.map(np.asarray, turn_round(level, turned_colours_of(document)))
 
 
 def document_info(document: dict[str, Any]) -> LevelInfo:

@@ -16,7 +16,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Array
+from jax2d.scene import Array, JointKind
 from kinetix_dist.level.connections import connections
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.level import NUM_WALLS, Level
@@ -40,7 +40,7 @@ def vary(key: Array, level: Level, share: float) -> Level:
     coin, *coins = jax.random.uniform(keys[0], (10,))
     motor, thruster, heavy, rough, moving, pulled, held, red, hung = (each < 0.5 for each in coins)
     levelwide = jax.random.uniform(keys[1], (4,))
-    wall = jnp.floor(levelwide[3] * NUM_WALLS).astype(jnp.int32)
+    wall = 1 + jnp.floor(levelwide[3] * (NUM_WALLS - 1)).astype(jnp.int32)  # not the floor, on which it could lie
     level = jax.tree.map(lambda new, old: jnp.where(hung, new, old), _hung_on_wall(level, wall), level)
     scene = level.scene
     shapes, joints, thrusters = scene.shapes, scene.joints, scene.thrusters
@@ -54,9 +54,10 @@ def vary(key: Array, level: Level, share: float) -> Level:
     density = shapes.density * jnp.where(heavy & exists & ~is_fixed, _log_uniform(of_shape[0], DENSITY), 1.0)
     friction = jnp.where(rough & exists, _uniform(of_shape[1], FRICTION), shapes.friction)
 
-    # A goal that stays where it is; shapes besides the floor that must not be touched.
+    # A goal that stays where it is, if green does not; shapes besides the floor that must not be touched.
     _, is_one_body = connections(joints.a, joints.b, joints.active, num_shapes)
     is_alone = (is_one_body.sum(axis=1) == 1) & ~_is_pushed(level)
+    held = held & ~(is_fixed & (level.shape_role == Role.GREEN)).any()
     is_fixed = is_fixed | (held & exists & is_alone & (level.shape_role == Role.BLUE))
     is_spare = is_fixed & (level.shape_role == Role.NONE) & (jnp.arange(num_shapes) >= NUM_WALLS)
     role = jnp.where(red & is_spare, Role.RED, level.shape_role).astype(level.shape_role.dtype)
@@ -106,6 +107,7 @@ def _hung_on_wall(level: Level, wall: Array) -> Level:
         "anchor_a": jnp.where(by_a[:, None], of_wall(joints.anchor_a), joints.anchor_a),
         "anchor_b": jnp.where(by_b[:, None], of_wall(joints.anchor_b), joints.anchor_b),
         "rest_angle": joints.rest_angle + jnp.where(by_a, angle, 0.0) - jnp.where(by_b, angle, 0.0),
+        "axis_angle": joints.axis_angle + jnp.where(by_a & joints.is_kind(JointKind.PRISMATIC), angle, 0.0),
     }
     is_gone = has_hub & (slots == hub)
     return dataclasses.replace(

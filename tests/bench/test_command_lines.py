@@ -121,6 +121,8 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (scoring.main, ["nosuch"], "nosuch is not a directory; give a run directory"),
         (scoring.main, ["nosuch", "--measure", "1"], "--measure is 1; give 2 or more attempts"),
         (smoke.main, ["--updates", "1"], "--updates is 1; the first one is not timed, so give 2 or more"),
+        (smoke.main, ["--options", "rollout.num_envs=32"], "--options has 'rollout.num_envs=32'"),
+        (smoke.main, ["--options", "run.seed"], "--options has 'run.seed'; give NAME=VALUE"),
         (smoke.main, ["--keep", "."], ". exists; name a new directory"),
         (smoke.main, ["--recipe", "tinny"], "unknown recipe 'tinny'; did you mean 'tiny'?"),
         (kernel_profile.main, ["--worlds", "33"], "--worlds is 33; give a multiple of 32"),

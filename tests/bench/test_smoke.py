@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from bench import smoke
+from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 
 
 @pytest.mark.slow
@@ -27,32 +31,48 @@ def test_a_run_on_ray_is_trained_resumed_and_evaluated(tmp_path: Path, monkeypat
 
 
 class _Said(smoke.Smoke):
-    """Commands are not run: what they would have left is given."""
+    """Commands are not run: the metrics that they would have left are written, as a run writes them."""
 
-    def __init__(self, rows: list[dict[str, Any]], tmp_path: Path) -> None:
+    def __init__(self, updates: list[int], loss: float, tmp_path: Path) -> None:
         super().__init__(tmp_path, argparse.Namespace(updates=2))
-        self.rows = rows
+        self.updates, self.loss = updates, loss
 
     def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
+        (self.run / "metrics").mkdir(parents=True)
+        sink = JsonlSink(self.run / "metrics" / "metrics.jsonl")
+        for update in self.updates:
+            sink.write(update, {"progress/env_steps_per_second": 10.0, "learner/policy_loss": self.loss})
+        sink.close()
         return {"command": name, "wrong": []}
-
-    def _rows(self) -> list[dict[str, Any]]:
-        return self.rows
 
 
 @pytest.mark.parametrize(
     ("updates", "loss", "says"),
     [
-        ([1.0, 2.0], 0.5, None),
-        ([1.0], 0.5, "metrics are of updates [1.0], 1 to 2 were to be made"),
-        ([1.0, 1.0], 0.5, "metrics are of updates [1.0, 1.0], 1 to 2 were to be made"),
-        ([1.0, 2.0], float("nan"), "loss of update 1 is not finite"),
+        ([1, 2], 0.5, None),
+        ([1], 0.5, "metrics are of updates [1], 1 to 2 were to be made"),
+        ([1, 1], 0.5, "metrics are of updates [1, 1], 1 to 2 were to be made"),
+        ([1, 2], float("nan"), "learner/policy_loss of update 1 is not finite"),
+        ([1, 2], float("inf"), "learner/policy_loss of update 1 is not finite"),
     ],
 )
-def test_what_a_run_leaves_out_is_wrong(updates: list[float], loss: float, says: str | None, tmp_path: Path) -> None:
-    rows = [{"progress/updates": u, "progress/env_steps_per_second": 10.0, "loss": loss} for u in updates]
-    wrong = _Said(rows, tmp_path)._train("train", [], 1)["wrong"]
+def test_what_a_run_leaves_out_is_wrong(updates: list[int], loss: float, says: str | None, tmp_path: Path) -> None:
+    wrong = _Said(updates, loss, tmp_path)._train("train", [], 1)["wrong"]
     assert wrong[:1] == ([says] if says else [])
+
+
+def test_a_command_that_hears_nothing_is_ended_with_what_it_started(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(smoke, "GRACE_S", 0.5)
+    child = "import subprocess, sys; print(subprocess.Popen(['sleep', '60']).pid, flush=True); "
+    deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
+    process = subprocess.Popen([sys.executable, "-c", child + deaf], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    pid, began = int(process.stdout.readline()), time.monotonic()
+    time.sleep(0.3)  # until it is deaf
+    assert smoke._end(process)
+    assert time.monotonic() - began < 10 and process.returncode == -9
+    assert not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    assert not smoke._end(process)  # it is over
 
 
 def test_a_command_that_fails_is_wrong_with_its_last_words(tmp_path: Path) -> None:

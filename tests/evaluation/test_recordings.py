@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -14,6 +15,8 @@ from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import decode_level, encode_level, read_rollouts, record_rollouts
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.schema import load_level
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.sinks.mcap import McapSink
 from tests.level.random_levels import random_levels
@@ -88,3 +91,13 @@ def test_every_random_level_survives_its_text(size: str) -> None:
             ours, theirs = getattr(decoded.scene, part).active, getattr(level.scene, part).active
             assert ours.shape == theirs.shape
             assert ours.sum() == theirs.sum()
+
+
+def test_a_level_that_was_recorded_with_a_negative_wheel_is_read_as_it_was_played() -> None:
+    """Of a recording made when levels were not turned round: its actions belong to these signs."""
+    level, _ = load_level(levels_root() / "s" / "drag_cart.json")
+    scene = level.scene.replace(joints={"motor_speed": -level.scene.joints.motor_speed})
+    before = dataclasses.replace(level, scene=scene)
+    decoded = decode_level(encode_level(before, "drag_cart", "s"))
+    np.testing.assert_array_equal(decoded.scene.joints.motor_speed, before.scene.joints.motor_speed)
+    assert decoded.scene.joints.motor_speed[0] < 0

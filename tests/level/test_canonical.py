@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 
 from jax2d.engine import Engine
-from jax2d.scene import Capacity, Controls, JointKind, Joints, capacity_of, stack_worlds
+from jax2d.scene import Capacity, Controls, JointDrive, JointKind, Joints, capacity_of, stack_worlds
 from kinetix_dist.env.observations.entities import EntityObs, dynamic_obs, observe, static_obs
 from kinetix_dist.env.observations.observation import Moving
-from kinetix_dist.level.canonical import canonical, canonical_corners, swap_ends
+from kinetix_dist.level.canonical import canonical, canonical_corners, swap_ends, turned_colours
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.schema import level_from_json, level_to_json, turned_colours_of
+from kinetix_dist.level.schema import level_as_written, level_from_json, level_to_json, turned_colours_of
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.walls import WALL_NAMES, empty_level
 from tests.level.one_level_four_ways import BOX, by_file, by_generator, by_hand, by_public_file
@@ -143,13 +143,19 @@ def test_a_level_is_seen_alike_whoever_made_it(kind: JointKind) -> None:
 
 
 def vehicle(*motors: dict[str, Any], second: str = "circle") -> dict[str, Any]:
-    """A bar with a wheel for each motor, the last of which may be a box instead."""
+    """A bar with a wheel for each motor, the last of which may be a box instead, or a circle that slides."""
     wheels = [
         {"id": f"wheel_{k}", "type": "circle", "radius": 0.2, "position": [1.5 + 0.9 * k, 0.6]}
         for k in range(len(motors))
     ]
     if second == "box":
         wheels[-1] = {"id": wheels[-1]["id"], "type": "box", "width": 0.6, "height": 0.1, "position": [2.4, 0.9]}
+    joints = [
+        {"type": "revolute", "a": "bar", "b": wheel["id"], "anchor": wheel["position"], "motor": motor}
+        for wheel, motor in zip(wheels, motors, strict=True)
+    ]
+    if second == "slider":
+        joints[-1] |= {"type": "prismatic", "axis": 0.3}
     return {
         "format": "kinetix-dist-level",
         "version": 1,
@@ -160,10 +166,7 @@ def vehicle(*motors: dict[str, Any], second: str = "circle") -> dict[str, Any]:
             *wheels,
             {"id": "goal", "type": "circle", "radius": 0.3, "position": [4.5, 0.75], "role": "blue", "fixed": True},
         ],
-        "joints": [
-            {"type": "revolute", "a": "bar", "b": wheel["id"], "anchor": wheel["position"], "motor": motor}
-            for wheel, motor in zip(wheels, motors, strict=True)
-        ],
+        "joints": joints,
     }
 
 
@@ -186,6 +189,7 @@ def motor(speed: float, colour: int = 0, **more: Any) -> dict[str, Any]:
         ([motor(1.0), motor(-2.0)], "box", [1.0, -2.0], []),
         ([motor(1.0), motor(-2.0, 2)], "box", [1.0, -2.0], []),  # a hinge of polygons has either sign at random too
         ([motor(0.0), motor(-1.0)], "circle", [0.0, -1.0], []),
+        ([motor(1.0), motor(-2.0)], "slider", [1.0, -2.0], []),  # a circle that slides is no wheel
     ],
 )
 def test_wheels_of_a_colour_have_positive_speeds(
@@ -195,6 +199,32 @@ def test_wheels_of_a_colour_have_positive_speeds(
     level = level_from_json(document)
     np.testing.assert_array_equal(level.scene.joints.motor_speed[: len(speeds)], np.float32(speeds))
     np.testing.assert_array_equal(np.flatnonzero(turned_colours_of(document)), turned)
+
+
+def test_a_wheel_that_a_file_calls_a_is_one_too() -> None:
+    document = vehicle(motor(1.0))
+    document["joints"][0] |= {"a": "wheel_0", "b": "bar"}  # the bar against the wheel
+    np.testing.assert_array_equal(np.flatnonzero(turned_colours_of(document)), [0])
+    np.testing.assert_array_equal(level_from_json(document).scene.joints.motor_speed[0], np.float32(1.0))
+    document["joints"][0]["motor"]["speed"] = -1.0
+    assert not turned_colours_of(document).any()
+    np.testing.assert_array_equal(level_from_json(document).scene.joints.motor_speed[0], np.float32(1.0))
+
+
+def test_a_colour_with_a_motor_of_another_drive_is_left_alone() -> None:
+    """What a servo does by forward and by backward is not for a sign to say."""
+    level = level_from_json(vehicle(motor(1.0), motor(2.0)))
+    backward = level.scene.replace(joints={"motor_speed": -level.scene.joints.motor_speed})
+    assert turned_colours(dataclasses.replace(level, scene=backward)).any()
+    drives = np.array([JointDrive.VELOCITY, JointDrive.SERVO], np.int32)
+    assert not turned_colours(dataclasses.replace(level, scene=backward.replace(joints={"drive": drives}))).any()
+
+
+def test_a_level_as_it_was_written_has_the_signs_of_the_file() -> None:
+    document = vehicle(motor(-1.0), motor(-2.0, 3))
+    np.testing.assert_array_equal(level_as_written(document).scene.joints.motor_speed[:2], np.float32([-1.0, -2.0]))
+    document = vehicle(motor(1.0), motor(-2.0), second="box")
+    np.testing.assert_array_equal(level_as_written(document).scene.joints.motor_speed[:2], np.float32([1.0, -2.0]))
 
 
 def test_a_level_that_is_turned_round_is_driven_by_the_other_actions_bit_for_bit() -> None:

@@ -95,7 +95,7 @@ def test_each_change_is_made_to_half_of_the_levels_within_its_limits() -> None:
 def test_what_hangs_on_a_wall_moves_as_on_the_disc_before() -> None:
     """The engine is asked: arms of four links with all motors on."""
     arms = levels_of("l", 0.0, "arm")
-    walls = jax.numpy.arange(NUM_LEVELS) % NUM_WALLS
+    walls = 1 + jax.numpy.arange(NUM_LEVELS) % (NUM_WALLS - 1)
     hung = jax.jit(jax.vmap(lambda level, wall: derived(_hung_on_wall(level, wall))))(arms, walls)
     hung = jax.tree.map(np.asarray, hung)
     capacity = SIZES["l"]
@@ -112,6 +112,45 @@ def test_what_hangs_on_a_wall_moves_as_on_the_disc_before() -> None:
     moved = np.abs(states[0].position - arms.position).max(axis=-1) * there
     assert np.quantile(moved.max(axis=1), 0.1) > 0.1
     assert np.quantile(off.max(axis=1), 0.9) < 2e-3  # rounding of anchors in the frame of a wall; contacts are chaotic
+
+
+def test_what_is_hung_is_held_at_the_same_points_and_angles_and_pushes_on_nothing_that_is_gone() -> None:
+    """By each joint's own numbers, in the frames of shapes that are turned."""
+    plain, varied = levels_of("l", 0.0), levels_of("l", 1.0)
+    joints, thrusters = varied.scene.joints, varied.scene.thrusters
+    is_gone = plain.scene.shapes.active & ~varied.scene.shapes.active
+    is_hung = np.zeros(NUM_LEVELS, bool)
+    row = np.arange(NUM_LEVELS)
+    for joint in range(joints.active.shape[1]):
+        seen = []
+        for levels in (plain, varied):
+            now = levels.scene.joints
+            a, b = now.a[:, joint], now.b[:, joint]
+            ends = [
+                point_of(levels, row, a, now.anchor_a[:, joint]),
+                point_of(levels, row, b, now.anchor_b[:, joint]),
+            ]
+            # What the angle of b against a is off the angle that limits count from, whichever end is called a.
+            off = levels.angle[row, b] - levels.angle[row, a] - now.rest_angle[:, joint]
+            seen.append((np.stack(ends).mean(axis=0), np.abs(np.angle(np.exp(1j * off)))))
+        exists = joints.active[:, joint]
+        assert np.abs(seen[0][0] - seen[1][0])[exists].max() < 1e-4
+        assert np.abs(seen[0][1] - seen[1][1])[exists].max() < 1e-3
+        to_wall = exists & (np.minimum(joints.a[:, joint], joints.b[:, joint]) < NUM_WALLS)
+        is_hung |= to_wall
+    assert 0.02 < is_hung.mean() < 0.3 and (is_hung == is_gone.any(axis=1)).all()
+    turned = np.abs(np.sin(2 * plain.angle[is_gone])) > 0.1
+    assert turned.any()
+    for world, thruster in np.argwhere(thrusters.active):
+        assert varied.scene.shapes.active[world, thrusters.body[world, thruster]]
+
+
+def point_of(levels: Level, row: np.ndarray, shape: np.ndarray, anchor: np.ndarray) -> np.ndarray:
+    """[n, 2] in the world."""
+    angle, position = levels.angle[row, shape], levels.position[row, shape]
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = anchor[:, 0], anchor[:, 1]
+    return position + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def derived(level: Level) -> Level:

@@ -19,6 +19,12 @@ def assert_valid(level: Level, capacity: Capacity, *, max_red: int = 1) -> None:
     for role, most, least in ((Role.GREEN, 1, 1), (Role.BLUE, 1, 1), (Role.RED, max_red, 0)):
         count = (scene.shapes.active & (level.shape_role == role)).sum(axis=1)
         assert least <= count.min() and count.max() <= most
+    # Green can touch blue, else no level could be solved.
+    row = np.arange(num_levels)
+    green, blue = (
+        np.argmax(scene.shapes.active & (level.shape_role == role), axis=1) for role in (Role.GREEN, Role.BLUE)
+    )
+    assert scene.shapes.can_touch[row, green, blue].all()
     of = np.arange(num_levels)[:, None]
     assert (scene.shapes.active[of, joints.a] | ~joints.active).all()
     assert (scene.shapes.active[of, joints.b] | ~joints.active).all()

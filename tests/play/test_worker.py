@@ -97,6 +97,20 @@ def test_keys_of_a_stored_proof_solve_its_level_bit_for_bit(worker: Client) -> N
     close(worker, session)
 
 
+def test_keys_drive_a_level_as_its_file_says_where_the_level_is_turned_round(worker: Client) -> None:
+    """drag_cart has a negative speed: forward is to the right, in its level backward is."""
+    bar = document("s/drag_cart")["shapes"][0]["position"][0]
+    for action, way in ((1, 1), (2, -1)):
+        session = opened(worker, level={"document": document("s/drag_cart")})
+        worker.tell("play.input", session=session["session"], seq=1, action=[action, 0, 0, 0, 0, 0])
+        worker.ask("play.control", session=session["session"], do="step", steps=8)
+        while (frame := worker.frame(session["sizes"])).step < 8:
+            pass
+        x = frame.poses[:, 0]
+        assert np.sign(x[np.argmin(np.abs(level("s/drag_cart").position[:, 0] - bar))] - bar) == way
+        close(worker, session)
+
+
 def test_a_session_says_what_drives_what_and_how_it_is_stepped(worker: Client, tmp_path: Path) -> None:
     config = json.loads((data_directory("pretrained") / "generalist" / "checkpoint.json").read_text())["config"]
     config["env"] |= {"frame_skip": 4, "max_steps": 99}

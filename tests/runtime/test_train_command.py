@@ -401,6 +401,21 @@ def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
 def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
     assert "unknown preset 'good'; known presets: draft, fine" in _refusal(capsys, "--env.preset", "good")
     assert "unknown generator 'good'; generators are default" in _refusal(capsys, "--curriculum.generator", "good")
+
+
+@pytest.mark.parametrize(
+    ("options", "size", "kinds"),
+    [
+        (("--curriculum.generator", "runner"), "s", "unicycle, arm, or"),
+        (("--env.size", "m", "--curriculum.generator", "runner"), "m", "snake, cartpole"),
+        (("--env.size", "l", "--curriculum.generator", "car", "--curriculum.sizes", "s", "1", "l", "1"), "s", "arm"),
+    ],
+)
+def test_a_kind_of_levels_that_a_size_has_no_room_for(capsys, options, size, kinds):
+    said = _refusal(capsys, *options)
+    assert f"levels of size '{size}' have room for none; add one of " in said and kinds in said
+    # Where there is room, whatever comes first on the command line.
+    parse(["--recipe", "tiny", "--curriculum.generator", "runner", "--env.size", "l"])
     assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
     line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")
     assert "environments are stepped by the kernel: use 1 and ()" in line
