@@ -28,8 +28,11 @@ from kinetix_dist.level.select import select_first
 SEAM_TOLERANCE_RAD = 1e-4  # a corner at angle 0 is computed at up to some 1e-5 rad to either side of it in float32
 
 
-def canonical(level: Level) -> Level:
-    """The same level (one, not a batch) in the form above. Corners must run counter-clockwise."""
+def canonical(level: Level, is_fixed: Array) -> Level:
+    """The same level (one, not a batch) in the form above. Corners must run counter-clockwise.
+
+    is_fixed [n] bool: shapes that never move.
+    """
     shapes, joints = level.scene.shapes, level.scene.joints
     num_polygons = shapes.num_vertices.shape[0]
     vertices = jax.vmap(canonical_corners)(jnp.asarray(shapes.vertices), jnp.asarray(shapes.num_vertices))
@@ -38,23 +41,25 @@ def canonical(level: Level) -> Level:
     ordered = dataclasses.replace(ordered, axis_angle=_wrapped(ordered.axis_angle))
     scene = level.scene.replace(shapes={"vertices": jnp.where(is_polygon, vertices, shapes.vertices)}, joints=ordered)
     level = dataclasses.replace(level, scene=scene)
-    return turn_round(level, turned_colours(level))
+    return turn_round(level, turned_colours(level, is_fixed))
 
 
-def turned_colours(level: Level) -> Array:
+def turned_colours(level: Level, is_fixed: Array) -> Array:
     """`[4]` bool: motor colours that `canonical` turns round, of a level whose ends of joints are in order.
 
     Whether forward or backward is the way to the goal is for who acts to find out, and where a speed is negative the
-    two have changed places. Between two polygons random levels have both signs, but every wheel of theirs, and of the
-    public levels, has a positive speed: what drives a wheel by a negative one is driven the wrong way by a policy that
-    never saw one. A wheel is a circle that a revolute joint with such a motor holds to a polygon, walls included. So
-    where all wheels of a colour have negative speeds, all motors of the colour get the other sign:
-    the same level, whose actions forward and backward of this colour have changed places.
+    two have changed places. Between two polygons random levels have both signs, and about hubs levels with arms do; but
+    every wheel of theirs, and of the public levels, has a positive speed: what drives a wheel by a negative one is
+    driven the wrong way by a policy that never saw one. A wheel is a circle that moves and that a revolute joint with a
+    motor that obeys the colour holds to a polygon. So where all wheels of a colour have negative speeds, all motors of
+    the colour get the other sign: the same level, whose actions forward and backward of this colour have changed
+    places.
     """
     joints = level.scene.joints
     num_polygons = level.scene.shapes.num_vertices.shape[0]
     obeys = _obeys(level)
     is_wheel = obeys & joints.is_kind(JointKind.REVOLUTE) & (joints.a < num_polygons) & (joints.b >= num_polygons)
+    is_wheel = is_wheel & ~jnp.asarray(is_fixed)[joints.b]
     of_colour = jnp.asarray(level.motor_colour)[None, :] == jnp.arange(NUM_MOTOR_COLOURS)[:, None]  # [4, J]
     has_wheel = (of_colour & is_wheel).any(axis=1)
     other_way = (of_colour & is_wheel & (joints.motor_speed >= 0)).any(axis=1)

@@ -78,7 +78,7 @@ def derive(level: Level, is_fixed: Array) -> Level:
     Vertices must be about the centre of mass. `is_fixed` [n] bool: shapes that never move, with zero inverse mass and
     inertia. Inactive shapes get zeros too.
     """
-    level = canonical(level)
+    level = canonical(level, is_fixed)
     scene = level.scene
     num_polygons = scene.shapes.num_vertices.shape[0]
     polygon_mass, _, polygon_inertia = jax.vmap(polygon_mass_properties)(
@@ -109,7 +109,7 @@ def derive(level: Level, is_fixed: Array) -> Level:
 @jax.jit
 def _centre_and_derive(level: Level, is_fixed: Array) -> Level:
     # In canonical order before the centroid is computed, whose rounding depends on the first corner.
-    return derive(centre_on_mass(canonical(level)), is_fixed)
+    return derive(centre_on_mass(canonical(level, is_fixed)), is_fixed)
 
 
 def complete(level: Level, is_fixed: np.ndarray) -> Level:

@@ -52,6 +52,7 @@ def mirrored(level: Level) -> Level:
         },
     )
     position = jnp.stack([WORLD_SIZE_M - level.position[:, 0], level.position[:, 1]], axis=-1)
+    is_fixed = jnp.asarray(shapes.active) & (shapes.inverse_mass == 0)
     return canonical(
         dataclasses.replace(
             level,
@@ -60,7 +61,8 @@ def mirrored(level: Level) -> Level:
             angle=select_first(is_mirrored, negative(level.angle), level.angle),
             velocity=select_first(is_mirrored, flip(level.velocity), level.velocity),
             angular_velocity=select_first(is_mirrored, negative(level.angular_velocity), level.angular_velocity),
-        )
+        ),
+        is_fixed,
     )
 
 

@@ -77,9 +77,9 @@ def level_from_json(document: Any, size: str | Capacity | None = None) -> Level:
 def turned_colours_of(document: Any) -> np.ndarray:
     """[4] bool: motor colours of a valid document whose actions forward and backward have changed places in its level,
     see `canonical.turned_colours`."""
-    level, _ = _assemble(document, capacity_of_size(document["size"]))
+    level, is_fixed = _assemble(document, capacity_of_size(document["size"]))
     joints = in_order(level.scene.joints)
-    return np.asarray(turned_colours(dataclasses.replace(level, scene=level.scene.replace(joints=joints))))
+    return np.asarray(turned_colours(dataclasses.replace(level, scene=level.scene.replace(joints=joints)), is_fixed))
 
 
 def level_as_written(document: Any) -> Level:

@@ -44,6 +44,10 @@ def observe_start(levels: Level) -> EntityObs:
     )
 
 
+def fixed(level: Level) -> np.ndarray:
+    return np.asarray(level.scene.shapes.active) & (np.asarray(level.scene.shapes.inverse_mass) == 0)
+
+
 # Corners and ends
 
 
@@ -75,7 +79,8 @@ def test_corners_are_counted_about_the_centroid_and_unused_slots_repeat_the_last
 
 def test_walls_are_in_canonical_form() -> None:
     level = empty_level(SIZES["s"])
-    np.testing.assert_array_equal(canonical(level).scene.shapes.vertices, level.scene.shapes.vertices)
+    found = canonical(level, np.asarray(level.scene.shapes.active))
+    np.testing.assert_array_equal(found.scene.shapes.vertices, level.scene.shapes.vertices)
 
 
 @pytest.mark.parametrize("kind", JointKind)
@@ -143,13 +148,15 @@ def test_a_level_is_seen_alike_whoever_made_it(kind: JointKind) -> None:
 
 
 def vehicle(*motors: dict[str, Any], second: str = "circle") -> dict[str, Any]:
-    """A bar with a wheel for each motor, the last of which may be a box instead, or a circle that slides."""
+    """A bar with a wheel for each motor, the last of which may be a box instead, slide or be fixed."""
     wheels = [
         {"id": f"wheel_{k}", "type": "circle", "radius": 0.2, "position": [1.5 + 0.9 * k, 0.6]}
         for k in range(len(motors))
     ]
     if second == "box":
         wheels[-1] = {"id": wheels[-1]["id"], "type": "box", "width": 0.6, "height": 0.1, "position": [2.4, 0.9]}
+    if second == "hub":
+        wheels[-1]["fixed"] = True
     joints = [
         {"type": "revolute", "a": "bar", "b": wheel["id"], "anchor": wheel["position"], "motor": motor}
         for wheel, motor in zip(wheels, motors, strict=True)
@@ -190,6 +197,8 @@ def motor(speed: float, colour: int = 0, **more: Any) -> dict[str, Any]:
         ([motor(1.0), motor(-2.0, 2)], "box", [1.0, -2.0], []),  # a hinge of polygons has either sign at random too
         ([motor(0.0), motor(-1.0)], "circle", [0.0, -1.0], []),
         ([motor(1.0), motor(-2.0)], "slider", [1.0, -2.0], []),  # a circle that slides is no wheel
+        ([motor(-1.0), motor(2.0)], "hub", [1.0, -2.0], [0]),  # nor is one that stays where it is
+        ([motor(1.0), motor(-2.0, 1)], "hub", [1.0, -2.0], []),
     ],
 )
 def test_wheels_of_a_colour_have_positive_speeds(
@@ -215,9 +224,10 @@ def test_a_colour_with_a_motor_of_another_drive_is_left_alone() -> None:
     """What a servo does by forward and by backward is not for a sign to say."""
     level = level_from_json(vehicle(motor(1.0), motor(2.0)))
     backward = level.scene.replace(joints={"motor_speed": -level.scene.joints.motor_speed})
-    assert turned_colours(dataclasses.replace(level, scene=backward)).any()
+    assert turned_colours(dataclasses.replace(level, scene=backward), fixed(level)).any()
     drives = np.array([JointDrive.VELOCITY, JointDrive.SERVO], np.int32)
-    assert not turned_colours(dataclasses.replace(level, scene=backward.replace(joints={"drive": drives}))).any()
+    with_servo = dataclasses.replace(level, scene=backward.replace(joints={"drive": drives}))
+    assert not turned_colours(with_servo, fixed(level)).any()
 
 
 def test_a_level_as_it_was_written_has_the_signs_of_the_file() -> None:
@@ -250,10 +260,9 @@ def test_a_level_that_is_turned_round_is_driven_by_the_other_actions_bit_for_bit
 def test_wheels_of_random_levels_and_of_designed_ones_have_one_sign(size: str) -> None:
     designed, _ = load_level_set(f"all_designed_{size}", size)
     for levels in (designed, stack_worlds(levels_of(size))):
-        joints = levels.scene.joints
-        is_wheel = (
-            joints.active & joints.motor_on & (joints.a < SIZES[size].polygons) & (joints.b >= SIZES[size].polygons)
-        )
+        joints, polygons = levels.scene.joints, SIZES[size].polygons
+        is_wheel = joints.active & joints.motor_on & (joints.a < polygons) & (joints.b >= polygons)
+        is_wheel &= np.take_along_axis(np.asarray(levels.scene.shapes.inverse_mass), np.asarray(joints.b), axis=1) > 0
         assert is_wheel.sum() > 2 and (joints.motor_speed[is_wheel & ~levels.motor_auto] > 0).all()
 
 
@@ -306,7 +315,7 @@ def test_no_bit_depends_on_first_corners_and_ends(size: str) -> None:
 def test_levels_of_the_generator_are_canonical_as_they_come(size: str) -> None:
     again = jax.jit(canonical)
     for level in levels_of(size):
-        for leaf, other in zip(jax.tree.leaves(level), jax.tree.leaves(again(level)), strict=True):
+        for leaf, other in zip(jax.tree.leaves(level), jax.tree.leaves(again(level, fixed(level))), strict=True):
             np.testing.assert_array_equal(leaf, other)
 
 
@@ -400,7 +409,7 @@ def test_what_is_written_is_in_canonical_form_and_reads_back_as_it_was(file: obj
     document = level_to_json(level)
     again = level_from_json(document)
     assert level_to_json(again) == document
-    for leaf, other in zip(jax.tree.leaves(canonical(again)), jax.tree.leaves(again), strict=True):
+    for leaf, other in zip(jax.tree.leaves(canonical(again, fixed(again))), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(leaf, other)
 
 
@@ -434,5 +443,5 @@ def test_public_documents_are_written_in_canonical_form() -> None:
 
 def test_a_level_stays_canonical_in_another_size() -> None:
     level = fit_level(by_file(JointKind.FIXED), Capacity(polygons=9, circles=4, joints=3, thrusters=3, vertices=5))
-    for leaf, other in zip(jax.tree.leaves(canonical(level)), jax.tree.leaves(level), strict=True):
+    for leaf, other in zip(jax.tree.leaves(canonical(level, fixed(level))), jax.tree.leaves(level), strict=True):
         np.testing.assert_array_equal(leaf, other)

@@ -27,11 +27,12 @@ def levels():
 
 
 def colours_of_wheels(levels) -> np.ndarray:
-    """[n, 4] motor colours that drive a circle that is joined to a polygon."""
+    """[n, 4] motor colours that drive a circle that is joined to a polygon and moves."""
+    moves = np.asarray(levels.scene.shapes.inverse_mass) > 0
     joints, polygons = jax.device_get(levels.scene.joints), levels.scene.shapes.num_vertices.shape[1]
     found = np.zeros((len(levels.angle), 4), bool)
     for world, joint in np.argwhere(joints.active & joints.motor_on & ~np.asarray(levels.motor_auto)):
-        if joints.a[world, joint] < polygons <= joints.b[world, joint]:
+        if joints.a[world, joint] < polygons <= joints.b[world, joint] and moves[world, joints.b[world, joint]]:
             assert joints.motor_speed[world, joint] > 0
             found[world, levels.motor_colour[world, joint]] = True
     return found
