@@ -17,6 +17,8 @@ def designed_sets() -> dict[str, dict[str, Any]]:
 
 def designed_files(name: str) -> list[Path]:
     """Files of the designed level "hop_home" or "s/hop_home": none, one, or one in each size that has the name."""
+    if Path(name).is_absolute():  # not below the root, whatever it is joined to
+        return []
     sizes = sorted({entry["size"] for entry in designed_sets().values()})
     found = [levels_root() / f"{folder}{name}.json" for folder in ("", *(f"{size}/" for size in sizes))]
     return [file for file in found if file.is_file() and file.parent != levels_root()]

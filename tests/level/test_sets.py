@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import jax
@@ -143,3 +144,11 @@ def test_wrong_names_are_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("{}")
     with pytest.raises(LevelFormatError, match=r"a\.json: size: is missing"):
         load_level_set(str(tmp_path))
+
+
+def test_a_directory_is_not_the_file_beside_it_that_is_called_like_it(tmp_path: Path) -> None:
+    """Such as results of an evaluation of the directory."""
+    (tmp_path / "mine").mkdir()
+    shutil.copy(levels_root() / "s" / "kick.json", tmp_path / "mine")
+    (tmp_path / "mine.json").write_text("{}")
+    assert load_level_set(str(tmp_path / "mine"))[1] == ["kick"]
