@@ -38,7 +38,7 @@ def mutated(name: str) -> tuple[Level, np.ndarray]:
 @pytest.mark.parametrize("name", [*MUTATORS, "any"])
 def test_a_changed_level_is_valid(name: str):
     level, changed = mutated(name)
-    assert_valid(level, CAPACITY)
+    assert_valid(level, CAPACITY, may_touch=False)  # a mutator may fix green and blue
     assert changed.mean() > (0.05 if name in ("add_shape", "add_joined_shape") else 0.15)
 
 

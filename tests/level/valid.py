@@ -11,20 +11,19 @@ from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import empty_level
 
 
-def assert_valid(level: Level, capacity: Capacity, *, max_red: int = 1) -> None:
-    """level: a batch, numpy."""
+def assert_valid(level: Level, capacity: Capacity, *, max_red: int = 1, may_touch: bool = True) -> None:
+    """level: a batch, numpy. may_touch: green can touch blue, else a level could not be solved."""
     num_levels = len(level.position)
     scene, joints, thrusters = level.scene, level.scene.joints, level.scene.thrusters
     check_scene(scene, capacity, np.dtype(np.float32), batch=(num_levels,))
     for role, most, least in ((Role.GREEN, 1, 1), (Role.BLUE, 1, 1), (Role.RED, max_red, 0)):
         count = (scene.shapes.active & (level.shape_role == role)).sum(axis=1)
         assert least <= count.min() and count.max() <= most
-    # Green can touch blue, else no level could be solved.
     row = np.arange(num_levels)
     green, blue = (
         np.argmax(scene.shapes.active & (level.shape_role == role), axis=1) for role in (Role.GREEN, Role.BLUE)
     )
-    assert scene.shapes.can_touch[row, green, blue].all()
+    assert not may_touch or scene.shapes.can_touch[row, green, blue].all()
     of = np.arange(num_levels)[:, None]
     assert (scene.shapes.active[of, joints.a] | ~joints.active).all()
     assert (scene.shapes.active[of, joints.b] | ~joints.active).all()
