@@ -399,6 +399,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
             del kept["curriculum"][section]
     if not config.curriculum.sizes:  # hashes are those of versions without mixtures and phases
         del kept["curriculum"]["sizes"]
+    if not config.curriculum.generator.varied_share:  # and without other physics
+        del kept["curriculum"]["generator"]["varied_share"]
     if config.phases:
         kept["phases"] = [
             {name: value for name, value in phase.items() if value is not None} for phase in sections["phases"]

@@ -27,7 +27,8 @@ from kinetix_dist.env.observations.kinetix_entities import NUM_FEATURES
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
-from kinetix_dist.level.schema import load_level
+from kinetix_dist.level.schema import level_as_written
+from kinetix_dist.level.structure import read_document
 from kinetix_dist.models.kinetix_parameters import FeatureCounts, layout
 from kinetix_dist.models.policy import PolicyConfig
 from tests.helpers import REPOSITORY
@@ -77,7 +78,9 @@ def stored_answer() -> dict[str, np.ndarray]:
 
 
 def stored_levels() -> list[Level]:
-    return [fit_level(load_level(REPOSITORY / f"levels/m/{name}.json")[0], SIZES["m"]) for name in STORED_LEVELS]
+    """With the signs of their files, which the package was given."""
+    documents = [read_document(REPOSITORY / f"levels/m/{name}.json") for name in STORED_LEVELS]
+    return [fit_level(level_as_written(document), SIZES["m"]) for document in documents]
 
 
 def write_stored() -> None:

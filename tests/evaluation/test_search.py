@@ -79,12 +79,12 @@ def test_held_choices_are_held_between_two_and_64_steps_on_average() -> None:
 
 
 def test_polish_shortens_what_was_found_and_keeps_it_a_solution(env: Environment) -> None:
-    """Nothing for 20 steps, then forward."""
+    """Nothing for 20 steps, then to the right: backward, as every wheel has a positive speed."""
     level: Level = level_from_json(document_of("drag_cart"))
     worlds = Worlds(env, level, NUM_WORLDS)
     rng = np.random.default_rng(0)
     detour = np.zeros((240, 6), np.int32)
-    detour[20:] = worlds.actions[1]
+    detour[20:] = worlds.actions[2]
     played = worlds.episodes(np.repeat(np.pad(detour, ((0, 16), (0, 0)))[:, None], NUM_WORLDS, axis=1))
     length = int(played.solved_after[0])
     assert length > 20
