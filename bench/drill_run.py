@@ -41,6 +41,11 @@ OPTIONS = {  # on a CPU; on GPUs a run has one process a GPU
 }
 
 
+def python_path() -> str:
+    """Of a command that is to run this checkout."""
+    return os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
+
+
 class DrillError(Exception):
     """The run did not do what is waited for."""
 
@@ -70,8 +75,7 @@ class DrillRun:
             command += [*(OPTIONS[self.placement] if self.device == "cpu" else ()), *self.options]
         left_out = ("JAX_PLATFORMS", "XLA_PYTHON", "RAY_ADDRESS")
         environment = {name: value for name, value in os.environ.items() if not name.startswith(left_out)}
-        python_path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
-        environment["PYTHONPATH"] = python_path
+        environment["PYTHONPATH"] = python_path()
         if self.device == "cpu":
             environment["JAX_PLATFORMS"] = "cpu"
         with self.said_path.open("ab") as said:

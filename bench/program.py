@@ -25,15 +25,16 @@ def exit_code(parser: OneLineParser, work: Callable[[], int]) -> int:
         parser.error(str(error))
 
 
-def report_each(records: Iterable[Any], file: Path | None, *, text: Callable[[Any], str] = str) -> None:
-    """Prints each record as it comes, as `text` says it; `file` has all so far, so that what is cut short leaves what
-    it had measured."""
+def report_each(records: Iterable[Any], file: Path | None, *, text: Callable[[Any], str] = str) -> list[Any]:
+    """All records. Each is printed as it comes, as `text` says it; `file` has all so far, so that what is cut short
+    leaves what it had measured."""
     found = []
     for record in records:
         found.append(record)
         print(text(record), flush=True)
         if file is not None:
             file.write_text(json.dumps(found, indent=1) + "\n")
+    return found
 
 
 def output_file(text: str) -> Path:

@@ -192,14 +192,7 @@ def main() -> int:
 def run(options: argparse.Namespace) -> int:
     if options.repeats < 1 or options.settled < 1 or options.seconds <= 0:
         raise UserError("give --repeats 1 or more, --settled 1 or more and --seconds above 0")
-    records: list[dict[str, Any]] = []
-
-    def kept() -> Generator[dict[str, Any]]:
-        for record in measure(options):
-            records.append(record)
-            yield record
-
-    report_each(kept(), options.json)
+    records = report_each(measure(options), options.json)
     print(table(records), flush=True)
     return int(any(record.get("wrong") for record in records))
 

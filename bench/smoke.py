@@ -30,7 +30,7 @@ from typing import Any
 
 import psutil
 
-from bench.drill_run import REPOSITORY
+from bench.drill_run import python_path
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.config import ConfigError
 from kinetix_dist.errors import UserError
@@ -91,12 +91,11 @@ class Smoke:
     def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
         """num_rows: of metrics before; None: none are waited for."""
         command = [sys.executable, "-m", "kinetix_dist", *arguments]
-        python_path = os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
         began, first = time.monotonic(), None
         with (self.folder / f"{name}.log").open("w+") as said:
             process = subprocess.Popen(
                 command,
-                env=os.environ | {"PYTHONPATH": python_path},
+                env=os.environ | {"PYTHONPATH": python_path()},
                 stdin=subprocess.DEVNULL,
                 stdout=said,
                 stderr=subprocess.STDOUT,
@@ -191,14 +190,8 @@ def _smoke(args: argparse.Namespace) -> int:
 
 
 def _show(args: argparse.Namespace, folder: Path) -> int:
-    found: list[dict[str, Any]] = []
-
-    def kept() -> Iterator[dict[str, Any]]:
-        for record in Smoke(folder, args).records():
-            found.append(record)
-            yield record
-
-    report_each(kept(), args.json, text=lambda record: f"{record['command']}: {record['seconds']} s")
+    records = Smoke(folder, args).records()
+    found = report_each(records, args.json, text=lambda record: f"{record['command']}: {record['seconds']} s")
     print(f"\n{'command':<8} {'exit':>4} {'seconds':>8} {'first update':>13} {'env steps/s':>12}")
     for record in found:
         rate = record.get("env_steps_per_second") or ""

@@ -77,9 +77,13 @@ def level_from_json(document: Any, size: str | Capacity | None = None) -> Level:
 def turned_colours_of(document: Any) -> np.ndarray:
     """[4] bool: motor colours of a valid document whose actions forward and backward have changed places in its level,
     see `canonical.turned_colours`."""
-    level, is_fixed = _assemble(document, capacity_of_size(document["size"]))
-    joints = in_order(level.scene.joints)
-    return np.asarray(turned_colours(dataclasses.replace(level, scene=level.scene.replace(joints=joints)), is_fixed))
+    return np.asarray(_turned_colours(*_assemble(document, capacity_of_size(document["size"]))))
+
+
+@jax.jit
+def _turned_colours(level: Level, is_fixed: np.ndarray) -> jax.Array:
+    ordered = level.scene.replace(joints=in_order(level.scene.joints))
+    return turned_colours(dataclasses.replace(level, scene=ordered), is_fixed)
 
 
 def level_as_written(document: Any) -> Level:

@@ -20,7 +20,7 @@ from kinetix_dist.level.document import level_to_json
 from kinetix_dist.level.fit import capacity_of, fit_level, smallest_size
 from kinetix_dist.level.kinetix_format import import_kinetix, is_kinetix_document
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.schema import LevelInfo, document_info, level_from_json, turned_colours_of
+from kinetix_dist.level.schema import LevelInfo, document_info, level_from_json
 from kinetix_dist.play.wire import BAD_REQUEST, NOT_FOUND, RequestError
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, KINDS, SnapshotError, read_snapshot, snapshot_name
 from kinetix_dist.telemetry.recording import Recording, RecordingError, Rollout
@@ -38,7 +38,6 @@ class GivenLevel:
     info: LevelInfo
     document: dict[str, Any] | None = None  # where it came as one of ours
     is_exact: bool = True  # False: a state in the middle of a rollout, without its memory of contacts
-    turned_colours: np.ndarray | None = None  # [4] bool, `schema.turned_colours_of` its document; None: of none
 
 
 def level_of(given: Any) -> GivenLevel:
@@ -63,9 +62,7 @@ def level_of_document(document: Any) -> GivenLevel:
             level = import_kinetix(document)
             info = LevelInfo(name="public", size=smallest_size(level), source="public Kinetix level file")
             return GivenLevel(level=fit_level(level, SIZES[info.size]), info=info)
-        level = level_from_json(document)
-        turned = turned_colours_of(document)
-        return GivenLevel(level=level, info=document_info(document), document=document, turned_colours=turned)
+        return GivenLevel(level=level_from_json(document), info=document_info(document), document=document)
     except ValueError as error:  # LevelFormatError, LevelSizeError
         raise RequestError(BAD_REQUEST, one_line(error)) from error
 

@@ -13,6 +13,7 @@ import numpy as np
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.schema import turned_colours_of
 from kinetix_dist.play.actors import KEYS, env_of, policy_of
 from kinetix_dist.play.attempts import MAX_ATTEMPTS, Progress, play_attempts
 from kinetix_dist.play.level_requests import MAX_SEED, Answer, display_of
@@ -38,7 +39,8 @@ def open_session(request: Request, loop: SessionLoop) -> tuple[Session, dict[str
     number = loop.reserve()
     try:
         request.progress("compiling")
-        session = Session(number, env_config, given.level, seed=seed, turned_colours=given.turned_colours)
+        turned = None if given.document is None else turned_colours_of(given.document)
+        session = Session(number, env_config, given.level, seed=seed, turned_colours=turned)
         actor = policy.actor(env_config, given.level)
         session.warm_up(actor)
         session.set_actor(actor)

@@ -18,7 +18,7 @@ from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.proof import read_proof
-from kinetix_dist.level.schema import load_level
+from kinetix_dist.level.schema import load_level, turned_colours_of
 from kinetix_dist.play import frames, programs
 from kinetix_dist.play.actors import policy_of
 from kinetix_dist.play.attempts import Progress, play_attempts, steps_until_noop_solves
@@ -110,7 +110,7 @@ def test_a_person_drives_a_level_as_its_file_says_where_the_level_is_turned_roun
     """drag_cart has a negative speed, so that forward is to the right; its level has a positive one."""
     document = json.loads((levels_root() / "s" / "drag_cart.json").read_text())
     given = level_of({"document": document})
-    session = Session(1, CONFIG, given.level, seed=0, turned_colours=given.turned_colours)
+    session = Session(1, CONFIG, given.level, seed=0, turned_colours=turned_colours_of(document))
     bar = document["shapes"][0]["position"][0]
     slot = int(np.flatnonzero(np.isclose(given.level.position[:, 0], bar))[0])
     for action, way in ((1, 1), (2, -1)):

@@ -149,14 +149,13 @@ class Worker(LearnerWorker):
         while the process does what comes before it; where it has cores enough."""
         super().start(arrays)
         if ahead_of is not None and ahead.has_cores():
-            rollout = self._playing.rollout(self._enter_phase_of(ahead_of))
+            rollout, released = self._playing.rollout(self._enter_phase_of(ahead_of)), self.released()
             self._update_programs.begin(lambda: self._compile_update(rollout))
             if arrays is None and jax.process_index() == 0:  # a new run begins with evaluations, see `training_run.py`
-                params = self.released()
-                self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(params))
+                self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(released))
             has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
             if self._config.workers_curate and has_part:
-                released, version = self.released(), self._config.curriculum.next_refresh(ahead_of)
+                version = self._config.curriculum.next_refresh(ahead_of)
                 self._refresh_programs.begin(lambda: self._curator.compile_ahead(released, version))
 
     def _compile_update(self, rollout: RolloutCore) -> None:
