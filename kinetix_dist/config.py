@@ -401,6 +401,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
         del kept["curriculum"]["sizes"]
     if not config.curriculum.generator.varied_share:  # and without other physics
         del kept["curriculum"]["generator"]["varied_share"]
+    if not config.curriculum.learnable_only:  # and without levels of a buffer that are not played
+        del kept["curriculum"]["learnable_only"]
     if config.phases:
         kept["phases"] = [
             {name: value for name, value in phase.items() if value is not None} for phase in sections["phases"]

@@ -136,6 +136,7 @@ class CurriculumConfig:
     adopt_after: int = 4  # updates from the request of a refresh to its adoption, while scoring is free
     buffer_size: int = 1024  # K, levels kept
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
+    learnable_only: bool = False  # "sfl": of these, only levels with a score above 0, where there are any
     sizes: tuple[tuple[str, float], ...] = ()  # weights of sizes among levels drawn; (): all are of env.size
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)

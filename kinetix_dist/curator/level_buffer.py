@@ -110,9 +110,20 @@ def _best_first(
     return order[num_finished[order] >= min_finished]
 
 
-def draw(key: Array, buffer: LevelBuffer, num_levels: int) -> tuple[Level, Array]:
-    """`num_levels` levels of the buffer, uniformly with replacement, and their places [num_levels]."""
-    index = jax.random.randint(key, (num_levels,), 0, buffer.score.shape[0])
+def num_in_play(buffer: LevelBuffer, learnable_only: bool) -> Any:
+    """How many of its levels, the first ones, are drawn: all, or those with a score above zero where there are any.
+
+    An int or [] int32."""
+    size = buffer.score.shape[0]
+    if not learnable_only:
+        return size
+    num_learnable = (buffer.score > 0).sum()
+    return num_learnable + size * (num_learnable == 0)
+
+
+def draw(key: Array, buffer: LevelBuffer, num_levels: int, *, learnable_only: bool = False) -> tuple[Level, Array]:
+    """`num_levels` of the levels in play, uniformly with replacement, and their places [num_levels]."""
+    index = jax.random.randint(key, (num_levels,), 0, num_in_play(buffer, learnable_only))
     return jax.tree.map(lambda x: x[index], buffer.levels), index
 
 
@@ -139,11 +150,15 @@ def refresh_log(parts: Sequence[Scored], size: int, min_finished: int = 0) -> di
     }
 
 
-def buffer_metrics(buffer: LevelBuffer, num_updates: int) -> dict[str, Any]:
-    """What `telemetry.names` calls curriculum/*, of a buffer in use after `num_updates` updates."""
+def buffer_metrics(buffer: LevelBuffer, num_updates: int, *, learnable_only: bool = False) -> dict[str, Any]:
+    """What `telemetry.names` calls curriculum/*, of a buffer in use after `num_updates` updates. Means are over the
+    levels in play."""
+    number = num_in_play(buffer, learnable_only)
+    in_play = np.arange(buffer.score.shape[0]) < number
+    rates = solve_rate(buffer.num_solved, buffer.num_finished)
     return {
-        "curriculum/learnability": buffer.score.mean(),
-        "curriculum/solve_rate": solve_rate(buffer.num_solved, buffer.num_finished).mean(),
+        "curriculum/learnability": (buffer.score * in_play).sum() / number,
+        "curriculum/solve_rate": (rates * in_play).sum() / number,
         "curriculum/learnable_share": buffer.learnable_share,
         "curriculum/mean_candidate_score": buffer.mean_candidate_score,
         "curriculum/buffer_age": num_updates - buffer.policy_version,

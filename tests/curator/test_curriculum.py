@@ -53,6 +53,11 @@ def test_sfl_takes_its_share_of_every_group_from_the_buffer(buffer):
     np.testing.assert_array_equal(from_it, np.tile([True, True, False, False], (GROUPS, 1)))
 
 
+def test_levels_with_a_score_are_drawn_by_the_same_numbers_with_or_without_the_others(buffer):
+    plain, only = (_propose(CurriculumConfig(learnable_only=only), range(GROUPS), buffer) for only in (False, True))
+    jax.tree.map(np.testing.assert_array_equal, plain, only)  # all of this buffer have one
+
+
 def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn(buffer):
     together = _propose(CurriculumConfig(), range(GROUPS), buffer)
     apart = [_propose(CurriculumConfig(), groups, buffer) for groups in ([0, 1], [2, 3])]
