@@ -25,7 +25,7 @@ def test_a_run_on_ray_is_trained_resumed_and_evaluated(tmp_path: Path, monkeypat
     train, resume, evaluation = json.loads(file.read_text())
     for record in (train, resume):
         assert record["exit_code"] == 0 and not record["wrong"]
-        assert 0 < record["first_update_seconds"] < record["seconds"]
+        assert 0 < record["warmup_seconds"] < record["first_update_seconds"] < record["seconds"]
         assert record["env_steps_per_second"] > 0
     assert 0 <= evaluation["solve_rate"] <= 1
 
@@ -41,7 +41,8 @@ class _Said(smoke.Smoke):
         (self.run / "metrics").mkdir(parents=True)
         sink = JsonlSink(self.run / "metrics" / "metrics.jsonl")
         for update in self.updates:
-            sink.write(update, {"progress/env_steps_per_second": 10.0, "learner/policy_loss": self.loss})
+            times = {"progress/env_steps_per_second": 10.0, "progress/warmup_seconds": 2.0}
+            sink.write(update, times | {"learner/policy_loss": self.loss})
         sink.close()
         return {"command": name, "wrong": []}
 
