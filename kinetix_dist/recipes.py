@@ -18,7 +18,7 @@ from kinetix_dist.config import (
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.config import AnnealConfig, PpoConfig
-from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.generator_config import GeneratorConfig, generator
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.phases import PhaseConfig
@@ -145,6 +145,8 @@ def _pretrain(size: str) -> TrainConfig:
     """Every sample used once, from eight times as many worlds, and what is known to pay (docs/training.md)."""
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
+    # What hand-made levels have and random ones lack (docs/results/2026-11-25-tasks.md); shown in arrays of L alone.
+    tasks = dataclasses.replace(generator("tasks"), locomotion_share=0.4, varied_share=0.3)
     return dataclasses.replace(
         paper,
         policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour", kernels="auto"),
@@ -157,10 +159,16 @@ def _pretrain(size: str) -> TrainConfig:
             max_grad_norm=1.0,
             mask_unbound_heads=True,
         ),
-        curriculum=CurriculumConfig(buffer_size=4096, num_candidates=12_288, scoring_batch=12_288, refresh_every=16),
+        curriculum=CurriculumConfig(
+            buffer_size=4096,
+            num_candidates=12_288,
+            scoring_batch=12_288,
+            refresh_every=16,
+            generator=tasks if size == "l" else GeneratorConfig(),
+        ),
         rollout=RolloutConfig(num_envs=16_384),
         # 256 worlds are bound by latency: they take up to a third of the time of all candidates.
-        curriculum_log=CurriculumLogConfig(probe_every=4),
+        curriculum_log=CurriculumLogConfig(probe_every=8),
         evaluation=dataclasses.replace(paper.evaluation, every=25),
         recording=RecordingConfig(every=200),
         # Two processes on a GPU take turns: scoring beside training costs more than it takes alone (docs/operating.md).
