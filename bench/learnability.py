@@ -75,6 +75,8 @@ def measured(run: Path, attempts: int) -> dict[str, Any]:
     template = jax.eval_shape(lambda: generate_levels(jax.random.key(0), num_levels, config.env.capacity, generator))
     solved = solved_of(trained, unflatten_arrays(template, select_arrays(arrays, "levels")), attempts)
     counted = arrays.get("status", np.full(num_levels, IN_USE)) == IN_USE
+    if config.curriculum.learnable_only and (arrays["score"] > 0).any():
+        counted = arrays["score"] > 0
     found: dict[str, Any] = {
         "update": int(trained.checkpoint.path.name),
         "levels": int(counted.sum()),

@@ -5,7 +5,7 @@
     python -m bench.smoke --device gpu --options run.gpu_memory_gib=40 curriculum.refresh_every=2
 
 Curator and evaluator work beside training, as by default. Each record is a command: exit code, seconds, seconds from
-the command until the metrics of its first update were written and which of them are that update's (the others are
+the command until the metrics of its first update were written and the seconds of these that are its own (the others are
 imports, processes and checkpoint), environment steps a second of its later updates (median), seconds spent compiling.
 Exit code 1 where a command fails or leaves out what it was for: a row of every update, all values of it finite but
 means over no episode, a solve rate. The table comes last, with the last words of what failed.
@@ -75,7 +75,7 @@ class Smoke:
         record["env_steps_per_second"] = _median(row["progress/env_steps_per_second"] for row in rows[before + 1 :])
         record["compile_seconds"] = rows[-1].get("runtime/compile_seconds") if rows else None
         warmup = [0.0, *(row["progress/warmup_seconds"] for row in rows)]  # of all sessions so far
-        record["warmup_seconds"] = round(warmup[-1] - warmup[before], 2)
+        record["warmup_seconds"] = round(warmup[-1] - warmup[min(before, len(rows))], 2)
         expected = list(range(1, times * self.args.updates + 1))
         if (found := [row["update"] for row in rows]) != expected:
             record["wrong"].append(f"metrics are of updates {found}, {expected[0]} to {expected[-1]} were to be made")
@@ -197,13 +197,13 @@ def _smoke(args: argparse.Namespace) -> int:
 def _show(args: argparse.Namespace, folder: Path) -> int:
     records = Smoke(folder, args).records()
     found = report_each(records, args.json, text=lambda record: f"{record['command']}: {record['seconds']} s")
-    print(f"\n{'command':<8} {'exit':>4} {'seconds':>8} {'first update':>13} {'of it, itself':>13} {'env steps/s':>12}")
+    print(f"\n{'command':<8} {'exit':>4} {'seconds':>8} {'first update':>13} {'its own':>8} {'env steps/s':>12}")
     for record in found:
         rate = record.get("env_steps_per_second") or ""
         first = record["first_update_seconds"] or ""
-        itself = record.get("warmup_seconds") or ""
+        its_own = record.get("warmup_seconds") or ""
         start = f"{record['command']:<8} {record['exit_code']:>4} {record['seconds']:>8}"
-        print(f"{start} {first:>13} {itself:>13} {rate:>12}")
+        print(f"{start} {first:>13} {its_own:>8} {rate:>12}")
     wrong = [f"{record['command']}: {what}" for record in found for what in record["wrong"]]
     print("\n".join(wrong) if wrong else "all as it is to be")
     return 1 if wrong else 0

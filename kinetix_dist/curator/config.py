@@ -149,6 +149,8 @@ class CurriculumConfig:
         for name in ("num_candidates", "scoring_steps", "scoring_batch", "refresh_every", "adopt_after", "buffer_size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"CurriculumConfig.{name} is {getattr(self, name)}; it must be 1 or more")
+        if self.learnable_only and self.name != "sfl":
+            raise ValueError(f"CurriculumConfig.learnable_only is for 'sfl' and not for {self.name!r}; leave it out")
         if self.num_candidates % self.scoring_batch:
             raise ValueError(
                 f"CurriculumConfig.num_candidates {self.num_candidates} is not a multiple of scoring_batch "

@@ -127,7 +127,9 @@ def draw(key: Array, buffer: LevelBuffer, num_levels: int, *, learnable_only: bo
     return jax.tree.map(lambda x: x[index], buffer.levels), index
 
 
-def refresh_log(parts: Sequence[Scored], size: int, min_finished: int = 0) -> dict[str, np.ndarray]:
+def refresh_log(
+    parts: Sequence[Scored], size: int, min_finished: int = 0, *, learnable_only: bool = False
+) -> dict[str, np.ndarray]:
     """What a refresh_*.npz says of the levels kept and of all candidates, see docs/run_data.md."""
     buffer = keep_best(parts, size, min_finished)
     order = np.argsort(np.concatenate([part.candidate for part in parts]))
@@ -138,6 +140,7 @@ def refresh_log(parts: Sequence[Scored], size: int, min_finished: int = 0) -> di
     }
     return {
         "policy_version": np.int32(buffer.policy_version),
+        "in_play": np.int32(num_in_play(buffer, learnable_only)),
         "score": buffer.score,
         "solved": buffer.num_solved,
         "finished": buffer.num_finished,

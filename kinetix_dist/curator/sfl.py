@@ -155,7 +155,7 @@ class Sfl(Curriculum):
 
     @classmethod
     def refresh_log(cls, config: CurriculumConfig, parts: Sequence[Scored]) -> dict[str, np.ndarray]:
-        return refresh_log(parts, config.buffer_size)
+        return refresh_log(parts, config.buffer_size, learnable_only=config.learnable_only)
 
     def probe(self, state: LevelBuffer | None, num_levels: int) -> Probe | None:
         """Of the buffer in use, evenly spread over the ranks of its levels in play; all where it has fewer, some twice

@@ -134,7 +134,8 @@ def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
     }
     if snapshot.kind == BUFFER:
         return described
-    solved, finished = arrays["solved"].astype(np.int64), arrays["finished"].astype(np.int64)
+    in_play = int(arrays.get("in_play", len(arrays["solved"])))  # earlier versions played all of them
+    solved, finished = (arrays[name][:in_play].astype(np.int64) for name in ("solved", "finished"))
     all_solved = arrays["candidates/solved"].astype(np.int64)
     all_finished = arrays["candidates/finished"].astype(np.int64)
     described |= {
@@ -172,15 +173,16 @@ def describe_training(plays: Plays) -> dict[str, Any]:
 
 
 def describe_probe(before: Snapshot, after: Snapshot) -> dict[str, Any] | None:
-    """What one refresh cycle taught: levels of `before`, played again by the policy that scored `after`.
+    """What one refresh cycle taught: levels of `before`, played again by the policy that scored `after`, each once
+    also where it was played twice.
 
     None: that file has no such plays. `moves`: [[p before, p after, levels]] with p as 0 never, 1 sometimes, 2 always.
     """
     if "probe/index" not in after.arrays:
         return None
-    index = after.arrays["probe/index"]
+    index, first = np.unique(after.arrays["probe/index"], return_index=True)
     then = [before.arrays[name][index].astype(np.int64) for name in ("solved", "finished")]
-    now = [after.arrays[f"probe/{name}"].astype(np.int64) for name in ("solved", "finished")]
+    now = [after.arrays[f"probe/{name}"][first].astype(np.int64) for name in ("solved", "finished")]
     both = (then[1] > 0) & (now[1] > 0)
     classes = np.stack([_class_of_p(*then), _class_of_p(*now)], 1)[both]
     moves, levels = np.unique(classes, axis=0, return_counts=True) if both.any() else (np.zeros((0, 2)), np.zeros(0))

@@ -100,9 +100,11 @@ _ALL = (
     ),
     # Curriculum
     Metric(
-        "curriculum/learnability", "p(1-p)", "mean score of the levels in the buffer, p = solved / finished episodes"
+        "curriculum/learnability",
+        "p(1-p)",
+        "mean score of the levels of the buffer that are played, p = solved / finished episodes",
     ),
-    Metric("curriculum/solve_rate", "share", "mean solve rate of the levels in the buffer when they were scored"),
+    Metric("curriculum/solve_rate", "share", "mean solve rate of the same levels when they were scored"),
     Metric("curriculum/learnable_share", "share", "of the candidates scored, how many had a score above zero"),
     Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, kept or not"),
     Metric("curriculum/buffer_age", "updates", "updates done since the policy version that scored the buffer"),

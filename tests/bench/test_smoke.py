@@ -38,10 +38,10 @@ class _Said(smoke.Smoke):
         self.updates, self.loss = updates, loss
 
     def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
-        (self.run / "metrics").mkdir(parents=True)
+        (self.run / "metrics").mkdir(parents=True, exist_ok=True)
         sink = JsonlSink(self.run / "metrics" / "metrics.jsonl")
         for update in self.updates:
-            times = {"progress/env_steps_per_second": 10.0, "progress/warmup_seconds": 2.0}
+            times = {"progress/env_steps_per_second": 10.0, "progress/warmup_seconds": 3.0 if update > 2 else 2.0}
             sink.write(update, times | {"learner/policy_loss": self.loss})
         sink.close()
         return {"command": name, "wrong": []}
@@ -60,6 +60,21 @@ class _Said(smoke.Smoke):
 def test_what_a_run_leaves_out_is_wrong(updates: list[int], loss: float, says: str | None, tmp_path: Path) -> None:
     wrong = _Said(updates, loss, tmp_path)._train("train", [], 1)["wrong"]
     assert wrong[:1] == ([says] if says else [])
+
+
+def test_warm_up_is_that_of_the_session(tmp_path: Path) -> None:
+    said = _Said([1, 2], 0.5, tmp_path)
+    assert said._train("train", [], 1)["warmup_seconds"] == 2.0
+    said.updates = [1, 2, 3, 4]  # the sink starts over
+    assert said._train("resume", [], 2)["warmup_seconds"] == 1.0
+
+
+def test_rows_that_a_resume_took_away_are_wrong(tmp_path: Path) -> None:
+    said = _Said([1, 2], 0.5, tmp_path)
+    said._train("train", [], 1)
+    (said.run / "metrics" / "metrics.jsonl").unlink()
+    said.updates = [1]
+    assert said._train("resume", [], 2)["wrong"][0].startswith("metrics are of updates [1], 1 to 4 were")
 
 
 def test_a_command_that_hears_nothing_is_ended_with_what_it_started(tmp_path: Path, monkeypatch) -> None:

@@ -58,6 +58,33 @@ def test_levels_with_a_score_are_drawn_by_the_same_numbers_with_or_without_the_o
     jax.tree.map(np.testing.assert_array_equal, plain, only)  # all of this buffer have one
 
 
+@pytest.fixture(scope="module")
+def mixed_buffer():
+    """Two levels of which something is known to be learned, and four that are always solved."""
+    levels = generate_levels(jax.random.key(5), 6, CAPACITY, CurriculumConfig().generator)
+
+    def pick(places):
+        return jax.tree.map(lambda x: x[places], levels)
+
+    counts = np.array([4, 1, 4, 4, 2, 4]), np.full(6, 4)
+    return keep_best(
+        [scored(pick, np.arange(6), *counts, features=np.zeros((6, 1), np.uint8), size=6, policy_version=0)], 6
+    )
+
+
+@pytest.mark.parametrize(("learnable_only", "in_play"), [(True, 2), (False, 6)])
+def test_sfl_plays_measures_and_probes_the_levels_in_play(mixed_buffer, learnable_only, in_play):
+    config = CurriculumConfig(learnable_only=learnable_only)
+    played = _propose(config, range(30), mixed_buffer).position.reshape(30, PER_GROUP, -1)[:, :2].reshape(60, -1)
+    places = {int(np.abs(mixed_buffer.levels.position.reshape(6, -1) - one).sum(1).argmin()) for one in played}
+    assert places == set(range(in_play))
+    curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY)
+    assert float(curriculum.metrics(mixed_buffer, 3)["curriculum/learnability"]) == pytest.approx(
+        (0.25 + 0.1875) / in_play
+    )
+    assert set(curriculum.probe(mixed_buffer, 6).index.tolist()) == set(range(in_play))
+
+
 def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn(buffer):
     together = _propose(CurriculumConfig(), range(GROUPS), buffer)
     apart = [_propose(CurriculumConfig(), groups, buffer) for groups in ([0, 1], [2, 3])]
@@ -101,6 +128,7 @@ def test_a_share_that_is_no_whole_number_of_worlds_is_refused():
         ({"num_candidates": 10, "scoring_batch": 4}, "not a multiple of scoring_batch"),
         ({"num_candidates": 8, "scoring_batch": 4, "buffer_size": 9}, "larger than num_candidates 8"),
         ({"adopt_after": 200}, "larger than refresh_every 128"),
+        ({"name": "plr", "learnable_only": True}, "learnable_only is for 'sfl' and not for 'plr'; leave it out"),
         ({"buffer_share": 0.0}, "must be above 0"),
     ],
 )

@@ -17,7 +17,7 @@ from kinetix_dist.cli.train import longer, parse
 from kinetix_dist.config import differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
-from kinetix_dist.level.generator_config import generator
+from kinetix_dist.level.generator_config import GeneratorConfig, generator
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
@@ -251,6 +251,16 @@ def test_phases_of_a_file_go_with_fields_of_the_command_line(tmp_path):
     as_json = {"phases": to_dict(config)["phases"]}
     (tmp_path / "phases.json").write_text(json.dumps(as_json))
     assert parse([*MIXED, "--phases", str(tmp_path / "phases.json")]).config == config
+
+
+@pytest.mark.parametrize(("name", "share"), [("pretrain_l", 0.4), ("pretrain_all", 0.4), ("pretrain_m", 0.0)])
+def test_recipes_that_draw_kinds_of_levels(name, share):
+    generator = recipe(name).curriculum.generator
+    assert generator.locomotion_share == share
+    assert (generator.varied_share > 0) == ("snake" in generator.locomotion_kinds) == (share > 0)
+    assert parse(["--recipe", name, "--curriculum.generator", "default"]).config.curriculum.generator == (
+        GeneratorConfig()
+    )
 
 
 def test_a_phase_of_a_recipe_can_be_overridden():
