@@ -25,6 +25,7 @@ import numpy as np
 
 from bench.program import exit_code, output_file, parser_of
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
+from kinetix_dist.curator.level_buffer import num_in_play
 from kinetix_dist.curator.slice_buffer import IN_USE, recent
 from kinetix_dist.dashboard.refreshes import Refreshes, claimed_learnability, unbiased_learnability
 from kinetix_dist.errors import UserError
@@ -75,8 +76,8 @@ def measured(run: Path, attempts: int) -> dict[str, Any]:
     template = jax.eval_shape(lambda: generate_levels(jax.random.key(0), num_levels, config.env.capacity, generator))
     solved = solved_of(trained, unflatten_arrays(template, select_arrays(arrays, "levels")), attempts)
     counted = arrays.get("status", np.full(num_levels, IN_USE)) == IN_USE
-    if config.curriculum.learnable_only and (arrays["score"] > 0).any():
-        counted = arrays["score"] > 0
+    if config.curriculum.learnable_only:
+        counted = np.arange(num_levels) < num_in_play(arrays["score"], learnable_only=True)
     found: dict[str, Any] = {
         "update": int(trained.checkpoint.path.name),
         "levels": int(counted.sum()),

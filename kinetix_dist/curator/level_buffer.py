@@ -110,20 +110,19 @@ def _best_first(
     return order[num_finished[order] >= min_finished]
 
 
-def num_in_play(buffer: LevelBuffer, learnable_only: bool) -> Any:
-    """How many of its levels, the first ones, are drawn: all, or those with a score above zero where there are any.
-
-    An int or [] int32."""
-    size = buffer.score.shape[0]
+def num_in_play(score: Array, learnable_only: bool) -> Any:
+    """How many levels of a buffer with these scores [K], the first ones, are drawn: all, or those with a score above
+    zero where there are any. An int or [] int32."""
+    size = score.shape[0]
     if not learnable_only:
         return size
-    num_learnable = (buffer.score > 0).sum()
+    num_learnable = (score > 0).sum()
     return num_learnable + size * (num_learnable == 0)
 
 
 def draw(key: Array, buffer: LevelBuffer, num_levels: int, *, learnable_only: bool = False) -> tuple[Level, Array]:
     """`num_levels` of the levels in play, uniformly with replacement, and their places [num_levels]."""
-    index = jax.random.randint(key, (num_levels,), 0, num_in_play(buffer, learnable_only))
+    index = jax.random.randint(key, (num_levels,), 0, num_in_play(buffer.score, learnable_only))
     return jax.tree.map(lambda x: x[index], buffer.levels), index
 
 
@@ -140,7 +139,7 @@ def refresh_log(
     }
     return {
         "policy_version": np.int32(buffer.policy_version),
-        "in_play": np.int32(num_in_play(buffer, learnable_only)),
+        "in_play": np.int32(num_in_play(buffer.score, learnable_only)),
         "score": buffer.score,
         "solved": buffer.num_solved,
         "finished": buffer.num_finished,
@@ -156,7 +155,7 @@ def refresh_log(
 def buffer_metrics(buffer: LevelBuffer, num_updates: int, *, learnable_only: bool = False) -> dict[str, Any]:
     """What `telemetry.names` calls curriculum/*, of a buffer in use after `num_updates` updates. Means are over the
     levels in play."""
-    number = num_in_play(buffer, learnable_only)
+    number = num_in_play(buffer.score, learnable_only)
     in_play = np.arange(buffer.score.shape[0]) < number
     rates = solve_rate(buffer.num_solved, buffer.num_finished)
     return {

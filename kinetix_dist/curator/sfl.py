@@ -162,8 +162,9 @@ class Sfl(Curriculum):
         where fewer are in play. None before there is one."""
         if state is None or not num_levels:
             return None
+        in_play = int(num_in_play(state.score, self.tools.config.learnable_only))
         num_levels = min(num_levels, len(state.score))
-        index = np.arange(num_levels) * int(num_in_play(state, self.tools.config.learnable_only)) // num_levels
+        index = np.arange(num_levels) * in_play // num_levels
         levels = jax.tree.map(lambda x: np.asarray(x)[index], state.levels)
         return Probe(policy_version=state.policy_version, index=index.astype(np.int32), levels=levels)
 

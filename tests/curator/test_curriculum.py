@@ -28,17 +28,22 @@ def _propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fi
     return jax.jit(curriculum.propose)(buffer, keys, groups).levels
 
 
-@pytest.fixture(scope="module")
-def buffer():
-    levels = generate_levels(jax.random.key(0), 6, CAPACITY, CurriculumConfig().generator)
-    counts = np.full(6, 1), np.full(6, 2)
+def _buffer_of(seed, num_solved, num_finished):
+    """Random levels, of which it was seen how many episodes were solved."""
+    size = len(num_solved)
+    levels = generate_levels(jax.random.key(seed), size, CAPACITY, CurriculumConfig().generator)
+    counts = np.array(num_solved), np.full(size, num_finished)
 
     def pick(places):
         return jax.tree.map(lambda x: x[places], levels)
 
-    return keep_best(
-        [scored(pick, np.arange(6), *counts, features=np.zeros((6, 1), np.uint8), size=6, policy_version=0)], 6
-    )
+    others = {"features": np.zeros((size, 1), np.uint8), "size": size, "policy_version": 0}
+    return keep_best([scored(pick, np.arange(size), *counts, **others)], size)
+
+
+@pytest.fixture(scope="module")
+def buffer():
+    return _buffer_of(0, [1] * 6, 2)
 
 
 def _is_in(level_positions, positions):
@@ -61,15 +66,7 @@ def test_levels_with_a_score_are_drawn_by_the_same_numbers_with_or_without_the_o
 @pytest.fixture(scope="module")
 def mixed_buffer():
     """Two levels of which something is known to be learned, and four that are always solved."""
-    levels = generate_levels(jax.random.key(5), 6, CAPACITY, CurriculumConfig().generator)
-
-    def pick(places):
-        return jax.tree.map(lambda x: x[places], levels)
-
-    counts = np.array([4, 1, 4, 4, 2, 4]), np.full(6, 4)
-    return keep_best(
-        [scored(pick, np.arange(6), *counts, features=np.zeros((6, 1), np.uint8), size=6, policy_version=0)], 6
-    )
+    return _buffer_of(5, [4, 1, 4, 4, 2, 4], 4)
 
 
 @pytest.mark.parametrize(("learnable_only", "in_play"), [(True, 2), (False, 6)])
