@@ -23,9 +23,12 @@ from tests.server.serving import Server, end, environment, wait_for
 OpenPage = Callable[..., Any]
 Serve = Callable[..., Server]
 
-# Whether a canvas has more than its background: the number of different colours in it.
+# Whether a canvas has more than its background: the number of different colours in it. Read from a copy: Chromium
+# warns of a canvas that is read again and again.
 COLOURS = """(canvas) => {
-  const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+  copy.drawImage(canvas, 0, 0);
+  const data = copy.getImageData(0, 0, canvas.width, canvas.height).data;
   const seen = new Set();
   for (let k = 0; k < data.length; k += 4) seen.add((data[k] << 16) | (data[k + 1] << 8) | data[k + 2]);
   return seen.size;
