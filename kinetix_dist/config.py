@@ -415,17 +415,20 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
 
 def differences(ours: TrainConfig, theirs: TrainConfig) -> list[str]:
     """Fields that change the numbers and differ, as "ppo.epochs 8 instead of 4"."""
-    return differing(numbers_of(ours), numbers_of(theirs))
+    # What is left out of the numbers while it is off has its value in the whole config.
+    left, right = ({**flat(to_dict(config)), **flat(numbers_of(config))} for config in (ours, theirs))
+    counted = flat(numbers_of(ours)) | flat(numbers_of(theirs))
+    return _in_words({name: (left.get(name), right.get(name)) for name in counted})
 
 
 def differing(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
     """The same of nested dictionaries of plain values."""
     left, right = flat(ours), flat(theirs)
-    return [
-        f"{name} {left.get(name)!r} instead of {right.get(name)!r}"
-        for name in sorted(left | right)
-        if left.get(name) != right.get(name)
-    ]
+    return _in_words({name: (left.get(name), right.get(name)) for name in left | right})
+
+
+def _in_words(values: Mapping[str, tuple[Any, Any]]) -> list[str]:
+    return [f"{name} {left!r} instead of {right!r}" for name, (left, right) in sorted(values.items()) if left != right]
 
 
 def to_dict(config: Any) -> dict[str, Any]:

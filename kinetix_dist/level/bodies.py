@@ -18,6 +18,7 @@ CLEARANCE_M = 0.01  # above what carries it, so that nothing touches it at the s
 MAX_LEGS = 3  # of a walker
 MAX_LINKS = 4  # of an arm
 MAX_SNAKE_LINKS = 6
+MAX_BLOCKS = 3  # in the way of a flyer
 GRAVITY_M_S2 = 9.81
 NEWTON = 0.1  # thruster power that gives one
 
@@ -118,7 +119,11 @@ def build_arm(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_runner(draws: Draws, capacity: Capacity) -> Thing:
-    """A torso on one leg or two legs of thigh, shin and foot, as hoppers and cheetahs have: knees and feet one way."""
+    """A torso on one leg or two legs of thigh, shin and foot, as hoppers and cheetahs have: knees and feet one way.
+
+    Feet may be of one piece with the shins, and the motors of colours of their own; where the goal is at any distance,
+    it has to run for seconds.
+    """
     legs = 2 if min(capacity.polygons - NUM_WALLS - 1, capacity.joints) >= 6 else 1
     has_two = draws.chance(0.6) & (legs == 2)
     along, across = draws.between(0.35, 0.7), draws.between(0.07, 0.13)
@@ -130,14 +135,22 @@ def build_runner(draws: Draws, capacity: Capacity) -> Thing:
     bend = draws.between(0.0, 0.5)
     thigh, shin = (jnp.stack([draws.between(0.05, 0.075), draws.between(0.17, 0.27)]) for _ in range(2))
     foot = jnp.stack([draws.between(0.12, 0.22), draws.between(0.04, 0.055)])
+    is_stiff, goal_is_anywhere, colours_in_turn = draws.chance(0.4), draws.chance(0.5), draws.chance(0.5)
     for leg in range(legs):
         active = has_two if leg else jnp.array(True)
         hip = jnp.where(has_two, (0.8 if leg else -0.8) * torso_half[0], 0.0)
         knee = _add_link(draws, parts, hinges, 0, jnp.stack([hip, -0.7 * torso_half[1]]), thigh, active, lean=bend)
         ankle = _add_link(draws, parts, hinges, len(parts) - 1, knee, shin, active, lean=-bend)
         parts.append(Part(position=ankle + jnp.stack([0.4 * foot[0], 0.0]), half=foot, active=active))
-        hinges.append(Hinge(a=len(parts) - 2, b=len(parts) - 1, at=ankle, limit=draws.between(0.4, 0.9), active=active))
-    return Thing(parts=parts, hinges=hinges, is_handed=True, goal_nearness=2)
+        limit, of = draws.between(0.4, 0.9), len(parts) - 2
+        hinges.append(Hinge(a=of, b=of + 1, at=ankle, limit=limit, is_weld=is_stiff, active=active))
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        is_handed=True,
+        goal_nearness=jnp.where(goal_is_anywhere, 1, 2),
+        colours_in_turn=colours_in_turn,
+    )
 
 
 def build_snake(draws: Draws, capacity: Capacity) -> Thing:
@@ -198,16 +211,20 @@ def build_cartpole(draws: Draws, capacity: Capacity) -> Thing:
         hinges=hinges,
         jets=jets,
         goal_rise=(0.55, 0.95),
-        goal_nearness=3,
+        goal_nearness=jnp.where(draws.chance(0.3), 1, 3),
         has_bump=False,
         floor_is_red=draws.chance(0.8),
     )
 
 
 def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
-    """A green box with two jets that carry it, in the air, and a gap on the way: up and to the side, or both tilted."""
-    half = jnp.stack([draws.between(0.13, 0.25), draws.between(0.09, 0.18)])
-    weight = 4.0 * half[0] * half[1] * GRAVITY_M_S2
+    """A green box or disc with two jets that carry it, in the air, and a gap or blocks on the way. The jets push up
+    and to the side, or both tilted."""
+    is_disc = draws.chance(0.5) if capacity.circles >= 2 else jnp.array(False)
+    box = jnp.stack([draws.between(0.13, 0.25), draws.between(0.09, 0.18)])
+    radius = draws.between(0.13, 0.27)
+    half = jnp.where(is_disc, radius, box)
+    weight = jnp.where(is_disc, math.pi * radius**2, 4.0 * box[0] * box[1]) * GRAVITY_M_S2
     is_pair = draws.chance(0.6)
     lift = draws.between(1.2, 2.2)  # of the weight, by all that push up
     tilt = draws.between(0.15, 0.5)
@@ -216,10 +233,15 @@ def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
         up_alone = 1.0 if colour == 0 else 0.3  # one up and a weaker one to the side
         power = weight * NEWTON * lift * jnp.where(is_pair, 0.6, up_alone)
         angle = jnp.where(is_pair, 0.5 * math.pi + tilt * side, 0.5 * math.pi if colour == 0 else 0.0)
-        at = jnp.stack([jnp.where(is_pair, side * 0.7 * half[0], 0.0), jnp.zeros(())])
-        jets.append(Jet(of=0, at=at, angle=angle, power=power, colour=colour))
+        behind = half * jnp.array([0.0, -1.0] if colour == 0 else [-1.0, 0.0])
+        at = jnp.where(is_pair, half * jnp.array([0.7 * side, 0.0]), behind)
+        jets.append(Jet(of=is_disc.astype(jnp.int32), at=at, angle=angle, power=power, colour=colour))
+    discs = [Part(position=jnp.zeros(2), radius=radius, role=Role.GREEN, active=is_disc)]
     return Thing(
-        parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN)],
+        parts=[
+            Part(position=jnp.zeros(2), half=box, role=Role.GREEN, active=~is_disc),
+            *(discs if capacity.circles >= 2 else []),
+        ],
         hinges=[],
         jets=jets,
         is_handed=True,
@@ -227,6 +249,7 @@ def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
         goal_height=draws.between(0.8, 4.2),
         has_bump=False,
         gap=jnp.max(half) + draws.between(0.25, 0.8),
+        num_blocks=MAX_BLOCKS,
         floor_is_red=draws.chance(0.6),
     )
 

@@ -65,7 +65,7 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
         is_fixed=True,
     )
     draft, slots = with_parts(empty_draft(capacity), [*thing.parts, goal], capacity)
-    draft = with_hinges(draws, draft, thing.hinges, slots, capacity, GeneratorConfig())
+    draft = with_hinges(draws, draft, thing, slots, capacity, GeneratorConfig())
     draft = with_jets(draft, thing.jets, slots)
     level, is_fixed = draft_to_level(draft, capacity)
     # Nothing but walls touches the goal.

@@ -91,7 +91,7 @@ def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) 
     shapes = dataclasses.replace(draft.shapes, role=draft.shapes.role.at[0].set(floor_role))
     draft, slots = with_parts(dataclasses.replace(draft, shapes=shapes), [*thing.parts, *extra, blue], capacity)
     draft = with_jets(draft, thing.jets, slots)
-    return with_hinges(draws, draft, thing.hinges, slots, capacity, config)
+    return with_hinges(draws, draft, thing, slots, capacity, config)
 
 
 def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capacity) -> tuple[Thing, Array, list[Part]]:
@@ -120,16 +120,31 @@ def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capaci
     room = capacity.polygons - NUM_WALLS - sum(part.half is not None for part in thing.parts)
     extra = []
     if thing.gap is not None:
-        extra = _pillars(draws, thing.gap, obstacle_x, bump_half[0])
+        has_pillars = draws.chance(0.5)
+        extra = _pillars(draws, thing.gap, obstacle_x, bump_half[0], has_pillars)
+        ends = jnp.sort(jnp.stack([middle_x + 0.5 * (lowest[0] + highest[0]), goal_x]))
+        within = ends + jnp.stack([1.0, -1.0]) * (jnp.maximum(radius, 0.5 * width) + CLEARANCE_M)
+        extra += [_block(draws, within, ~has_pillars) for _ in range(thing.num_blocks)]
     elif thing.has_bump:
         position = jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]])
         extra = [Part(position=position, half=bump_half, is_fixed=True, active=has_obstacle)]
     return thing, jnp.stack([goal_x, goal_y]), extra[:room]
 
 
-def _pillars(draws: Draws, gap: Array, x: Array, half_width: Array) -> list[Part]:
+def _block(draws: Draws, within: Array, is_wanted: Array) -> Part:
+    """A box in the air between two x ([2] m), mostly red; not always there."""
+    x, y = draws.between(within[0], within[1]), draws.between(FLOOR_TOP_M + 0.4, WORLD_SIZE_M - 0.4)
+    half = jnp.stack([draws.between(0.08, 0.3), draws.between(0.08, 0.3)])
+    room = jnp.minimum(x - within[0], within[1] - x)
+    role = jnp.where(draws.chance(0.7), Role.RED, Role.NONE)
+    half = half.at[0].min(room)
+    active = is_wanted & draws.chance(0.7) & (room > 0.04)
+    return Part(position=jnp.stack([x, y]), half=half, role=role, is_fixed=True, active=active)
+
+
+def _pillars(draws: Draws, gap: Array, x: Array, half_width: Array, active: Array) -> list[Part]:
     """One that stands and one that hangs, a gap (its half, m) between them; half of the time both are red."""
-    active, is_red, is_first_below = draws.chance(0.7), draws.chance(0.5), draws.chance(0.5)
+    is_red, is_first_below = draws.chance(0.5), draws.chance(0.5)
     gap_y = draws.between(FLOOR_TOP_M + gap + 0.1, WORLD_SIZE_M - gap - 0.1)
     below, above = (FLOOR_TOP_M, gap_y - gap), (gap_y + gap, WORLD_SIZE_M)
     role = jnp.where(is_red, Role.RED, Role.NONE)

@@ -67,6 +67,7 @@ class Hinge:
     at: Array  # [2] m
     limit: Array | None = None
     has_motor: bool = True
+    is_weld: bool | Array = False  # instead: the two are one body
     active: bool | Array = True
 
 
@@ -74,7 +75,7 @@ class Hinge:
 class Jet:
     """A thruster on a part. at and angle (rad, of the push) are in the frame of the part."""
 
-    of: int
+    of: int | Array
     at: Array  # [2] m
     angle: Array
     power: Array
@@ -96,11 +97,13 @@ class Thing:
     # Of something that can go
     is_handed: bool = False  # it faces to the right, so that it is mirrored where the goal is to the left
     height: Array | float = 0.0  # m, of its lowest point above the floor
-    goal_nearness: int = 1  # the distance of the goal is a share of what there is room for, drawn to this power
+    goal_nearness: int | Array = 1  # the distance of the goal is a share of what there is room for, to this power
     goal_rise: tuple[float, float] = (0.0, 0.5)  # of the goal's lowest point above the floor, as shares of its height
     goal_height: Array | None = None  # m, of the goal's centre in the world, instead
     has_bump: bool = True  # sometimes, on the floor on the way
     gap: Array | None = None  # m, half of what two pillars on the way leave, if there are any
+    num_blocks: int = 0  # in the air on the way, at most, where there are no pillars
+    colours_in_turn: bool | Array = False  # each motor has the colour after that of the one before; False: see below
     floor_is_red: Array | None = None  # None: as often as in all levels
 
 
@@ -166,24 +169,26 @@ def with_parts(draft: Draft, parts: list[Part], capacity: Capacity) -> tuple[Dra
 
 
 def with_hinges(
-    draws: Draws, draft: Draft, hinges: list[Hinge], slots: list[int], capacity: Capacity, config: GeneratorConfig
+    draws: Draws, draft: Draft, thing: Thing, slots: list[int], capacity: Capacity, config: GeneratorConfig
 ) -> Draft:
-    """The draft with motors; half of the time all of one colour."""
+    """The draft with motors: half of the time all of one colour, else each of any, unless the thing says otherwise."""
     one_colour = draws.chance(0.5)
     first = draws.number(0, NUM_MOTOR_COLOURS - 1)
-    joints = draft.driven_joints
-    for hinge in hinges:
+    joints, turn = draft.driven_joints, jnp.zeros((), jnp.int32)
+    for hinge in thing.hinges:
         a, b = slots[hinge.a], slots[hinge.b]
         is_wheel = max(a, b) >= capacity.polygons
         strongest = config.wheel_power_max if is_wheel else config.motor_power_max
         limit = jnp.zeros(()) if hinge.limit is None else hinge.limit
         of_a, of_b = read_slot(draft.shapes, a), read_slot(draft.shapes, b)
+        colour = jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1))
+        is_weld = jnp.asarray(hinge.is_weld)
         joint = hinge_or_weld(
             a=a,
             b=b,
             anchor_a=_local(of_a, hinge.at),
             anchor_b=_local(of_b, hinge.at),
-            is_weld=jnp.array(False),
+            is_weld=is_weld,
             rest_angle=of_b.angle - of_a.angle,
             motor_on=jnp.array(hinge.has_motor),
             motor_speed=draws.between(config.motor_speed_min, config.motor_speed_max),
@@ -191,8 +196,9 @@ def with_hinges(
             has_limits=jnp.array(hinge.limit is not None),
             lower_limit=-limit,
             upper_limit=limit,
-            colour=jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1)),
+            colour=jnp.where(thing.colours_in_turn, (first + turn) % NUM_MOTOR_COLOURS, colour),
         )
+        turn = turn + (jnp.asarray(hinge.active) & ~is_weld)
         joints = write_slot(joints, first_free(joints.joints.active), joint, jnp.asarray(hinge.active))
     return dataclasses.replace(draft, driven_joints=joints)
 
@@ -203,7 +209,7 @@ def with_jets(draft: Draft, jets: list[Jet], slots: list[int]) -> Draft:
     for slot, jet in enumerate(jets):
         row = Thrusters(
             active=jnp.asarray(jet.active),
-            body=jnp.array(slots[jet.of]),
+            body=jnp.asarray(slots)[jet.of],
             position=jet.at,
             angle=jet.angle,
             power=jet.power,

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from jax2d.scene import Capacity
+from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.generator import generate_level, generate_levels
 from kinetix_dist.level.generator_config import ALL_KINDS, LOCOMOTION_KINDS, GeneratorConfig, generator
 from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level
@@ -38,7 +38,7 @@ def levels_of(size: str, kind: str | None = None) -> Level:
 @pytest.mark.parametrize(("size", "kind"), [(size, kind) for size, kinds in KINDS_OF.items() for kind in kinds])
 def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kind: str) -> None:
     levels = levels_of(size, kind)
-    assert_valid(levels, SIZES[size], max_red=3 if kind == "flyer" else 1)  # pillars and the floor
+    assert_valid(levels, SIZES[size], max_red=4 if kind == "flyer" else 1)  # blocks and the floor
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(levels) if leaf.dtype.kind == "f")
     overlap = overlaps(levels)
     assert not (overlap & levels.scene.shapes.can_touch).any()
@@ -50,7 +50,9 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
     joints, jets = levels.scene.joints, levels.scene.thrusters.active
     has_motor = joints.active & joints.motor_on
     assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
-    assert (joints.active & ~joints.motor_on).any() == (kind == "cartpole")  # nothing but a hinge holds the pole
+    is_weld = joints.active & (joints.kind == JointKind.FIXED)
+    assert is_weld.any() == (kind == "runner")  # of feet
+    assert (joints.active & ~joints.motor_on & ~is_weld).any() == (kind == "cartpole")  # a hinge alone holds the pole
 
 
 @pytest.mark.parametrize("kind", ["car", "unicycle", "walker", "runner", "snake", "cartpole", "pusher"])
@@ -85,9 +87,17 @@ def test_a_flyer_has_jets_that_carry_it() -> None:
         sideways_n = np.abs(10.0 * jets.power * np.cos(jets.angle)).max(axis=1)
         assert (sideways_n > 0.05 * weight_n).all()
         assert (levels.position[is_green][:, 1] > FLOOR_TOP_M + 0.6).all()
-    is_pillar = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass == 0) & (levels.shape_role != Role.BLUE)
-    is_pillar[:, :NUM_WALLS] = False
-    assert set(is_pillar.sum(axis=1)) == {0, 2}
+    polygons = SIZES["l"].polygons
+    assert 0.4 < (levels.shape_role[:, polygons:] == Role.GREEN).any(axis=1).mean() < 0.6  # a disc
+    is_fixed = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass == 0) & (levels.shape_role != Role.BLUE)
+    is_fixed[:, :NUM_WALLS] = False
+    numbers, counts = np.unique(is_fixed.sum(axis=1), return_counts=True)
+    assert set(numbers) == {0, 1, 2, 3} and counts[2] > 0.4 * NUM_LEVELS  # two pillars in half, else up to three blocks
+    # Whatever is in the way is to one side of it and of the goal to the other.
+    is_green, is_blue = levels.shape_role == Role.GREEN, levels.shape_role == Role.BLUE
+    start, goal = (levels.position[role][:, None, 0] for role in (is_green, is_blue))
+    x = levels.position[..., 0]
+    assert (((x - start) * (goal - x) > 0) | ~is_fixed).all()
 
 
 def test_a_runner_faces_its_goal() -> None:
@@ -109,6 +119,24 @@ def test_a_runner_faces_its_goal() -> None:
     apart = (levels.position[levels.shape_role == Role.BLUE] - levels.position[levels.shape_role == Role.GREEN])[:, 0]
     assert (np.sign(forward) == np.sign(apart)).all()
     assert set((joints.active).sum(axis=1)) == {3, 6}
+    # Feet that are fixed, of all legs or of none; colours in turn, those of motors alone.
+    num_welds = (joints.active & (joints.kind == JointKind.FIXED)).sum(axis=1)
+    num_legs = joints.active.sum(axis=1) // 3
+    assert ((num_welds == 0) | (num_welds == num_legs)).all() and 0.3 < (num_welds > 0).mean() < 0.5
+    has_motor = joints.active & joints.motor_on
+    assert (has_motor.sum(axis=1) == joints.active.sum(axis=1) - num_welds).all()
+    num_colours = np.stack([((levels.motor_colour == colour) & has_motor).any(axis=1) for colour in range(4)]).sum(0)
+    most = np.minimum(has_motor.sum(axis=1), 4)
+    assert 0.5 < (num_colours == most).mean() < 0.75 and 0.2 < (num_colours == 1).mean() < 0.35
+    assert np.abs(apart).max() > 4.0 and np.median(np.abs(apart)) < 2.5
+
+
+def test_two_motors_are_of_one_colour_half_of_the_time_and_else_each_of_any() -> None:
+    levels = levels_of("m")
+    has_motor = levels.scene.joints.active & levels.scene.joints.motor_on
+    several = has_motor.sum(axis=1) == 2
+    pair = np.sort(np.where(has_motor, levels.motor_colour, 9)[several], axis=1)[:, :2]
+    assert abs((pair[:, 0] == pair[:, 1]).mean() - (0.5 + 0.5 / 4)) < 0.1
 
 
 def test_what_is_pushed_lies_between_the_car_and_the_goal() -> None:

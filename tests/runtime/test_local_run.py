@@ -60,7 +60,37 @@ def test_a_worker_that_scores_levels_itself_gives_the_run_that_a_curator_gives(e
     run_updates(config, tmp_path / "run", trainer, CurationByWorkers(trainer), reporter=reporter)
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
     assert [row["curriculum/buffer_age"] for row in reporter.rows] == [0, 1, 2, 3, 4, 2, 3, 4]
-    assert all(row["time/curate"] > 0 for row in (reporter.rows[0], reporter.rows[3]))
+    assert all(row["time/curate"] > 0 for row in (reporter.rows[0], reporter.rows[5]))
+
+
+class _NotingTrainer(ColocatedTrainer):
+    """Keeps what it did, in order."""
+
+    def __init__(self, config):
+        super().__init__(config, LocalBackend(), [WORKER])
+        self.done = []
+
+    def run_update(self, num_updates):
+        self.done.append(f"update {num_updates}")
+        return super().run_update(num_updates)
+
+    def refresh(self, weights, policy_version, probe, given):
+        self.done.append(f"refresh {policy_version}")
+        return super().refresh(weights, policy_version, probe, given)
+
+
+def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_update_first(eight_updates, tmp_path):
+    done = []
+    for num_updates in (4, 8):  # the refresh asked for at 3 is in flight between them
+        config = tiny_config(num_updates=num_updates, num_curators=0)
+        trainer = _NotingTrainer(config)
+        run_updates(config, tmp_path / "run", trainer, CurationByWorkers(trainer), resume=num_updates == 8)
+        done.append(trainer.done)
+    assert done == [
+        ["refresh 0", "update 0", "update 1", "update 2", "update 3"],
+        ["update 4", "refresh 3", "update 5", "update 6", "update 7"],
+    ]
+    assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
 
 
 @pytest.mark.also_gpu

@@ -43,6 +43,13 @@ def test_the_hash_covers_what_changes_the_numbers_and_nothing_else():
     assert differences(faster, config) == ["ppo.learning_rate 1.0 instead of 0.001"]
 
 
+def test_what_the_hash_leaves_out_while_it_is_off_differs_by_its_value():
+    config = tiny_config(num_updates=4)
+    only = dataclasses.replace(config, curriculum=dataclasses.replace(config.curriculum, learnable_only=True))
+    assert differences(config, only) == ["curriculum.learnable_only False instead of True"]
+    assert differences(only, config) == ["curriculum.learnable_only True instead of False"]
+
+
 def test_an_unknown_field_of_a_config_file_is_named():
     data = to_dict(recipe("tiny"))
     data["ppo"]["speed"] = 3

@@ -119,7 +119,7 @@ def test_a_worker_that_scores_levels_itself_is_killed_over_it_and_nothing_is_los
     killed = []
 
     def kill(number, trainer, curator):
-        if number == 3 and not killed:  # before the second refresh is asked for
+        if number == 5 and not killed:  # before the second refresh is worked out
             killed.append(trainer._handles[0].pid)
             os.kill(killed[0], signal.SIGKILL)
 

@@ -8,6 +8,7 @@ first update that finds it there. `Adoptions` keeps which one that was, so that 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -154,7 +155,7 @@ class Refreshes:
         # Without a first buffer there is nothing to play, and what is recorded is repeated as it was.
         must_wait = version == 0 or recorded is not None
         patience_s = None if must_wait else max(MIN_PATIENCE_S, update_seconds)
-        with self._section("curate"), self._clock.role("curate"), self._stop.interruptible():
+        with self._section("curate"), self._clock.role("curate"), self._may_stop():
             refresh = self._curator.take(patience_s=patience_s, meanwhile=self._trainer.check)
         if refresh is None:
             self._note_late(version, num_updates)
@@ -167,6 +168,11 @@ class Refreshes:
         self._adoptions.record(version, first)
         self._run.event("buffer_adopted", policy_version=version, update=first)
         self._data.adopted(refresh, num_updates=num_updates, first_batch=first)
+
+    def _may_stop(self) -> AbstractContextManager[None]:
+        """Waiting can be broken off at a signal; what this process or the workers are in the middle of is finished."""
+        assert self._curator is not None
+        return self._stop.interruptible() if self._curator.works_beside else nullcontext()
 
     def _note_late(self, version: int, num_updates: int) -> None:
         if not self._is_stale:

@@ -82,8 +82,8 @@ class Curator(Protocol):
     works_beside: bool  # while training goes on
 
     def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
-        """Starts a refresh; does not wait where there is a process to do it. probe, given: of `Trainer.probe` and
-        `Trainer.refresh_input`, or None."""
+        """Asks for a refresh and does not wait: processes beside training begin now, those that train when it is
+        taken. probe, given: of `Trainer.probe` and `Trainer.refresh_input`, or None."""
 
     def watch(self) -> None:
         """Replaces processes beside training that died, without waiting; their parts are asked for again."""
