@@ -23,7 +23,15 @@ from tests.server.serving import Server, serving
 FETCHED = REPOSITORY / ".cache" / "browser"
 REQUIRED = os.environ.get("KINETIX_BROWSER_TESTS") == "required"
 # One process, no sandbox (containers have no user namespaces), WebGL in software.
-OPTIONS = ["--headless", "--no-sandbox", "--disable-gpu-compositing", "--disable-accelerated-2d-canvas", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+OPTIONS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu-compositing",
+    "--disable-accelerated-2d-canvas",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 TIMEOUT_MS = 1000 * PATIENCE_S
 TRAINED_VARIABLE = "KINETIX_TRAINED_RUNS"
 

@@ -117,7 +117,9 @@ def test_while_its_processes_on_ray_start_a_run_ends_at_once(tmp_path):
     assert parse(["--run", str(run), "--resume"]).run == run  # as the line says
 
 
-@pytest.mark.parametrize("reaches", ["the process group", "the servers of Ray as well"])
+@pytest.mark.parametrize(
+    "reaches", [pytest.param("the process group", marks=pytest.mark.slow), "the servers of Ray as well"]
+)
 def test_with_processes_on_ray_a_signal_to_all_ends_the_run_in_order(tmp_path, reaches):
     """timeout(1) signals its process group: the update is saved. Slurm signals at the end of a job everything in it:
     Ray's servers end themselves then, and no process that they are asked to end, so an update may be lost."""
