@@ -226,12 +226,13 @@ def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
     half = jnp.where(is_disc, radius, box)
     weight = jnp.where(is_disc, math.pi * radius**2, 4.0 * box[0] * box[1]) * GRAVITY_M_S2
     is_pair = draws.chance(0.6)
-    lift = draws.between(1.2, 2.2)  # of the weight, by all that push up
+    # Of the weight, by all that push up; in some levels it only just rises.
+    lift = jnp.where(draws.chance(0.3), draws.between(1.02, 1.2), draws.between(1.2, 2.2))
+    sideways = draws.between(0.25, 1.0)  # of the lift, where one pushes to the side
     tilt = draws.between(0.15, 0.5)
     jets = []
     for colour, side in enumerate((-1.0, 1.0)):
-        up_alone = 1.0 if colour == 0 else 0.3  # one up and a weaker one to the side
-        power = weight * NEWTON * lift * jnp.where(is_pair, 0.6, up_alone)
+        power = weight * NEWTON * lift * jnp.where(is_pair, 0.6, 1.0 if colour == 0 else sideways)
         angle = jnp.where(is_pair, 0.5 * math.pi + tilt * side, 0.5 * math.pi if colour == 0 else 0.0)
         behind = half * jnp.array([0.0, -1.0] if colour == 0 else [-1.0, 0.0])
         at = jnp.where(is_pair, half * jnp.array([0.7 * side, 0.0]), behind)
@@ -246,7 +247,7 @@ def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
         jets=jets,
         is_handed=True,
         height=draws.between(0.6, 2.6),
-        goal_height=draws.between(0.8, 4.2),
+        goal_height=draws.between(0.8, 4.6),
         has_bump=False,
         gap=jnp.max(half) + draws.between(0.25, 0.8),
         num_blocks=MAX_BLOCKS,

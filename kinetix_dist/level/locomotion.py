@@ -132,9 +132,11 @@ def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capaci
 
 
 def _block(draws: Draws, within: Array, is_wanted: Array) -> Part:
-    """A box in the air between two x ([2] m), mostly red; not always there."""
-    x, y = draws.between(within[0], within[1]), draws.between(FLOOR_TOP_M + 0.4, WORLD_SIZE_M - 0.4)
-    half = jnp.stack([draws.between(0.08, 0.3), draws.between(0.08, 0.3)])
+    """A box in the air between two x ([2] m), mostly red, sometimes tall; not always there."""
+    height = jnp.where(draws.chance(0.3), draws.between(0.3, 0.9), draws.between(0.08, 0.3))
+    half = jnp.stack([draws.between(0.08, 0.3), height])
+    x = draws.between(within[0], within[1])
+    y = draws.between(FLOOR_TOP_M + half[1], WORLD_SIZE_M - half[1])
     room = jnp.minimum(x - within[0], within[1] - x)
     role = jnp.where(draws.chance(0.7), Role.RED, Role.NONE)
     half = half.at[0].min(room)
