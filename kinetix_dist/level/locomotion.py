@@ -120,18 +120,30 @@ def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capaci
     room = capacity.polygons - NUM_WALLS - sum(part.half is not None for part in thing.parts)
     extra = []
     if thing.gap is not None:
-        has_pillars = draws.chance(0.5)
-        extra = _pillars(draws, thing.gap, obstacle_x, bump_half[0], has_pillars)
         ends = jnp.sort(jnp.stack([middle_x + 0.5 * (lowest[0] + highest[0]), goal_x]))
         within = ends + jnp.stack([1.0, -1.0]) * (jnp.maximum(radius, 0.5 * width) + CLEARANCE_M)
-        extra += [_block(draws, within, ~has_pillars) for _ in range(thing.num_blocks)]
+        pillars = _pillars(draws, thing.gap, obstacle_x, bump_half[0])
+        extra = _either(draws.chance(0.5), pillars, [_block(draws, within) for _ in range(thing.num_blocks)])
     elif thing.has_bump:
         position = jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]])
         extra = [Part(position=position, half=bump_half, is_fixed=True, active=has_obstacle)]
     return thing, jnp.stack([goal_x, goal_y]), extra[:room]
 
 
-def _block(draws: Draws, within: Array, is_wanted: Array) -> Part:
+def _either(is_first: Array, first: list[Part], second: list[Part]) -> list[Part]:
+    """The fixed boxes of one of two lists, of which the second is the longer one."""
+
+    def one_of(a: Part, b: Part) -> Part:
+        fields = ("position", "half", "role", "active")
+        return dataclasses.replace(
+            a, **{name: jnp.where(is_first, getattr(a, name), getattr(b, name)) for name in fields}
+        )
+
+    rest = [dataclasses.replace(part, active=part.active & ~is_first) for part in second[len(first) :]]
+    return [one_of(a, b) for a, b in zip(first, second, strict=False)] + rest
+
+
+def _block(draws: Draws, within: Array) -> Part:
     """A box in the air between two x ([2] m), mostly red, sometimes tall; not always there."""
     height = jnp.where(draws.chance(0.3), draws.between(0.3, 0.9), draws.between(0.08, 0.3))
     half = jnp.stack([draws.between(0.08, 0.3), height])
@@ -140,11 +152,12 @@ def _block(draws: Draws, within: Array, is_wanted: Array) -> Part:
     room = jnp.minimum(x - within[0], within[1] - x)
     role = jnp.where(draws.chance(0.7), Role.RED, Role.NONE)
     half = half.at[0].min(room)
-    active = is_wanted & draws.chance(0.7) & (room > 0.04)
-    return Part(position=jnp.stack([x, y]), half=half, role=role, is_fixed=True, active=active)
+    return Part(
+        position=jnp.stack([x, y]), half=half, role=role, is_fixed=True, active=draws.chance(0.7) & (room > 0.04)
+    )
 
 
-def _pillars(draws: Draws, gap: Array, x: Array, half_width: Array, active: Array) -> list[Part]:
+def _pillars(draws: Draws, gap: Array, x: Array, half_width: Array) -> list[Part]:
     """One that stands and one that hangs, a gap (its half, m) between them; half of the time both are red."""
     is_red, is_first_below = draws.chance(0.5), draws.chance(0.5)
     gap_y = draws.between(FLOOR_TOP_M + gap + 0.1, WORLD_SIZE_M - gap - 0.1)
@@ -155,7 +168,7 @@ def _pillars(draws: Draws, gap: Array, x: Array, half_width: Array, active: Arra
     for is_below in (is_first_below, ~is_first_below):
         bottom, top = (jnp.where(is_below, *ends) for ends in zip(below, above, strict=True))
         position, half = jnp.stack([x, 0.5 * (bottom + top)]), jnp.stack([half_width, 0.5 * (top - bottom)])
-        pillars.append(Part(position=position, half=half, role=role, is_fixed=True, active=active))
+        pillars.append(Part(position=position, half=half, role=role, is_fixed=True))
     return pillars
 
 

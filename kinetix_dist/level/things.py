@@ -181,8 +181,10 @@ def with_hinges(
         strongest = config.wheel_power_max if is_wheel else config.motor_power_max
         limit = jnp.zeros(()) if hinge.limit is None else hinge.limit
         of_a, of_b = read_slot(draft.shapes, a), read_slot(draft.shapes, b)
-        colour = jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1))
         is_weld = jnp.asarray(hinge.is_weld)
+        motor_speed = draws.between(config.motor_speed_min, config.motor_speed_max)
+        motor_power = draws.between(config.motor_power_min, strongest)
+        colour = jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1))
         joint = hinge_or_weld(
             a=a,
             b=b,
@@ -191,8 +193,8 @@ def with_hinges(
             is_weld=is_weld,
             rest_angle=of_b.angle - of_a.angle,
             motor_on=jnp.array(hinge.has_motor),
-            motor_speed=draws.between(config.motor_speed_min, config.motor_speed_max),
-            motor_power=draws.between(config.motor_power_min, strongest),
+            motor_speed=motor_speed,
+            motor_power=motor_power,
             has_limits=jnp.array(hinge.limit is not None),
             lower_limit=-limit,
             upper_limit=limit,

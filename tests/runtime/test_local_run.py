@@ -20,11 +20,19 @@ from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
 from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
+from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
 from tests.helpers import REPOSITORY
-from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
+from tests.runtime.runs import (
+    QuietReporter,
+    assert_same_bits,
+    final_arrays,
+    run_directory,
+    run_updates,
+    tiny_config,
+)
 
 WORKER = ProcessPlan(role="worker", index=0)
 CURATOR = ProcessPlan(role="curator", index=0)
@@ -91,6 +99,25 @@ def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_u
         ["update 4", "refresh 3", "update 5", "update 6", "update 7"],
     ]
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
+
+
+def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_first_update(tmp_path):
+    """It may compile for minutes."""
+    config, stop = tiny_config(num_updates=8, num_curators=0), StopSignals()
+
+    class Signalled(_NotingTrainer):
+        def refresh(self, *arguments):
+            stop.requested = "SIGTERM"
+            return super().refresh(*arguments)
+
+    trainer = Signalled(config)
+    run = run_directory(tmp_path / "run", config, resume=False)
+    controller = Controller(config, run, trainer, CurationByWorkers(trainer), QuietReporter(), stop=stop)
+    controller.restore(resume=False)
+    with pytest.raises(StoppedError, match="stopped by SIGTERM before the first update"):
+        controller.train()
+    run.close()
+    assert trainer.done == ["refresh 0"]
 
 
 @pytest.mark.also_gpu

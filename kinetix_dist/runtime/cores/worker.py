@@ -153,13 +153,14 @@ class Worker(LearnerWorker):
             rollout, released = self._playing.rollout(self._enter_phase_of(ahead_of)), self.released()
             is_traced = threading.Event()
             self._update_programs.begin(lambda: self._compile_update(rollout, is_traced))
-            if arrays is None and jax.process_index() == 0:  # a new run begins with evaluations, see `training_run.py`
+            is_new = ahead_of == 0
+            if is_new and jax.process_index() == 0:  # it begins with evaluations, see `training_run.py`
                 self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(released))
             has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
             if self._config.workers_curate and has_part:
                 version = self._config.curriculum.next_refresh(ahead_of)
                 # A new run refreshes first, one that is resumed makes an update first: threads that trace take turns.
-                after = is_traced if arrays is not None else None
+                after = None if is_new else is_traced
                 self._refresh_programs.begin(lambda: self._compile_refresh(released, version, after))
 
     def _compile_update(self, rollout: RolloutCore, is_traced: threading.Event) -> None:

@@ -42,7 +42,7 @@ class ColocatedTrainer:
         self._handles = []
         self._handles = self.backend.spawn(self._plans, build_worker, self._config)
         stored = None if arrays is None else self.backend.put(dict(arrays))
-        # While these compile, the first evaluation, or a refresh that was in flight, is worked out.
+        # While these compile, the first evaluation is worked out, or curators work out a refresh that was in flight.
         self._all("start", stored, num_updates if self.backend.works_beside else None)
 
     def place(self, placement: Placement) -> None:

@@ -160,6 +160,7 @@ class Refreshes:
         if refresh is None:
             self._note_late(version, num_updates)
             return
+        self._stop.raise_if_requested()  # the update to come may compile for minutes; the refresh stays in flight
         with self._section("curate"):
             self._trainer.adopt(refresh.parts)
         self._is_stale, self._pending = False, None

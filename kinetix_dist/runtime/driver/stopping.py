@@ -101,10 +101,14 @@ class StopSignals:
     def interruptible(self) -> Generator[None]:
         """A wait inside of what is deferred, at which nothing is lost."""
         with self._deferring(False):
-            if self.requested is not None:
-                raise StopRequested
+            self.raise_if_requested()
             with raised_through_extensions():
                 yield
+
+    def raise_if_requested(self) -> None:
+        """Raises StopRequested, also where signals are deferred: nothing is lost here by it."""
+        if self.requested is not None:
+            raise StopRequested
 
     @contextmanager
     def _deferring(self, is_deferred: bool) -> Generator[None]:
