@@ -14,7 +14,7 @@ from tests.engine.test_references import stored_positions
 
 OPTIMISED = True  # steps by the ten thousand: see tests/conftest.py
 
-SCENE, SECONDS = "double_pendulum_path", 0.15
+SCENE, SECONDS = "double_pendulum_path", 0.2  # tenths: it is sampled ten times a second
 DIVISIONS = (256, 1024)  # of 1/60 s, the second that of the preset
 
 
