@@ -103,7 +103,7 @@ class Thing:
     has_bump: bool = True  # sometimes, on the floor on the way
     gap: Array | None = None  # m, half of what two pillars on the way leave, if there are any
     num_blocks: int = 0  # in the air on the way, at most, where there are no pillars
-    colours_in_turn: bool | Array = False  # each motor has the colour after that of the one before; False: see below
+    colours_in_turn: bool | Array = False  # each motor has the colour after that of the one before, see `with_hinges`
     floor_is_red: Array | None = None  # None: as often as in all levels
 
 
@@ -182,6 +182,7 @@ def with_hinges(
         limit = jnp.zeros(()) if hinge.limit is None else hinge.limit
         of_a, of_b = read_slot(draft.shapes, a), read_slot(draft.shapes, b)
         is_weld = jnp.asarray(hinge.is_weld)
+        # Drawn in this order: levels of a key stay what they are.
         motor_speed = draws.between(config.motor_speed_min, config.motor_speed_max)
         motor_power = draws.between(config.motor_power_min, strongest)
         colour = jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1))
