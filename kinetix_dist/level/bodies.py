@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Literal
 
 import jax.numpy as jnp
 
@@ -11,14 +12,16 @@ from jax2d.fields import Array
 from jax2d.scene import Capacity
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
 from kinetix_dist.level.roles import Role
-from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent
+from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent, moved
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
+WALL_MARGIN_M = 0.1  # from a wall to what begins beside it
 CLEARANCE_M = 0.01  # above what carries it, so that nothing touches it at the start
 MAX_LEGS = 3  # of a walker
 MAX_LINKS = 4  # of an arm
 MAX_SNAKE_LINKS = 6
 MAX_BLOCKS = 3  # in the way of a flyer
+ROPE_LINKS = 3  # of what a lander carries
 GRAVITY_M_S2 = 9.81
 NEWTON = 0.1  # thruster power that gives one
 
@@ -37,13 +40,18 @@ def build_unicycle(draws: Draws, capacity: Capacity) -> Thing:
 def build_car(draws: Draws, capacity: Capacity) -> Thing:
     """A chassis on two wheels of different sizes, both on the floor. It is about as long as the wheels reach, so that
     no wheel keeps green from the goal."""
-    radii = [draws.between(0.14, 0.28) for _ in range(2)]
-    along = draws.between(0.3, 0.55)  # half the distance of the axles, level
+    return _car(draws, jnp.ones(()))
+
+
+def _car(draws: Draws, scale: Array) -> Thing:
+    """The car with all its lengths times `scale`."""
+    radii = [scale * draws.between(0.14, 0.28) for _ in range(2)]
+    along = scale * draws.between(0.3, 0.55)  # half the distance of the axles, level
     axles = [jnp.stack([-along, radii[0]]), jnp.stack([along, radii[1]])]
     slope = jnp.arctan2(radii[1] - radii[0], 2.0 * along)
     wheelbase = jnp.hypot(2.0 * along, radii[1] - radii[0])
     reach = 0.5 * wheelbase + draws.between(0.85, 1.3) * jnp.maximum(*radii)
-    half = jnp.stack([reach, draws.between(0.07, 0.16)])
+    half = jnp.stack([reach, scale * draws.between(0.07, 0.16)])
     up = jnp.stack([-jnp.sin(slope), jnp.cos(slope)])
     centre = 0.5 * (axles[0] + axles[1]) + 0.5 * half[1] * up
     chassis = Part(position=centre, angle=slope, half=half, role=Role.GREEN)
@@ -81,13 +89,16 @@ def _add_link(
     half: Array,
     active: Array,
     lean: Array | None = None,
+    motion: Literal["motor", "free", "welded"] = "motor",
 ) -> Array:
     """Hangs a box with its upper end at a point of part `of`, at an angle (rad, None: any); where its other end is."""
     angle = draws.between(-0.45, 0.45) if lean is None else lean
     down = jnp.stack([jnp.sin(angle), -jnp.cos(angle)])
     inside = 0.85 * half[1]
     parts.append(Part(position=at + inside * down, angle=angle, half=half, active=active))
-    hinges.append(Hinge(a=of, b=len(parts) - 1, at=at, limit=draws.between(0.5, 1.2), active=active))
+    limit = draws.between(0.5, 1.2) if motion == "motor" else None
+    joint = Hinge(a=of, b=len(parts) - 1, at=at, limit=limit, active=active)
+    hinges.append(dataclasses.replace(joint, has_motor=motion == "motor", is_weld=motion == "welded"))
     return at + 2.0 * inside * down
 
 
@@ -308,6 +319,136 @@ def build_beam(draws: Draws, capacity: Capacity) -> Thing:
         hinges=hinges,
         middle=middle,
         goal=goal,
+        goal_radius=goal_radius,
+        floor_is_red=draws.chance(0.7),
+    )
+
+
+def build_lander(draws: Draws, capacity: Capacity) -> Thing:
+    """A green box with two jets at its lower corners, in the air; the goal is a slab on the floor.
+
+    Where there is room, two fifths carry a green disc on a rope of links instead, and half of the others have two legs.
+    """
+    rope_fits = capacity.joints > ROPE_LINKS and capacity.polygons - NUM_WALLS >= ROPE_LINKS + 4
+    has_rope = draws.chance(0.4) if rope_fits else jnp.array(False)
+    half = jnp.stack([draws.between(0.11, 0.22), draws.between(0.1, 0.18)])
+    half = half * jnp.where(has_rope, draws.between(1.0, 1.8), 1.0)
+    parts = [Part(position=jnp.zeros(2), half=half, role=jnp.where(has_rope, Role.NONE, Role.GREEN))]
+    hinges: list[Hinge] = []
+    mass = 4.0 * half[0] * half[1]
+    if rope_fits:
+        has_legs = draws.chance(0.5) & ~has_rope
+        leg, splay = jnp.stack([draws.between(0.02, 0.03), draws.between(0.05, 0.09)]), draws.between(0.3, 0.9)
+        link = jnp.stack([draws.between(0.03, 0.045), draws.between(0.08, 0.15)])
+        # Feet end above the lower side of the box: green is what must touch blue.
+        hip_y = 1.9 * leg[1] * jnp.cos(splay) + leg[0] * jnp.sin(splay) - half[1]
+        for side in (-1.0, 1.0):
+            hip = jnp.stack([side * 0.9 * half[0], hip_y])
+            _add_link(draws, parts, hinges, 0, hip, leg, has_legs, lean=side * splay, motion="welded")
+        at = jnp.stack([jnp.zeros(()), -0.9 * half[1]])
+        for number in range(ROPE_LINKS):
+            of = len(parts) - 1 if number else 0
+            at = _add_link(draws, parts, hinges, of, at, link, has_rope, lean=jnp.zeros(()), motion="free")
+        radius = draws.between(0.1, 0.18)
+        load = Part(
+            position=at - jnp.stack([jnp.zeros(()), 0.8 * radius]), radius=radius, role=Role.GREEN, active=has_rope
+        )
+        hinges.append(Hinge(a=len(parts) - 1, b=len(parts), at=at, has_motor=False, active=has_rope))
+        parts.append(load)
+        area = 4.0 * leg[0] * leg[1] * 2.0
+        mass = mass + jnp.where(has_legs, area, 0.0)
+        mass = mass + jnp.where(has_rope, ROPE_LINKS * 4.0 * link[0] * link[1] + math.pi * radius**2, 0.0)
+    lift, tilt = draws.between(1.1, 2.6), draws.between(0.0, 0.5)
+    power = 0.5 * lift * mass * GRAVITY_M_S2 * NEWTON / jnp.cos(tilt)
+    jets = [
+        Jet(
+            of=0,
+            at=half * jnp.array([0.9 * side, -0.9]),
+            angle=0.5 * math.pi + tilt * side,
+            power=power,
+            colour=colour,
+        )
+        for colour, side in enumerate((-1.0, 1.0))
+    ]
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        jets=jets,
+        height=draws.between(0.9, 2.6),
+        slab=jnp.stack([draws.between(0.2, 0.6), draws.between(0.03, 0.1)]),
+        has_bump=False,
+        floor_is_red=draws.chance(0.8),
+    )
+
+
+def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
+    """A car with a green box or disc on it that nothing holds, between low walls: it is carried to the goal. Where the
+    goal is a slab on the floor there is no wall in front, and the load has to come off there."""
+    radius, along = draws.between(0.12, 0.2), draws.between(0.35, 0.6)
+    half = jnp.stack([along + draws.between(0.0, 0.2), draws.between(0.04, 0.08)])
+    top = 2.0 * radius + CLEARANCE_M  # no wheel stands out above the chassis
+    parts = [Part(position=jnp.stack([jnp.zeros(()), top - half[1]]), half=half)]
+    hinges: list[Hinge] = []
+    for side in (-1.0, 1.0):
+        axle = jnp.stack([side * along, radius])
+        hinges.append(Hinge(a=0, b=len(parts), at=axle))
+        parts.append(Part(position=axle, radius=radius))
+    goal_is_slab = draws.chance(0.4)
+    wall = jnp.stack([jnp.full((), 0.03), draws.between(0.05, 0.1)])
+    for side in (-1.0, 1.0):
+        active = ~goal_is_slab if side > 0.0 else jnp.array(True)
+        foot = jnp.stack([side * (half[0] - wall[0]), top - half[1]])
+        hinges.append(Hinge(a=0, b=len(parts), at=foot, is_weld=True, active=active))
+        parts.append(Part(position=jnp.stack([foot[0], top + wall[1] - 0.5 * half[1]]), half=wall, active=active))
+    size = draws.between(0.09, 0.16)
+    room = half[0] - 2.0 * wall[0] - size - CLEARANCE_M
+    at = jnp.stack([room * draws.between(-1.0, 0.5), top + size + CLEARANCE_M])
+    is_disc = draws.chance(0.6)
+    parts.append(Part(position=at, half=jnp.stack([size, size]), role=Role.GREEN, active=~is_disc))
+    parts.append(Part(position=at, radius=size, role=Role.GREEN, active=is_disc))
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        is_handed=True,
+        slab=jnp.stack([draws.between(0.3, 0.6), draws.between(0.02, 0.06)]),
+        goal_is_slab=goal_is_slab,
+        goal_rise=(0.75, 0.98),  # above the walls, and not above the load
+        has_bump=False,
+        floor_is_red=draws.chance(0.6),
+    )
+
+
+def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
+    """A small car on a platform, and the goal on another one beyond a gap, at most as high."""
+    car = _car(draws, draws.between(0.5, 0.8))
+    lowest, highest = extent(car.parts)
+    side = jnp.where(draws.chance(0.5), 1.0, -1.0)
+    gap, drop = draws.between(0.15, 1.0), draws.between(0.0, 0.7)
+    # About the upper edge at the gap of the platform that the car is on.
+    width = highest[0] - lowest[0]
+    lengths = jnp.stack([width + draws.between(0.2, 1.0), draws.between(0.6, 1.1)])
+    thickness = draws.between(0.04, 0.1)  # half of it
+    start = draws.between(0.05, 0.15) - lengths[0] - lowest[0]
+    car = moved(
+        car, jnp.stack([side * start + jnp.where(side > 0.0, 0.0, -(lowest[0] + highest[0])), CLEARANCE_M - lowest[1]])
+    )
+    platforms = [
+        Part(position=jnp.stack([side * x, y - thickness]), half=jnp.stack([0.5 * length, thickness]), is_fixed=True)
+        for x, y, length in (
+            (-0.5 * lengths[0], jnp.zeros(()), lengths[0]),
+            (gap + 0.5 * lengths[1], -drop, lengths[1]),
+        )
+    ]
+    goal_radius = draws.between(0.1, 0.2)
+    goal_x = gap + lengths[1] - goal_radius - draws.between(0.0, 0.2)
+    left, right = WALL_MARGIN_M + lengths[0], WORLD_SIZE_M - WALL_MARGIN_M - gap - lengths[1]
+    x = draws.between(left, right)
+    x = jnp.where(side > 0.0, x, WORLD_SIZE_M - x)
+    return Thing(
+        parts=[*car.parts, *platforms],
+        hinges=car.hinges,
+        middle=jnp.stack([x, draws.between(FLOOR_TOP_M + 1.1, 3.2)]),
+        goal=jnp.stack([side * goal_x, goal_radius + CLEARANCE_M - drop]),
         goal_radius=goal_radius,
         floor_is_red=draws.chance(0.7),
     )

@@ -15,7 +15,18 @@ PUBLISHED_DETAILS = (
 )
 # Of level/locomotion.py: those drawn unless others are asked for, and all.
 LOCOMOTION_KINDS = ("car", "unicycle", "walker", "arm")
-ALL_KINDS = (*LOCOMOTION_KINDS, "runner", "snake", "cartpole", "flyer", "pusher", "beam")
+ALL_KINDS = (
+    *LOCOMOTION_KINDS,
+    "runner",
+    "snake",
+    "cartpole",
+    "flyer",
+    "pusher",
+    "beam",
+    "lander",
+    "carrier",
+    "jumper",
+)
 _CHANCES = (
     "locomotion_share", "varied_share",
     "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax2d.fields import Array
 from jax2d.scene import Capacity
 from kinetix_dist.level import bodies
-from kinetix_dist.level.bodies import CLEARANCE_M
+from kinetix_dist.level.bodies import CLEARANCE_M, WALL_MARGIN_M
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
@@ -43,7 +43,6 @@ from kinetix_dist.level.things import (
 )
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
-WALL_MARGIN_M = 0.1
 GOAL_GAP_M = 0.3  # from the thing to the goal, at least
 
 
@@ -83,13 +82,17 @@ def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) 
         radius = radius if thing.goal_radius is None else thing.goal_radius
         thing, goal, extra = moved(thing, thing.middle), thing.middle + thing.goal, []
         blue_is_fixed = jnp.array(True)
-    blue = Part(position=goal, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)
+    blue = [Part(position=goal, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)]
+    if thing.slab is not None:
+        is_slab = jnp.asarray(thing.goal_is_slab)
+        blue = [dataclasses.replace(blue[0], active=~is_slab)] if thing.goal_is_slab is not True else []
+        blue.append(Part(position=goal, half=thing.slab, role=Role.BLUE, is_fixed=blue_is_fixed, active=is_slab))
     draft = empty_draft(capacity)
     floor_is_red = draws.chance(config.floor_red_chance)
     floor_is_red = floor_is_red if thing.floor_is_red is None else thing.floor_is_red
     floor_role = jnp.where(floor_is_red, Role.RED, Role.NONE).astype(jnp.int32)
     shapes = dataclasses.replace(draft.shapes, role=draft.shapes.role.at[0].set(floor_role))
-    draft, slots = with_parts(dataclasses.replace(draft, shapes=shapes), [*thing.parts, *extra, blue], capacity)
+    draft, slots = with_parts(dataclasses.replace(draft, shapes=shapes), [*thing.parts, *extra, *blue], capacity)
     draft = with_jets(draft, thing.jets, slots)
     return with_hinges(draws, draft, thing, slots, capacity, config)
 
@@ -101,11 +104,15 @@ def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capaci
     width = highest[0] - lowest[0]
     left = WALL_MARGIN_M + draws.between(0.0, 0.5)
     nearest = left + width + GOAL_GAP_M
+    if thing.slab is not None:
+        radius = jnp.where(thing.goal_is_slab, thing.slab[0], radius)
     share = draws.between(0.0, 1.0) ** thing.goal_nearness
     goal_x = nearest + radius + share * (WORLD_SIZE_M - WALL_MARGIN_M - radius - (nearest + radius))
     low, high = thing.goal_rise
     goal_y = FLOOR_TOP_M + CLEARANCE_M + radius + draws.between(low, high) * (highest[1] - lowest[1])
     goal_y = goal_y if thing.goal_height is None else thing.goal_height
+    if thing.slab is not None:
+        goal_y = jnp.where(thing.goal_is_slab, FLOOR_TOP_M + CLEARANCE_M + thing.slab[1], goal_y)
     bump_half = jnp.stack([draws.between(0.03, 0.1), draws.between(0.02, 0.08)])
     obstacle_x = draws.between(left + width + bump_half[0] + 0.03, goal_x - radius - bump_half[0] - 0.03)
     has_obstacle = draws.chance(0.4)
@@ -202,4 +209,7 @@ _KINDS = {
     "flyer": _Kind(build=bodies.build_flyer, polygons=1, circles=1, thrusters=2),
     "pusher": _Kind(build=bodies.build_pusher, polygons=2, circles=3, joints=2),
     "beam": _Kind(build=bodies.build_beam, polygons=1, circles=3, joints=1),
+    "lander": _Kind(build=bodies.build_lander, polygons=2, circles=0, thrusters=2),
+    "carrier": _Kind(build=bodies.build_carrier, polygons=5, circles=4, joints=4),
+    "jumper": _Kind(build=bodies.build_jumper, polygons=3, circles=3, joints=2),
 }

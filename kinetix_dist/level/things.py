@@ -94,6 +94,8 @@ class Thing:
     middle: Array | None = None  # [2] m, where its origin is in the world
     goal: Array | None = None  # [2] m, from its origin
     goal_radius: Array | None = None  # m, None: as drawn for all
+    slab: Array | None = None  # [2] m, half extents of a goal that lies on the floor instead
+    goal_is_slab: bool | Array = True  # where there is a slab: or it is a disc, as drawn for all
     # Of something that can go
     is_handed: bool = False  # it faces to the right, so that it is mirrored where the goal is to the left
     height: Array | float = 0.0  # m, of its lowest point above the floor

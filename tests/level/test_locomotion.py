@@ -24,7 +24,7 @@ from tests.level.valid import assert_valid
 NUM_LEVELS = 512
 KINDS_OF = {
     "s": ("unicycle", "arm"),
-    "m": (*LOCOMOTION_KINDS, "snake", "cartpole", "flyer", "pusher", "beam"),
+    "m": (*LOCOMOTION_KINDS, "snake", "cartpole", "flyer", "pusher", "beam", "lander"),
     "l": ALL_KINDS,
 }
 
@@ -51,11 +51,13 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
     has_motor = joints.active & joints.motor_on
     assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
     is_weld = joints.active & (joints.kind == JointKind.FIXED)
-    assert is_weld.any() == (kind == "runner")  # of feet
-    assert (joints.active & ~joints.motor_on & ~is_weld).any() == (kind == "cartpole")  # a hinge alone holds the pole
+    # Feet of runners, legs of landers, walls of what carries; a hinge alone holds a pole and a rope.
+    assert is_weld.any() == (kind in ("runner", "carrier") or (size, kind) == ("l", "lander"))
+    is_passive = joints.active & ~joints.motor_on & ~is_weld
+    assert is_passive.any() == (kind == "cartpole" or (size, kind) == ("l", "lander"))
 
 
-@pytest.mark.parametrize("kind", ["car", "unicycle", "walker", "runner", "snake", "cartpole", "pusher"])
+@pytest.mark.parametrize("kind", ["car", "unicycle", "walker", "runner", "snake", "cartpole", "pusher", "carrier"])
 def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(kind: str) -> None:
     levels = levels_of("l", kind)
     shapes, polygons = levels.scene.shapes, SIZES["l"].polygons
@@ -173,6 +175,83 @@ def test_a_pole_stands_beside_a_goal_of_its_upper_half_and_a_disc_on_a_beam_must
     is_pivot[:, :NUM_WALLS] = False
     pivot = beams.position[is_pivot]
     assert (np.sign(goal[:, 0] - pivot[:, 0]) == -np.sign(disc[:, 0] - pivot[:, 0])).all()
+
+
+def test_a_lander_is_carried_by_its_jets_and_green_is_what_comes_down_first() -> None:
+    for size in "ml":
+        levels, polygons = levels_of(size, "lander"), SIZES[size].polygons
+        shapes, jets = levels.scene.shapes, levels.scene.thrusters
+        is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
+        moves = shapes.active & (shapes.inverse_mass > 0) & ~is_blue
+        mass = np.divide(1.0, shapes.inverse_mass, out=np.zeros_like(shapes.inverse_mass), where=moves).sum(axis=1)
+        lift = (10.0 * jets.power * np.sin(jets.angle)).sum(axis=1) / (9.81 * mass)
+        assert (lift > 1.09).all() and (lift < 2.61).all()
+        corners = np.asarray(world_corners(levels.position[:, :polygons], levels.angle[:, :polygons], shapes.vertices))
+        bottoms = np.concatenate(
+            [corners[..., 1].min(axis=2), levels.position[:, polygons:, 1] - shapes.radius], axis=1
+        )
+        others = np.where(moves & ~is_green, bottoms, np.inf).min(axis=1)
+        assert (bottoms[is_green] < others).all()
+        assert (bottoms[is_green] > FLOOR_TOP_M + 0.89).all()
+        # The goal lies on the floor.
+        assert is_blue[:, :polygons].any(axis=1).all()
+        np.testing.assert_allclose(bottoms[is_blue], FLOOR_TOP_M + 0.01, atol=1e-4)
+    has_rope = is_green[:, SIZES["l"].polygons :].any(axis=1)
+    num_joints = levels.scene.joints.active.sum(axis=1)
+    assert 0.3 < has_rope.mean() < 0.5 and set(num_joints[has_rope]) == {4} and set(num_joints[~has_rope]) == {0, 2}
+
+
+def test_what_is_carried_lies_on_the_car_and_comes_off_where_the_goal_is_on_the_floor() -> None:
+    levels, polygons = levels_of("l", "carrier"), SIZES["l"].polygons
+    shapes = levels.scene.shapes
+    is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
+    green, blue = levels.position[is_green], levels.position[is_blue]
+    is_slab = is_blue[:, :polygons].any(axis=1)
+    assert 0.3 < is_slab.mean() < 0.5
+    welds = levels.scene.joints.active & (levels.scene.joints.kind == JointKind.FIXED)
+    assert (welds.sum(axis=1) == np.where(is_slab, 1, 2)).all()
+    # A load that is carried to a disc touches it from below or from the side.
+    size = np.where(
+        is_green[:, polygons:].any(axis=1),
+        (shapes.radius * is_green[:, polygons:]).sum(axis=1),
+        (np.abs(shapes.vertices[:, :, 0, 1]) * is_green[:, :polygons]).sum(axis=1),
+    )
+    goal_bottom = blue[:, 1] - (shapes.radius * is_blue[:, polygons:]).sum(axis=1)
+    assert (goal_bottom < green[:, 1] + size)[~is_slab].all() and (goal_bottom > green[:, 1] - size)[~is_slab].all()
+    # Nothing at the start is below the load but the car: it is within its length.
+    is_car = shapes.active & (shapes.inverse_mass > 0) & ~is_green & ~is_blue
+    highest = np.where(is_car, levels.position[..., 0], -np.inf).max(axis=1)
+    lowest = np.where(is_car, levels.position[..., 0], np.inf).min(axis=1)
+    assert (green[:, 0] > lowest).all() and (green[:, 0] < highest).all()
+    joints, half = levels.scene.joints, np.abs(shapes.vertices[:, :, 0])
+    row = np.arange(NUM_LEVELS)
+    weld = np.argmax(welds, axis=1)
+    ends = joints.a[row, weld], joints.b[row, weld]
+    wall = np.where(half[row, ends[0], 0] < half[row, ends[1], 0], *ends)  # the narrower one
+    wall = levels.position[row, wall, 0]
+    assert (np.sign(green[:, 0] - wall) == np.sign(blue[:, 0] - green[:, 0]))[is_slab].all()  # behind the load
+
+
+def test_a_jumper_has_a_gap_before_it_and_its_goal_is_not_higher() -> None:
+    levels, polygons = levels_of("l", "jumper"), SIZES["l"].polygons
+    shapes = levels.scene.shapes
+    is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
+    platforms = shapes.active[:, :polygons] & (shapes.inverse_mass[:, :polygons] == 0)
+    platforms[:, :NUM_WALLS] = False
+    assert (platforms.sum(axis=1) == 2).all()
+    half = np.abs(shapes.vertices[:, :, 0])
+    low, high = levels.position[:, :polygons] - half, levels.position[:, :polygons] + half
+    assert (low[platforms] > 0.05).all() and (high[platforms][:, 0] < WORLD_SIZE_M - 0.05).all()
+    for row in range(64):
+        first, second = np.flatnonzero(platforms[row])
+        green, blue = levels.position[row][is_green[row]][0], levels.position[row][is_blue[row]][0]
+        if not low[row, first, 0] < green[0] < high[row, first, 0]:
+            first, second = second, first
+        assert low[row, first, 0] < green[0] < high[row, first, 0]
+        assert low[row, second, 0] < blue[0] < high[row, second, 0]
+        gap = max(low[row, second, 0] - high[row, first, 0], low[row, first, 0] - high[row, second, 0])
+        assert 0.149 < gap < 1.001
+        assert -0.001 < high[row, first, 1] - high[row, second, 1] < 0.701
 
 
 @pytest.mark.parametrize(
