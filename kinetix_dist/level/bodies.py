@@ -412,7 +412,7 @@ def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
         is_handed=True,
         slab=jnp.stack([draws.between(0.3, 0.6), draws.between(0.02, 0.06)]),
         goal_is_slab=goal_is_slab,
-        goal_rise=(0.75, 0.98),  # above the walls, and not above the load
+        goal_rise=(0.75, 0.98),  # mostly above the walls, and never above the load
         has_bump=False,
         floor_is_red=draws.chance(0.6),
     )

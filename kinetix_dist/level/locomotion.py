@@ -85,7 +85,9 @@ def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) 
     blue = [Part(position=goal, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)]
     if thing.slab is not None:
         is_slab = jnp.asarray(thing.goal_is_slab)
-        blue = [dataclasses.replace(blue[0], active=~is_slab)] if thing.goal_is_slab is not True else []
+        # A disc in its place hangs: one that fell is behind the wall of what carries the load.
+        disc = dataclasses.replace(blue[0], active=~is_slab, is_fixed=True)
+        blue = [disc] if thing.goal_is_slab is not True else []
         blue.append(Part(position=goal, half=thing.slab, role=Role.BLUE, is_fixed=blue_is_fixed, active=is_slab))
     draft = empty_draft(capacity)
     floor_is_red = draws.chance(config.floor_red_chance)

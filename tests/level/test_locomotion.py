@@ -216,6 +216,7 @@ def test_what_is_carried_lies_on_the_car_and_comes_off_where_the_goal_is_on_the_
         (shapes.radius * is_green[:, polygons:]).sum(axis=1),
         (np.abs(shapes.vertices[:, :, 0, 1]) * is_green[:, :polygons]).sum(axis=1),
     )
+    assert (shapes.inverse_mass[is_blue] == 0)[~is_slab].all()  # it hangs: one that fell would be behind the wall
     goal_bottom = blue[:, 1] - (shapes.radius * is_blue[:, polygons:]).sum(axis=1)
     assert (goal_bottom < green[:, 1] + size)[~is_slab].all() and (goal_bottom > green[:, 1] - size)[~is_slab].all()
     # Nothing at the start is below the load but the car: it is within its length.
