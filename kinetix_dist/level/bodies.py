@@ -96,9 +96,11 @@ def _add_link(
     down = jnp.stack([jnp.sin(angle), -jnp.cos(angle)])
     inside = 0.85 * half[1]
     parts.append(Part(position=at + inside * down, angle=angle, half=half, active=active))
-    limit = draws.between(0.5, 1.2) if motion == "motor" else None
-    joint = Hinge(a=of, b=len(parts) - 1, at=at, limit=limit, active=active)
-    hinges.append(dataclasses.replace(joint, has_motor=motion == "motor", is_weld=motion == "welded"))
+    has_motor, is_weld = motion == "motor", motion == "welded"
+    limit = draws.between(0.5, 1.2) if has_motor else None
+    hinges.append(
+        Hinge(a=of, b=len(parts) - 1, at=at, limit=limit, has_motor=has_motor, is_weld=is_weld, active=active)
+    )
     return at + 2.0 * inside * down
 
 
@@ -355,8 +357,7 @@ def build_lander(draws: Draws, capacity: Capacity) -> Thing:
         )
         hinges.append(Hinge(a=len(parts) - 1, b=len(parts), at=at, has_motor=False, active=has_rope))
         parts.append(load)
-        area = 4.0 * leg[0] * leg[1] * 2.0
-        mass = mass + jnp.where(has_legs, area, 0.0)
+        mass = mass + jnp.where(has_legs, 2.0 * 4.0 * leg[0] * leg[1], 0.0)
         mass = mass + jnp.where(has_rope, ROPE_LINKS * 4.0 * link[0] * link[1] + math.pi * radius**2, 0.0)
     lift, tilt = draws.between(1.1, 2.6), draws.between(0.0, 0.5)
     power = 0.5 * lift * mass * GRAVITY_M_S2 * NEWTON / jnp.cos(tilt)

@@ -35,6 +35,13 @@ def levels_of(size: str, kind: str | None = None) -> Level:
     return jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES[size], config))
 
 
+def bottoms_of(levels: Level) -> np.ndarray:
+    """[levels, shapes] m, y of the lowest point of each shape."""
+    shapes, polygons = levels.scene.shapes, levels.scene.shapes.vertices.shape[1]
+    corners = np.asarray(world_corners(levels.position[:, :polygons], levels.angle[:, :polygons], shapes.vertices))
+    return np.concatenate([corners[..., 1].min(axis=2), levels.position[:, polygons:, 1] - shapes.radius], axis=1)
+
+
 @pytest.mark.parametrize(("size", "kind"), [(size, kind) for size, kinds in KINDS_OF.items() for kind in kinds])
 def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kind: str) -> None:
     levels = levels_of(size, kind)
@@ -60,13 +67,10 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
 @pytest.mark.parametrize("kind", ["car", "unicycle", "walker", "runner", "snake", "cartpole", "pusher", "carrier"])
 def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(kind: str) -> None:
     levels = levels_of("l", kind)
-    shapes, polygons = levels.scene.shapes, SIZES["l"].polygons
+    shapes = levels.scene.shapes
     moves = shapes.active & (shapes.inverse_mass > 0) & (levels.shape_role != Role.BLUE)
-    corners = np.asarray(world_corners(levels.position[:, :polygons], levels.angle[:, :polygons], shapes.vertices))
-    lowest = np.where(moves[:, :polygons], corners[..., 1].min(axis=2), np.inf).min(axis=1)
-    bottoms = levels.position[:, polygons:, 1] - shapes.radius
-    wheels = np.where(moves[:, polygons:], bottoms, np.inf).min(axis=1)
-    np.testing.assert_allclose(np.minimum(lowest, wheels), FLOOR_TOP_M + 0.01, atol=1e-4)
+    lowest = np.where(moves, bottoms_of(levels), np.inf).min(axis=1)
+    np.testing.assert_allclose(lowest, FLOOR_TOP_M + 0.01, atol=1e-4)
     is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
     apart = levels.position[is_blue][:, 0] - levels.position[is_green][:, 0]
     assert np.abs(apart).min() > 0.3
@@ -179,22 +183,19 @@ def test_a_pole_stands_beside_a_goal_of_its_upper_half_and_a_disc_on_a_beam_must
 
 def test_a_lander_is_carried_by_its_jets_and_green_is_what_comes_down_first() -> None:
     for size in "ml":
-        levels, polygons = levels_of(size, "lander"), SIZES[size].polygons
+        levels = levels_of(size, "lander")
         shapes, jets = levels.scene.shapes, levels.scene.thrusters
         is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
         moves = shapes.active & (shapes.inverse_mass > 0) & ~is_blue
         mass = np.divide(1.0, shapes.inverse_mass, out=np.zeros_like(shapes.inverse_mass), where=moves).sum(axis=1)
         lift = (10.0 * jets.power * np.sin(jets.angle)).sum(axis=1) / (9.81 * mass)
         assert (lift > 1.09).all() and (lift < 2.61).all()
-        corners = np.asarray(world_corners(levels.position[:, :polygons], levels.angle[:, :polygons], shapes.vertices))
-        bottoms = np.concatenate(
-            [corners[..., 1].min(axis=2), levels.position[:, polygons:, 1] - shapes.radius], axis=1
-        )
+        bottoms = bottoms_of(levels)
         others = np.where(moves & ~is_green, bottoms, np.inf).min(axis=1)
         assert (bottoms[is_green] < others).all()
         assert (bottoms[is_green] > FLOOR_TOP_M + 0.89).all()
         # The goal lies on the floor.
-        assert is_blue[:, :polygons].any(axis=1).all()
+        assert is_blue[:, : SIZES[size].polygons].any(axis=1).all()
         np.testing.assert_allclose(bottoms[is_blue], FLOOR_TOP_M + 0.01, atol=1e-4)
     has_rope = is_green[:, SIZES["l"].polygons :].any(axis=1)
     num_joints = levels.scene.joints.active.sum(axis=1)
