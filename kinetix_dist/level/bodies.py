@@ -166,6 +166,51 @@ def build_runner(draws: Draws, capacity: Capacity) -> Thing:
     )
 
 
+def build_sprinter(draws: Draws, capacity: Capacity) -> Thing:
+    """What MuJoCo's tasks run with, mostly with motors at their limits: a hopper, a walker whose two legs have one hip,
+    a cheetah, or a swimmer on the floor. The goal is at any distance, in three tenths at the far wall, and often a tall
+    box."""
+    form = draws.number(0, 3)  # 0: a hopper
+    is_walker, is_cheetah, is_swimmer = form == 1, form == 2, form == 3
+    width = draws.between(0.045, 0.075)
+    upright = jnp.stack([width, draws.between(0.14, 0.3)])
+    level = jnp.stack([draws.between(0.35, 0.6), draws.between(0.05, 0.1)])
+    thigh, shin = (jnp.stack([width, draws.between(0.13, 0.24)]) for _ in range(2))
+    torso_half = jnp.where(is_cheetah, level, jnp.where(is_swimmer, thigh[::-1], upright))
+    parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
+    hinges: list[Hinge] = []
+    foot = jnp.stack([draws.between(0.08, 0.2), draws.between(0.045, 0.075)])
+    is_stiff, legs_are_spread = draws.chance(0.4) | is_cheetah, draws.chance(0.5)
+    has_two = is_walker | is_cheetah | (is_swimmer & draws.chance(0.4))
+    for leg, side in enumerate((1.0, -1.0)):
+        active = has_two if leg else jnp.array(True)
+        # Of a cheetah each knee is before or behind its hip, of the others hardly.
+        bend = draws.between(0.3, 0.85) * jnp.where(draws.chance(0.5), 1.0, -1.0)
+        spread = draws.between(0.0, 0.3) * jnp.where(is_walker, side * legs_are_spread, 1.0)
+        lean = jnp.where(is_cheetah, bend, spread)
+        along = 0.85 * side * torso_half[0] * (is_cheetah | is_swimmer)
+        hip = jnp.stack([along, jnp.where(is_swimmer, 0.0, -0.7 * torso_half[1])])
+        # A swimmer's links lie in a row.
+        leans = [jnp.where(is_swimmer, 0.5 * math.pi * side, lean), jnp.where(is_swimmer, 0.5 * math.pi * side, -lean)]
+        knee = _add_link(draws, parts, hinges, 0, hip, thigh, active, lean=leans[0])
+        ankle = _add_link(draws, parts, hinges, len(parts) - 1, knee, shin, active, lean=leans[1])
+        parts.append(Part(position=ankle + jnp.stack([0.4 * foot[0], 0.0]), half=foot, active=active & ~is_swimmer))
+        limit, of = draws.between(0.4, 0.9), len(parts) - 2
+        hinges.append(Hinge(a=of, b=of + 1, at=ankle, limit=limit, is_weld=is_stiff, active=active & ~is_swimmer))
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        is_handed=True,
+        slab=jnp.stack([draws.between(0.12, 0.25), draws.between(0.25, 0.65)]),
+        goal_is_slab=draws.chance(0.6),
+        goal_nearness=jnp.where(draws.chance(0.3), 0, 1),
+        has_bump=False,
+        has_full_motors=draws.chance(0.7),
+        colours_in_turn=draws.chance(0.8),
+        floor_is_red=draws.chance(0.3) & ~is_swimmer,
+    )
+
+
 def build_snake(draws: Draws, capacity: Capacity) -> Thing:
     """Links in a row on the floor, one of them green."""
     num_links = min(capacity.polygons - NUM_WALLS, capacity.joints + 1, MAX_SNAKE_LINKS)
@@ -192,8 +237,11 @@ def build_snake(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_cartpole(draws: Draws, capacity: Capacity) -> Thing:
-    """A green pole that stands on a cart, held by nothing but a hinge. Wheels with motors, or jets to both sides."""
+    """A green pole that stands on a cart, held by nothing but a hinge. Wheels with motors, or jets to both sides.
+
+    Where there is room, two fifths have a disc at the tip of the pole, and the disc is green instead."""
     may_roll = capacity.circles >= 3 and capacity.joints >= 3
+    may_have_tip = capacity.circles >= 4 and capacity.joints >= 4
     may_fly = capacity.thrusters >= 2
     has_wheels = draws.chance(0.6) & may_roll if may_fly else jnp.array(True)
     cart_half = jnp.stack([draws.between(0.25, 0.45), draws.between(0.08, 0.14)])
@@ -203,16 +251,23 @@ def build_cartpole(draws: Draws, capacity: Capacity) -> Thing:
     hinge_at = jnp.stack([jnp.zeros(()), 0.6 * cart_half[1]])
     up = jnp.stack([-jnp.sin(tilt), jnp.cos(tilt)])
     cart = Part(position=jnp.zeros(2), half=cart_half)
-    pole = Part(position=hinge_at + 0.95 * pole_half[1] * up, angle=tilt, half=pole_half, role=Role.GREEN)
+    has_tip = draws.chance(0.4) if may_have_tip else jnp.array(False)
+    pole_role = jnp.where(has_tip, Role.NONE, Role.GREEN)
+    pole = Part(position=hinge_at + 0.95 * pole_half[1] * up, angle=tilt, half=pole_half, role=pole_role)
     parts, hinges = [cart, pole], [Hinge(a=0, b=1, at=hinge_at, has_motor=False)]
     if may_roll:
         for side in (-1.0, 1.0):
             axle = jnp.stack([side * 0.8 * cart_half[0], -0.7 * cart_half[1]])
             parts.append(Part(position=axle, radius=radius, active=has_wheels))
             hinges.append(Hinge(a=0, b=len(parts) - 1, at=axle, active=has_wheels))
+    mass = 4.0 * (cart_half[0] * cart_half[1] + pole_half[0] * pole_half[1])
+    if may_have_tip:
+        tip, tip_radius = hinge_at + 1.9 * pole_half[1] * up, draws.between(0.09, 0.19)
+        parts.append(Part(position=tip, radius=tip_radius, role=Role.GREEN, active=has_tip))
+        hinges.append(Hinge(a=1, b=len(parts) - 1, at=tip, is_weld=True, active=has_tip))
+        mass = mass + jnp.where(has_tip, math.pi * tip_radius**2, 0.0)
     jets = []
     if may_fly:
-        mass = 4.0 * (cart_half[0] * cart_half[1] + pole_half[0] * pole_half[1])
         power = draws.between(1.2, 2.5) * mass * GRAVITY_M_S2 * NEWTON
         for colour, side in enumerate((-1.0, 1.0)):
             at = jnp.stack([side * 0.8 * cart_half[0], jnp.zeros(())])
@@ -395,7 +450,7 @@ def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
         hinges.append(Hinge(a=0, b=len(parts), at=axle))
         parts.append(Part(position=axle, radius=radius))
     goal_is_slab = draws.chance(0.4)
-    wall = jnp.stack([jnp.full((), 0.03), draws.between(0.05, 0.1)])
+    wall = jnp.stack([jnp.full((), 0.03), draws.between(0.02, 0.1)])  # a disc rolls over low ones
     for side in (-1.0, 1.0):
         active = ~goal_is_slab if side > 0.0 else jnp.array(True)
         foot = jnp.stack([side * (half[0] - wall[0]), top - half[1]])
@@ -424,7 +479,7 @@ def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
     car = _car(draws, draws.between(0.5, 0.8))
     lowest, highest = extent(car.parts)
     side = jnp.where(draws.chance(0.5), 1.0, -1.0)
-    gap, drop = draws.between(0.15, 1.0), draws.between(0.0, 0.7)
+    gap, drop = draws.between(0.1, 0.5), draws.between(0.0, 0.7)
     # About the upper edge at the gap of the platform that the car is on.
     width = highest[0] - lowest[0]
     lengths = jnp.stack([width + draws.between(0.2, 1.0), draws.between(0.6, 1.1)])

@@ -26,6 +26,7 @@ ALL_KINDS = (
     "lander",
     "carrier",
     "jumper",
+    "sprinter",
 )
 _CHANCES = (
     "locomotion_share", "varied_share",
@@ -82,7 +83,8 @@ class GeneratorConfig:
     thruster_power_factor: float = 2.0  # times mass times 0.5..2
     # Levels with something that can go somewhere, see `locomotion.py`
     locomotion_share: float = 0.0  # of the levels; the others are random as above
-    locomotion_kinds: tuple[str, ...] = LOCOMOTION_KINDS  # those for which the size has room are equally likely
+    locomotion_kinds: tuple[str, ...] = LOCOMOTION_KINDS  # drawn are those for which the size has room
+    locomotion_weights: tuple[float, ...] = ()  # of the kinds, in their order; empty: all are equally likely
     # Levels, of all of these, with other powers, densities, frictions and so on, see `variety.py`
     varied_share: float = 0.0
 
@@ -108,6 +110,17 @@ class GeneratorConfig:
             )
         if unknown := [name for name in self.locomotion_kinds if name not in ALL_KINDS]:
             raise ValueError(f"GeneratorConfig.locomotion_kinds has {unknown[0]!r}; there are {', '.join(ALL_KINDS)}")
+        if len(set(self.locomotion_kinds)) < len(self.locomotion_kinds):
+            raise ValueError("GeneratorConfig.locomotion_kinds names a kind twice; use locomotion_weights")
+        if self.locomotion_weights and len(self.locomotion_weights) != len(self.locomotion_kinds):
+            raise ValueError(
+                f"GeneratorConfig.locomotion_weights has {len(self.locomotion_weights)} numbers for "
+                f"{len(self.locomotion_kinds)} kinds; give one for each, or none"
+            )
+        if not all(0.0 < weight < math.inf for weight in self.locomotion_weights):
+            raise ValueError(
+                "GeneratorConfig.locomotion_weights must be above 0; leave a kind out that is not to be drawn"
+            )
         smallest = 2.0 * max(self.min_half_extent * math.sqrt(2.0), self.min_radius / self.circle_size_factor)
         if self.max_shape_size < smallest:
             raise ValueError(
@@ -120,6 +133,11 @@ class GeneratorConfig:
             )
         if self.motor_speed_min > self.motor_speed_max or self.motor_power_min > self.motor_power_max:
             raise ValueError("motor_speed_min and motor_power_min must not be above their maxima")
+
+    @property
+    def weight_of_kind(self) -> dict[str, float]:
+        """Each kind of `locomotion_kinds`, in their order."""
+        return dict(zip(self.locomotion_kinds, self.locomotion_weights or (1.0,) * len(self.locomotion_kinds)))
 
 
 GENERATORS = {

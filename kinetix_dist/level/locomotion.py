@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
@@ -52,6 +53,7 @@ def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorC
     Raises ValueError where there is room for none of them.
     """
     kinds = fitting_kinds(config.locomotion_kinds, capacity)
+    weights = [weight for kind, weight in config.weight_of_kind.items() if kind in kinds]
     if not kinds:
         of = f"{capacity.polygons} polygons, {capacity.circles} circles, {capacity.joints} joints"
         raise ValueError(
@@ -60,10 +62,18 @@ def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorC
         )
     kind_key, *keys = jax.random.split(key, 1 + len(kinds))
     drafts = [_draw(kind_of, one, capacity, config) for kind_of, one in zip((_KINDS[k] for k in kinds), keys)]
-    chosen = jax.random.randint(kind_key, (), 0, len(kinds))
+    chosen = _choose(kind_key, weights)
     draft = jax.tree.map(lambda *columns: jnp.stack(columns)[chosen], *drafts)
     order = jax.random.uniform(jax.random.fold_in(kind_key, 1), (num_permutation_draws(draft),))
     return derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
+
+
+def _choose(key: Array, weights: Sequence[float]) -> Array:
+    """int32, one of as many as there are weights. Consumes `key`."""
+    if len(set(weights)) == 1:
+        return jax.random.randint(key, (), 0, len(weights))
+    ends = np.cumsum(np.asarray(weights, np.float32))
+    return jnp.searchsorted(ends[:-1], jax.random.uniform(key) * ends[-1], side="right").astype(jnp.int32)
 
 
 def fitting_kinds(kinds: Sequence[str], capacity: Capacity) -> list[str]:
@@ -116,7 +126,8 @@ def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capaci
     if thing.slab is not None:
         goal_y = jnp.where(thing.goal_is_slab, FLOOR_TOP_M + CLEARANCE_M + thing.slab[1], goal_y)
     bump_half = jnp.stack([draws.between(0.03, 0.1), draws.between(0.02, 0.08)])
-    obstacle_x = draws.between(left + width + bump_half[0] + 0.03, goal_x - radius - bump_half[0] - 0.03)
+    obstacle_ends = jnp.stack([left + width, goal_x - radius]) + jnp.array([1.0, -1.0]) * (bump_half[0] + 0.03)
+    obstacle_x = draws.between(obstacle_ends[0], obstacle_ends[1])
     has_obstacle = draws.chance(0.4)
     is_mirrored = draws.chance(0.5)
     if thing.is_handed:
@@ -125,13 +136,14 @@ def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capaci
     middle_x = jnp.where(is_mirrored, WORLD_SIZE_M - left - highest[0], left - lowest[0])
     goal_x = jnp.where(is_mirrored, WORLD_SIZE_M - goal_x, goal_x)
     obstacle_x = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_x, obstacle_x)
+    obstacle_ends = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_ends[::-1], obstacle_ends)
     thing = moved(thing, jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + thing.height - lowest[1]]))
     room = capacity.polygons - NUM_WALLS - sum(part.half is not None for part in thing.parts)
     extra = []
     if thing.gap is not None:
         ends = jnp.sort(jnp.stack([middle_x + 0.5 * (lowest[0] + highest[0]), goal_x]))
         within = ends + jnp.stack([1.0, -1.0]) * (jnp.maximum(radius, 0.5 * width) + CLEARANCE_M)
-        pillars = _pillars(draws, thing.gap, obstacle_x, bump_half[0])
+        pillars = _pillars(draws, thing.gap, obstacle_x, obstacle_ends, bump_half[0])
         extra = _either(draws.chance(0.5), pillars, [_block(draws, within) for _ in range(thing.num_blocks)])
     elif thing.has_bump:
         position = jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]])
@@ -166,17 +178,25 @@ def _block(draws: Draws, within: Array) -> Part:
     )
 
 
-def _pillars(draws: Draws, gap: Array, x: Array, half_width: Array) -> list[Part]:
-    """One that stands and one that hangs, a gap (its half, m) between them; half of the time both are red."""
+def _pillars(draws: Draws, gap: Array, x: Array, ends: Array, half_width: Array) -> list[Part]:
+    """One that stands and one that hangs, a gap (its half, m) between them; half of the time both are red.
+
+    In two fifths the second is at an x of its own between `ends` ([2] m). Where that leaves as much room, each may
+    reach beyond the other's end: the way is over the one and below the other.
+    """
     is_red, is_first_below = draws.chance(0.5), draws.chance(0.5)
     gap_y = draws.between(FLOOR_TOP_M + gap + 0.1, WORLD_SIZE_M - gap - 0.1)
-    below, above = (FLOOR_TOP_M, gap_y - gap), (gap_y + gap, WORLD_SIZE_M)
+    own_x = jnp.where(draws.chance(0.4), draws.between(ends[0], ends[1]), x)
+    has_room = jnp.abs(own_x - x) > 2.0 * (gap + half_width)
+    beyond = gap * jnp.where(has_room, draws.between(1.0, 2.0), 0.0)
+    below = FLOOR_TOP_M, jnp.minimum(gap_y - gap + beyond, WORLD_SIZE_M - 2.0 * gap)
+    above = jnp.maximum(gap_y + gap - beyond, FLOOR_TOP_M + 2.0 * gap), WORLD_SIZE_M
     role = jnp.where(is_red, Role.RED, Role.NONE)
     pillars = []
     # Where there is room for one alone, it is either.
-    for is_below in (is_first_below, ~is_first_below):
+    for pillar_x, is_below in ((x, is_first_below), (own_x, ~is_first_below)):
         bottom, top = (jnp.where(is_below, *ends) for ends in zip(below, above, strict=True))
-        position, half = jnp.stack([x, 0.5 * (bottom + top)]), jnp.stack([half_width, 0.5 * (top - bottom)])
+        position, half = jnp.stack([pillar_x, 0.5 * (bottom + top)]), jnp.stack([half_width, 0.5 * (top - bottom)])
         pillars.append(Part(position=position, half=half, role=role, is_fixed=True))
     return pillars
 
@@ -206,6 +226,7 @@ _KINDS = {
     "walker": _Kind(build=bodies.build_walker, polygons=2, circles=1, joints=1),
     "arm": _Kind(build=bodies.build_arm, polygons=1, circles=2, joints=1),
     "runner": _Kind(build=bodies.build_runner, polygons=4, circles=1, joints=3),
+    "sprinter": _Kind(build=bodies.build_sprinter, polygons=8, circles=1, joints=6),
     "snake": _Kind(build=bodies.build_snake, polygons=2, circles=1, joints=1),
     "cartpole": _Kind(build=bodies.build_cartpole, polygons=2, circles=1, joints=1, thrusters=2),
     "flyer": _Kind(build=bodies.build_flyer, polygons=1, circles=1, thrusters=2),

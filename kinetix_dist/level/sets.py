@@ -4,7 +4,7 @@
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
 ("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
-walkers, unicycles and arms "locomotion_s" to "locomotion_l", thirteen kinds of things "tasks_s" to "tasks_l"), a set to
+walkers, unicycles and arms "locomotion_s" to "locomotion_l", all kinds of things "tasks_s" to "tasks_l"), a set to
 develop with ("dev_random_s", "dev_designed_s", "frontier_s" and so on), or a file or directory of level files, ours or
 of the public package.
 

@@ -106,6 +106,7 @@ class Thing:
     gap: Array | None = None  # m, half of what two pillars on the way leave, if there are any
     num_blocks: int = 0  # in the air on the way, at most, where there are no pillars
     colours_in_turn: bool | Array = False  # each motor has the colour after that of the one before, see `with_hinges`
+    has_full_motors: bool | Array = False  # all at the highest speed and power
     floor_is_red: Array | None = None  # None: as often as in all levels
 
 
@@ -187,6 +188,8 @@ def with_hinges(
         # Drawn in this order: levels of a key stay what they are.
         motor_speed = draws.between(config.motor_speed_min, config.motor_speed_max)
         motor_power = draws.between(config.motor_power_min, strongest)
+        motor_speed = jnp.where(thing.has_full_motors, config.motor_speed_max, motor_speed)
+        motor_power = jnp.where(thing.has_full_motors, strongest, motor_power)
         colour = jnp.where(one_colour, first, draws.number(0, NUM_MOTOR_COLOURS - 1))
         joint = hinge_or_weld(
             a=a,

@@ -23,7 +23,7 @@ from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.roles import Role
 
 # Lowest and highest factor, by which all of a level's are multiplied; the logarithm of it is uniform.
-MOTOR_POWER = (0.05, 1.0)
+MOTOR_POWER = (0.05, 2.0)
 THRUSTER_POWER = (0.1, 1.5)
 # The same, of each shape that moves.
 DENSITY = (0.5, 4.0)

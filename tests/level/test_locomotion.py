@@ -58,13 +58,16 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
     has_motor = joints.active & joints.motor_on
     assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
     is_weld = joints.active & (joints.kind == JointKind.FIXED)
-    # Feet of runners, legs of landers, walls of what carries; a hinge alone holds a pole and a rope.
-    assert is_weld.any() == (kind in ("runner", "carrier") or (size, kind) == ("l", "lander"))
+    # Feet, legs of landers, walls of what carries, the tip of a pole; a hinge alone holds a pole and a rope.
+    has_welds = kind in ("runner", "sprinter", "carrier") or (size == "l" and kind in ("lander", "cartpole"))
+    assert is_weld.any() == has_welds
     is_passive = joints.active & ~joints.motor_on & ~is_weld
     assert is_passive.any() == (kind == "cartpole" or (size, kind) == ("l", "lander"))
 
 
-@pytest.mark.parametrize("kind", ["car", "unicycle", "walker", "runner", "snake", "cartpole", "pusher", "carrier"])
+@pytest.mark.parametrize(
+    "kind", ["car", "unicycle", "walker", "runner", "sprinter", "snake", "cartpole", "pusher", "carrier"]
+)
 def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(kind: str) -> None:
     levels = levels_of("l", kind)
     shapes = levels.scene.shapes
@@ -100,6 +103,35 @@ def test_a_flyer_has_jets_that_carry_it() -> None:
     is_fixed[:, :NUM_WALLS] = False
     numbers, counts = np.unique(is_fixed.sum(axis=1), return_counts=True)
     assert set(numbers) == {0, 1, 2, 3} and counts[2] > 0.6 * NUM_LEVELS  # two pillars in half, else up to three blocks
+    # Pillars end at the floor or the ceiling. Two of them leave the flyer 0.25 m to each side at least: between their
+    # ends, or between one and the other where they reach beyond each other's end.
+    half = np.abs(levels.scene.shapes.vertices[:, :, 0])
+    low, high = levels.position[:, :polygons] - half, levels.position[:, :polygons] + half
+    size = np.where(
+        (levels.shape_role[:, polygons:] == Role.GREEN).any(axis=1),
+        (levels.scene.shapes.radius * (levels.shape_role[:, polygons:] == Role.GREEN)).sum(axis=1),
+        (half.max(axis=2) * (levels.shape_role[:, :polygons] == Role.GREEN)).sum(axis=1),
+    )
+    num_staggered = num_beyond = num_pairs = 0
+    for row in range(NUM_LEVELS):
+        obstacles = np.flatnonzero(is_fixed[row, :polygons])
+        stands = [k for k in obstacles if abs(low[row, k, 1] - FLOOR_TOP_M) < 1e-4]
+        hangs = [k for k in obstacles if abs(high[row, k, 1] - WORLD_SIZE_M) < 1e-4]
+        if len(obstacles) != 2 or len(stands) != 1 or len(hangs) != 1:
+            continue
+        (below,), (above,) = stands, hangs
+        between = low[row, above, 1] - high[row, below, 1]
+        apart = max(low[row, above, 0] - high[row, below, 0], low[row, below, 0] - high[row, above, 0])
+        num_pairs, num_staggered, num_beyond = (
+            num_pairs + 1,
+            num_staggered + (apart > -1e-4),
+            num_beyond + (between < 0),
+        )
+        assert max(between, apart) > 2.0 * (size[row] + 0.25) - 1e-4
+        assert high[row, below, 1] < WORLD_SIZE_M - 2.0 * (size[row] + 0.25) + 1e-4
+        assert low[row, above, 1] > FLOOR_TOP_M + 2.0 * (size[row] + 0.25) - 1e-4
+    assert 0.3 < num_pairs / NUM_LEVELS < 0.6
+    assert num_beyond > 0.02 * num_pairs and num_staggered > 0.2 * num_pairs
     # Whatever is in the way is to one side of it and of the goal to the other.
     is_green, is_blue = levels.shape_role == Role.GREEN, levels.shape_role == Role.BLUE
     start, goal = (levels.position[role][:, None, 0] for role in (is_green, is_blue))
@@ -138,6 +170,55 @@ def test_a_runner_faces_its_goal() -> None:
     assert np.abs(apart).max() > 4.0 and np.median(np.abs(apart)) < 2.5
 
 
+def test_sprinters_are_hoppers_walkers_cheetahs_and_swimmers() -> None:
+    levels = levels_of("l", "sprinter")
+    shapes, joints, polygons = levels.scene.shapes, levels.scene.joints, SIZES["l"].polygons
+    is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
+    body = shapes.active & ~is_blue
+    body[:, :NUM_WALLS] = False
+    num_links = body.sum(axis=1)
+    y = np.where(body, levels.position[..., 1], np.nan)
+    lies = np.nanmax(y, axis=1) - np.nanmin(y, axis=1) < 1e-4
+    half = np.abs(shapes.vertices[:, :, 0])
+    torso = half[is_green[:, :polygons]]
+    is_upright = torso[:, 1] > torso[:, 0]
+    forms = np.stack(
+        [
+            is_upright & (num_links == 4),  # one leg
+            is_upright & (num_links == 7),
+            ~is_upright & ~lies & (num_links == 7),
+            lies & ((num_links == 3) | (num_links == 5)),
+        ]
+    )
+    assert (forms.sum(axis=0) == 1).all() and (np.abs(forms.mean(axis=1) - 0.25) < 0.06).all()
+    hips = [
+        np.where(is_green[row, joints.a[row]][:, None], joints.anchor_a[row], joints.anchor_b[row])[
+            joints.active[row] & (is_green[row, joints.a[row]] | is_green[row, joints.b[row]])
+        ]
+        for row in np.flatnonzero(forms[1])
+    ]
+    assert all(len(two) == 2 and np.abs(two[0] - two[1]).max() < 1e-5 for two in hips)
+    # Motors at their limits in seven tenths, and in four fifths each of the next colour.
+    has_motor = joints.active & joints.motor_on
+    full = ((np.abs(joints.motor_speed) == 3.0) & (joints.motor_power == 3.0) | ~has_motor).all(axis=1)
+    assert 0.62 < full.mean() < 0.78
+    num_colours = np.stack([((levels.motor_colour == colour) & has_motor).any(axis=1) for colour in range(4)]).sum(0)
+    assert 0.78 < (num_colours == np.minimum(has_motor.sum(axis=1), 4)).mean() < 0.95
+    # The goal is a box that stands on the floor in six tenths; in three tenths it is at the far wall.
+    is_box = is_blue[:, :polygons].any(axis=1)
+    assert 0.52 < is_box.mean() < 0.68
+    np.testing.assert_allclose(bottoms_of(levels)[is_blue][is_box], FLOOR_TOP_M + 0.01, atol=1e-4)
+    x, green_x = levels.position[is_blue][:, 0], levels.position[is_green][:, 0]
+    reach = np.where(
+        is_box, (half[..., 0] * is_blue[:, :polygons]).sum(1), (shapes.radius * is_blue[:, polygons:]).sum(1)
+    )
+    to_wall = np.where(x > green_x, WORLD_SIZE_M - x, x) - reach
+    assert 0.25 < (to_wall < 0.1001).mean() < 0.42
+    assert (levels.shape_role[lies, 0] == Role.NONE).all() and 0.2 < (
+        levels.shape_role[~lies, 0] == Role.RED
+    ).mean() < 0.4
+
+
 def test_two_motors_are_of_one_colour_half_of_the_time_and_else_each_of_any() -> None:
     levels = levels_of("m")
     has_motor = levels.scene.joints.active & levels.scene.joints.motor_on
@@ -163,13 +244,22 @@ def test_what_is_pushed_lies_between_the_car_and_the_goal() -> None:
 def test_a_pole_stands_beside_a_goal_of_its_upper_half_and_a_disc_on_a_beam_must_pass_below() -> None:
     poles = levels_of("l", "cartpole")
     is_green, is_blue = poles.shape_role == Role.GREEN, poles.shape_role == Role.BLUE
-    assert (np.abs(poles.angle[is_green]) < 0.061).all()
-    assert (poles.position[is_blue][:, 1] > poles.position[is_green][:, 1]).all()
+    polygons = SIZES["l"].polygons
+    assert (np.abs(poles.angle[is_green]) < 0.061).all()  # rad, of the pole or of the disc at its tip
+    has_tip = is_green[:, polygons:].any(axis=1)
+    assert 0.3 < has_tip.mean() < 0.5
+    welds = poles.scene.joints.active & (poles.scene.joints.kind == JointKind.FIXED)
+    assert (welds.sum(axis=1) == has_tip).all()
+    assert (poles.position[is_blue][:, 1] > poles.position[is_green][:, 1])[~has_tip].all()
+    # A tip that stands touches its goal: no goal is above it.
+    rise = (poles.position[is_blue] - poles.position[is_green])[has_tip, 1]
+    reach = (poles.scene.shapes.radius * (is_green | is_blue)[:, polygons:]).sum(axis=1)[has_tip]
+    assert (np.abs(rise) < reach).mean() > 0.6 and (rise < reach).all()
     has_jets = poles.scene.thrusters.active.any(axis=1)
-    assert 0.3 < has_jets.mean() < 0.5 and (has_jets == (poles.scene.joints.active.sum(axis=1) == 1)).all()
+    assert 0.3 < has_jets.mean() < 0.5
+    assert (has_jets == (poles.scene.joints.active.sum(axis=1) == 1 + has_tip)).all()
 
     beams = levels_of("l", "beam")
-    polygons = SIZES["l"].polygons
     is_green, is_blue = beams.shape_role == Role.GREEN, beams.shape_role == Role.BLUE
     disc, goal = beams.position[is_green], beams.position[is_blue]
     reach = (beams.scene.shapes.radius * (is_green | is_blue)[:, polygons:]).sum(axis=1)
@@ -252,7 +342,7 @@ def test_a_jumper_has_a_gap_before_it_and_its_goal_is_not_higher() -> None:
         assert low[row, first, 0] < green[0] < high[row, first, 0]
         assert low[row, second, 0] < blue[0] < high[row, second, 0]
         gap = max(low[row, second, 0] - high[row, first, 0], low[row, first, 0] - high[row, second, 0])
-        assert 0.149 < gap < 1.001
+        assert 0.099 < gap < 0.501
         assert -0.001 < high[row, first, 1] - high[row, second, 1] < 0.701
 
 
@@ -275,6 +365,41 @@ def test_the_motors_of_a_key_are_those_they_were(kind: str, speeds: float, power
     active = joints.active[:16]
     found = [np.where(active, x[:16], 0).sum() for x in (joints.motor_speed, joints.motor_power, levels.motor_colour)]
     np.testing.assert_allclose(found, [speeds, powers, colours], atol=2e-3)
+
+
+def test_kinds_are_drawn_as_often_as_their_weights_say() -> None:
+    """Green is a disc in no car, a box in no arm of this size (one link of a box), and unicycles have one wheel."""
+    kinds = ("unicycle", "arm")
+    share = {}
+    for weights in ((), (1.0, 1.0), (3.0, 1.0)):
+        config = GeneratorConfig(locomotion_share=1.0, locomotion_kinds=kinds, locomotion_weights=weights)
+        levels = jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES["s"], config))
+        is_free_disc = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass > 0)
+        is_wheel = is_free_disc[:, SIZES["s"].polygons :] & (levels.shape_role[:, SIZES["s"].polygons :] == Role.NONE)
+        share[weights] = is_wheel.any(axis=1).mean()
+    assert share[()] == share[(1.0, 1.0)] and abs(share[()] - 0.5) < 0.07
+    assert abs(share[(3.0, 1.0)] - 0.75) < 0.06
+    # Of kinds for which there is room, in the order in which they were named.
+    config = GeneratorConfig(locomotion_share=1.0, locomotion_kinds=("car", *kinds), locomotion_weights=(9.0, 3.0, 1.0))
+    levels = jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES["s"], config))
+    is_free_disc = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass > 0)
+    is_wheel = is_free_disc[:, SIZES["s"].polygons :] & (levels.shape_role[:, SIZES["s"].polygons :] == Role.NONE)
+    assert is_wheel.any(axis=1).mean() == share[(3.0, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "weights", "said"),
+    [
+        (("car", "arm"), (1.0,), "has 1 numbers for 2 kinds; give one for each, or none"),
+        (("car", "arm"), (1.0, 0.0), "must be above 0; leave a kind out"),
+        (("car", "arm"), (1.0, float("nan")), "must be above 0"),
+        (("car", "arm"), (1.0, float("inf")), "must be above 0"),
+        (("car", "car"), (), "names a kind twice; use locomotion_weights"),
+    ],
+)
+def test_weights_that_cannot_be_are_refused(kinds: tuple[str, ...], weights: tuple[float, ...], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        GeneratorConfig(locomotion_kinds=kinds, locomotion_weights=weights)
 
 
 def test_numbers_that_were_not_drawn_are_not_used() -> None:
