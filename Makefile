@@ -100,7 +100,8 @@ NEWER := .cache/newer
 NEWER_STAMP := $(NEWER)/.installed
 NEWER_TESTS := tests/runtime/test_programs.py tests/runtime/test_recurrent.py tests/learner/test_update.py \
 	tests/actors/test_unroll.py tests/actors/test_invariants.py tests/engine/test_vmap.py \
-	tests/engine/test_packed_states.py tests/env/test_stepper.py tests/models/test_kernels.py tests/models/test_cuda_kernels.py
+	tests/engine/test_packed_states.py tests/env/test_stepper.py tests/models/test_kernels.py tests/models/test_cuda_kernels.py \
+	tests/level/test_generator_program.py
 
 $(NEWER_STAMP): requirements.lock pyproject.toml .ci/install
 	@mkdir -p .cache

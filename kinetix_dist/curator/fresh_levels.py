@@ -7,6 +7,7 @@ depend on how many there are. Where sizes are mixed, a group has each size's sha
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 
@@ -15,10 +16,12 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist.level.filters import OVERSAMPLING, keep_unsolved
-from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.fit import pad_levels
+from kinetix_dist.level.generator import level_keys
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.size_mixture import Weights, counts_of, generate_mixture
+from kinetix_dist.level.generator_program import draw_levels
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.size_mixture import Weights, counts_of, key_of_size
 
 
 def fresh_levels(
@@ -37,20 +40,28 @@ def fresh_levels(
     none: all levels are of the size that `capacity` is.
     """
     num_groups, num_drawn = group_keys.shape[0], OVERSAMPLING * levels_per_group
-    kept_counts = [number for _, number in counts_of(sizes, levels_per_group)] if sizes else [levels_per_group]
-
-    def draw(key: Array) -> Level:
-        if not sizes:
-            return generate_levels(key, num_drawn, capacity, generator)
-        counts = tuple((size, OVERSAMPLING * number) for size, number in counts_of(sizes, levels_per_group))
-        return generate_mixture(key, counts, capacity, generator)
-
-    drawn = jax.vmap(draw)(group_keys)
+    if sizes:
+        kept_counts = [number for _, number in counts_of(sizes, levels_per_group)]
+        parts = [
+            _draw(jax.vmap(functools.partial(key_of_size, size))(group_keys), number, SIZES[size], generator, capacity)
+            for size, number in counts_of(sizes, levels_per_group)
+        ]
+    else:
+        kept_counts = [levels_per_group]
+        parts = [_draw(group_keys, levels_per_group, capacity, generator, capacity)]
+    drawn = jax.tree.map(lambda *xs: jnp.concatenate(xs, axis=1), *parts)
     # All groups are played together: one large batch instead of a few small ones.
     flat = jax.tree.map(lambda x: x.reshape(num_groups * num_drawn, *x.shape[2:]), drawn)
     is_trivial = solves_itself(flat).reshape(num_groups, num_drawn)
     kept = jax.vmap(lambda levels, trivial: _keep_by_size(levels, trivial, kept_counts))(drawn, is_trivial)
     return jax.tree.map(lambda x: x.reshape(num_groups * levels_per_group, *x.shape[2:]), kept)
+
+
+def _draw(group_keys: Array, number: int, size: Capacity, generator: GeneratorConfig, arrays: Capacity) -> Level:
+    """[groups, OVERSAMPLING * number] levels of a size, in arrays of a capacity."""
+    keys = jax.vmap(lambda key: level_keys(key, OVERSAMPLING * number))(group_keys)
+    levels = pad_levels(draw_levels(keys.reshape(-1), size, generator), arrays)
+    return jax.tree.map(lambda x: x.reshape(*keys.shape, *x.shape[1:]), levels)
 
 
 def _keep_by_size(levels: Level, is_trivial: Array, counts: Sequence[int]) -> Level:

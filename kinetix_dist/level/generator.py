@@ -93,8 +93,12 @@ def _random_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Le
 @functools.partial(jax.jit, static_argnames=("num_levels", "capacity", "config"))
 def generate_levels(key: Array, num_levels: int, capacity: Capacity, config: GeneratorConfig) -> Level:
     """A batch, `[num_levels, ...]` on every field. Level i depends on `key` and i alone, not on `num_levels`."""
-    keys = jax.vmap(functools.partial(jax.random.fold_in, key))(jnp.arange(num_levels))
-    return jax.vmap(lambda one: generate_level(one, capacity, config))(keys)
+    return jax.vmap(lambda one: generate_level(one, capacity, config))(level_keys(key, num_levels))
+
+
+def level_keys(key: Array, num_levels: int) -> Array:
+    """[num_levels], of the levels of a batch. Consumes `key`."""
+    return jax.vmap(functools.partial(jax.random.fold_in, key))(jnp.arange(num_levels))
 
 
 def _check_capacity(capacity: Capacity) -> None:

@@ -69,8 +69,10 @@ def generate_mixture(key: Array, counts: Counts, capacity: Capacity, config: Gen
 
     Those of a size depend on the key and on the size alone: not on which other sizes there are.
     """
-    parts = [
-        generate_levels(jax.random.fold_in(key, list(SIZES).index(size)), number, SIZES[size], config)
-        for size, number in counts
-    ]
+    parts = [generate_levels(key_of_size(size, key), number, SIZES[size], config) for size, number in counts]
     return jax.tree.map(lambda *xs: jnp.concatenate(xs), *(pad_levels(part, capacity) for part in parts))
+
+
+def key_of_size(size: str, key: Array) -> Array:
+    """For the levels of that size of a mixture."""
+    return jax.random.fold_in(key, list(SIZES).index(size))

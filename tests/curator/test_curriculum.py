@@ -1,5 +1,7 @@
 """What a curriculum proposes: a share from the buffer, the rest fresh, the same however worlds are spread."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,7 +62,8 @@ def test_sfl_takes_its_share_of_every_group_from_the_buffer(buffer):
 
 def test_levels_with_a_score_are_drawn_by_the_same_numbers_with_or_without_the_others(buffer):
     plain, only = (_propose(CurriculumConfig(learnable_only=only), range(GROUPS), buffer) for only in (False, True))
-    jax.tree.map(np.testing.assert_array_equal, plain, only)  # all of this buffer have one
+    # All of this buffer have one. Two programs, which may round the last bits of fresh levels otherwise.
+    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-6), plain, only)
 
 
 @pytest.fixture(scope="module")

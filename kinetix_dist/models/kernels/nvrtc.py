@@ -10,18 +10,14 @@ takes about a second a source: so they are kept in a folder of that cache.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import functools
-import hashlib
 import importlib.util
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import jax
-
-from kinetix_dist.telemetry.json_lines import replace_file
+from kinetix_dist.telemetry.cached_files import cached
 
 ARCHITECTURE = "compute_80"
 PTX_VERSION = "7.1"  # of CUDA 11.1, November 2020
@@ -52,27 +48,10 @@ def check_compiler() -> None:
 
 
 def cached_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
-    """As `compile_ptx`, from JAX's compile cache where it is on and another process has written it there.
-
-    A file begins with the checksum of what follows: one that is damaged is written again.
-    """
-    folder = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
-    if not folder:
-        return compile_ptx(source, name, headers=headers, macros=macros)
+    """As `compile_ptx`, from JAX's compile cache where it is on and another process has written it there."""
     asked_for = (source, name, sorted(headers.items()), sorted(macros.items()), OPTIONS, PTX_VERSION, _compiler())
-    path = Path(folder) / CACHE / f"{_checksum(repr(asked_for))}.ptx"
-    try:
-        checksum, _, ptx = path.read_text().partition("\n")
-        if _checksum(ptx) == checksum:
-            return ptx
-    except (OSError, UnicodeDecodeError):
-        pass  # it is not there, or not whole
-    ptx = compile_ptx(source, name, headers=headers, macros=macros)
-    # A full or read-only disk is no reason not to train, as for programs; nor is another process that writes the same.
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(path, f"{_checksum(ptx)}\n{ptx}".encode())
-    return ptx
+    make = functools.partial(compile_ptx, source, name, headers=headers, macros=macros)
+    return cached(CACHE, repr(asked_for), lambda: make().encode()).decode()
 
 
 def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
@@ -106,10 +85,6 @@ def _compiler() -> tuple[int, ...]:
     _check(library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor)))
     file = Path(library()._name)
     return major.value, minor.value, file.stat().st_size if file.is_file() else 0
-
-
-def _checksum(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _in_packages() -> list[str]:

@@ -1,0 +1,87 @@
+"""The exported generator: levels are those of the traced one, in any program, and a second process reads it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from jax.sharding import PartitionSpec
+
+from kinetix_dist.learner.sharding import data_mesh, on_devices
+from kinetix_dist.level import generator_program
+from kinetix_dist.level.generator import generate_levels, level_keys
+from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.generator_program import draw_levels
+from kinetix_dist.level.level import SIZES, Level
+
+CONFIG = GeneratorConfig(locomotion_share=0.5, locomotion_kinds=("arm",), varied_share=0.5)
+CAPACITY = SIZES["s"]
+KEY = jax.random.key(7)
+
+
+@pytest.fixture
+def cache(tmp_path: Path) -> Iterator[Path]:
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    generator_program._program.cache_clear()
+    yield tmp_path / generator_program.KIND
+    jax.config.update("jax_compilation_cache_dir", before)
+    generator_program._program.cache_clear()
+
+
+def assert_same_levels(levels: Level, expected: Level) -> None:
+    """Other programs round the last bits otherwise."""
+    assert jax.tree.structure(levels) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(levels), jax.tree.leaves(expected), strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_allclose(one, other, rtol=2e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [1, 48])
+def test_exported_levels_are_those_of_the_generator(number: int) -> None:
+    levels = jax.jit(lambda keys: draw_levels(keys, CAPACITY, CONFIG))(level_keys(KEY, number))
+    assert_same_levels(levels, generate_levels(KEY, number, CAPACITY, CONFIG))
+
+
+def test_it_is_traced_once_where_devices_share_worlds_and_read_by_the_next_process(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traced = []
+    generate_level = generator_program.generate_level
+    monkeypatch.setattr(generator_program, "generate_level", lambda *args: traced.append(0) or generate_level(*args))
+
+    def draw(keys: jax.Array) -> Level:
+        return draw_levels(keys, CAPACITY, CONFIG)
+
+    # First of all inside of a program for a mesh.
+    of_worlds = PartitionSpec("data")
+    on_mesh = jax.jit(on_devices(draw, data_mesh(), in_specs=(of_worlds,), out_specs=of_worlds))
+    keys = level_keys(KEY, 8 * jax.device_count())
+    first = on_mesh(keys)
+    jax.jit(draw)(keys[:3])
+    assert len(traced) == 1
+    (file,) = cache.iterdir()
+    content = file.read_bytes()
+
+    generator_program._program.cache_clear()  # as another process
+    assert_same_levels(jax.jit(lambda keys: draw(keys))(keys), first)
+    assert len(traced) == 1
+    file.write_bytes(content[:-1])
+    generator_program._program.cache_clear()
+    assert_same_levels(jax.jit(lambda keys: draw(keys))(keys), first)
+    assert len(traced) == 2 and file.read_bytes() == content
+
+
+def test_another_generator_and_other_modules_are_another_program(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = level_keys(KEY, 2)
+    draw_levels(keys, CAPACITY, GeneratorConfig())
+    draw_levels(keys, CAPACITY, dataclasses.replace(GeneratorConfig(), triangle_chance=0.5))
+    assert len(list(cache.iterdir())) == 2
+    generator_program._program.cache_clear()
+    monkeypatch.setattr(generator_program, "_sources", lambda: "of a module that was changed")
+    draw_levels(keys, CAPACITY, GeneratorConfig())
+    assert len(list(cache.iterdir())) == 3
