@@ -21,15 +21,13 @@ from jax2d.fields import Array
 from jax2d.scene import Capacity
 from kinetix_dist.level import bodies
 from kinetix_dist.level.bodies import CLEARANCE_M, WALL_MARGIN_M
-from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
-    draft_to_level,
     empty_draft,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.permute import num_permutation_draws, permute_slots
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.permute import num_permutation_draws
 from kinetix_dist.level.roles import Role
 from kinetix_dist.level.thing_tables import Table, choose, table_of, with_boxes, with_circle, with_table
 from kinetix_dist.level.things import Draws, Part, Thing, draw_numbers
@@ -42,8 +40,9 @@ _NUM_PILLAR_DRAWS, _NUM_BLOCK_DRAWS = 7, 8  # where there is a gap
 _NUM_LAST_DRAWS = 4  # besides three for each hinge
 
 
-def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
-    """One level of a kind that `config.locomotion_kinds` names and the capacity has room for. Consumes `key`.
+def locomotion_draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Draft, Array]:
+    """What is in a level of a kind that `config.locomotion_kinds` names and the capacity has room for, and uniform
+    numbers for `permute_slots`. Consumes `key`.
 
     Raises ValueError where there is room for none of them.
     """
@@ -61,8 +60,7 @@ def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorC
     numbers = draw_numbers(keys[1 + chosen])
     tables, num_blocks = _tables([_KINDS[kind] for kind in kinds], numbers, capacity)
     draft = _draft(choose(tables, chosen), num_blocks, numbers, capacity, config)
-    order = jax.random.uniform(jax.random.fold_in(keys[0], 1), (num_permutation_draws(draft),))
-    return derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
+    return draft, jax.random.uniform(jax.random.fold_in(keys[0], 1), (num_permutation_draws(draft),))
 
 
 def _choose(key: Array, weights: Sequence[float]) -> Array:

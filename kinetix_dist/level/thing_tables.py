@@ -21,7 +21,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
-from kinetix_dist.level.draft import Draft, DrivenThrusters, Shapes, hinge_or_weld
+from kinetix_dist.level.draft import Draft, DrivenThrusters, Shapes, beside, hinge_or_weld, row_at
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS
 from kinetix_dist.level.overlap import world_corners
@@ -30,13 +30,11 @@ from kinetix_dist.level.things import (
     Draws,
     Part,
     Thing,
-    beside,
     between,
     extent_of,
     number_between,
     reach_of_boxes,
     reach_of_circles,
-    row_at,
 )
 
 _NUMBER, _POINT, _COUNT, _FLAG = np.float32(0.0), np.zeros(2, np.float32), np.int32(0), np.False_
@@ -256,7 +254,7 @@ def _given(value: Any, empty: Any) -> Given:
 
 
 def _slot_of(slots: list[int], part: int | Array) -> int | Array:
-    return slots[part] if isinstance(part, int) else row_at(jnp.asarray(slots), part)
+    return slots[part] if isinstance(part, int) else row_at(np.asarray(slots), part)
 
 
 def choose(tables: Sequence[Table], chosen: Array) -> Table:
@@ -289,7 +287,7 @@ def _choose_row(rows: list[list[Any]], dtype: np.dtype, chosen: Array) -> Array:
     """[values, ...] of one of the rows, which have as many values each."""
     if all(_is_known(value) for row in rows for value in row):
         known = np.asarray(rows, dtype)
-        return known[0] if (known == known[0]).all() else row_at(jnp.asarray(known), chosen)
+        return known[0] if (known == known[0]).all() else row_at(known, chosen)
     # Of each row what is traced first, then what is known, as one constant; both are put in order after the choice.
     arrays, places = [], []
     for row in rows:
@@ -301,7 +299,7 @@ def _choose_row(rows: list[list[Any]], dtype: np.dtype, chosen: Array) -> Array:
         places.append(np.argsort(traced + known))
     if len(rows) == 1:
         return row_at(arrays[0], places[0])
-    return row_at(row_at(jnp.stack(arrays), chosen), row_at(jnp.asarray(np.stack(places)), chosen))
+    return row_at(row_at(jnp.stack(arrays), chosen), row_at(np.stack(places), chosen))
 
 
 def with_boxes(table: Table, parts: list[Part]) -> Table:
@@ -421,7 +419,7 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
 
 def _at_rows(column: Any, number: int, places: Array) -> Any:
     """Rows of a column; one value for all stays that."""
-    return row_at(jnp.asarray(column), places) if np.ndim(column) and len(column) == number else column
+    return row_at(column, places) if np.ndim(column) and len(column) == number else column
 
 
 def _local(position: Array, angle: Array, points: Array) -> Array:

@@ -163,13 +163,3 @@ def reach_of_boxes(angle: Array, half: Array) -> Array:
 def reach_of_circles(radius: Array) -> Array:
     """[n, 2] m along x and y from their centres."""
     return jnp.stack([radius, radius], axis=1)
-
-
-def beside(mask: Array, column: Array) -> Array:
-    """The mask ([n]) with as many axes as the column ([n, ...])."""
-    return mask.reshape(mask.shape + (1,) * (column.ndim - 1))
-
-
-def row_at(column: Array, place: Array) -> Array:
-    """Rows of a column at one place or several, which must be there: one equation, where `column[place]` is six."""
-    return column.at[place].get(mode="promise_in_bounds", wrap_negative_indices=False)
