@@ -142,18 +142,27 @@ def empty_draft(capacity: Capacity) -> Draft:
 
 def write_slot(table: Any, slot: Array, row: Any, do: Array) -> Any:
     """`table` with row number `slot` replaced where `do`; both are pytrees of one kind."""
+    here = (jnp.arange(len(jax.tree.leaves(table)[0])) == slot) & do
 
     def write(column: Array, value: Array) -> Array:
-        here = (jnp.arange(column.shape[0]) == slot) & do
-        here = here.reshape(here.shape + (1,) * (column.ndim - 1))
-        return jnp.where(here, jnp.asarray(value, column.dtype), column)
+        return jnp.where(beside(here, column), jnp.asarray(value, column.dtype), column)
 
     return jax.tree.map(write, table, row)
 
 
 def read_slot(table: Any, slot: Array) -> Any:
     """Row number `slot` of every column."""
-    return jax.tree.map(lambda column: column[slot], table)
+    return jax.tree.map(lambda column: row_at(column, slot), table)
+
+
+def row_at(column: Array, slot: Array) -> Array:
+    """A row of a column, or several, which must be there: one equation, where `column[slot]` is six."""
+    return jnp.asarray(column).at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def beside(mask: Array, column: Array) -> Array:
+    """The mask ([n]) with as many axes as the column ([n, ...])."""
+    return mask.reshape(mask.shape + (1,) * (column.ndim - 1))
 
 
 def first_free(active: Array) -> Array:

@@ -31,7 +31,7 @@ from kinetix_dist.level.draft import (
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
-from kinetix_dist.level.locomotion import generate_locomotion_level
+from kinetix_dist.level.locomotion import locomotion_draft
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose, shape_mass
 from kinetix_dist.level.roles import Role
@@ -58,18 +58,24 @@ def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> L
 
 
 def _level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
+    draft, order = _draft(key, capacity, config)
+    return derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
+
+
+def _draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Draft, Array]:
+    """What is in the level, and uniform numbers for `permute_slots`."""
     if config.locomotion_share == 0.0:
-        return _random_level(key, capacity, config)
+        return _random_draft(key, capacity, config)
     is_locomotion = jax.random.uniform(jax.random.fold_in(key, _LOCOMOTION_STREAM)) < config.locomotion_share
-    locomotion = generate_locomotion_level(jax.random.fold_in(key, _LOCOMOTION_STREAM + 1), capacity, config)
+    locomotion = locomotion_draft(jax.random.fold_in(key, _LOCOMOTION_STREAM + 1), capacity, config)
     if config.locomotion_share == 1.0:
         return locomotion
     # The same level as without locomotion where the coin falls otherwise.
-    either = (locomotion, _random_level(key, capacity, config))
+    either = (locomotion, _random_draft(key, capacity, config))
     return jax.tree.map(lambda *of: jnp.where(is_locomotion, *of), *either)
 
 
-def _random_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
+def _random_draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Draft, Array]:
     _check_capacity(capacity)
     draft = empty_draft(capacity)
     num_steps = capacity.shapes - NUM_WALLS
@@ -85,9 +91,7 @@ def _random_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Le
     draft = _paint_floor(coins[1], draft, config)
     draft = _add_shapes(shapes_key, kinds, coins[2], draft, force_motor, capacity, config)
     draft = _add_thrusters(thruster_draws.reshape(capacity.thrusters, -1), draft, force_thruster, config)
-    draft = _swap_green_and_blue(coins[3], draft)
-    draft = permute_slots(order_draws, draft, capacity.polygons)
-    return derive(*draft_to_level(draft, capacity))
+    return _swap_green_and_blue(coins[3], draft), order_draws
 
 
 @functools.partial(jax.jit, static_argnames=("num_levels", "capacity", "config"))

@@ -12,7 +12,9 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
@@ -22,7 +24,8 @@ from kinetix_dist.level.draft import draft_to_level, empty_draft
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
 from kinetix_dist.level.roles import Role
-from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent, moved, with_hinges, with_jets, with_parts
+from kinetix_dist.level.thing_tables import choose, table_of, with_circle, with_table
+from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, draw_numbers, extent, moved
 from kinetix_dist.level.walls import FLOOR_TOP_M, PASSES_THROUGH
 
 GOAL_HEIGHT_M = 4.5
@@ -52,7 +55,7 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
     for name, room in have.items():
         if room < (needed := getattr(needs, name)):
             raise ValueError(f"{morphology!r} needs {needed} {name}, there are {room}; use a larger size")
-    draws = Draws(key)
+    draws = Draws(jax.lax.unstack(draw_numbers(key)))
     thing = needs.build(draws, capacity)
     lowest, highest = extent(thing.parts)
     middle = jnp.stack([0.5 * (WORLD_SIZE_M - lowest[0] - highest[0]), FLOOR_TOP_M + CLEARANCE_M - lowest[1]])
@@ -64,9 +67,8 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
         role=Role.BLUE,
         is_fixed=True,
     )
-    draft, slots = with_parts(empty_draft(capacity), [*thing.parts, goal], capacity)
-    draft = with_hinges(draws, draft, thing, slots, capacity, GeneratorConfig())
-    draft = with_jets(draft, thing.jets, slots)
+    table = choose([table_of(thing, draws.num_used, capacity, len(thing.hinges))], np.int32(0))
+    draft = with_table(draws, empty_draft(capacity), with_circle(table, goal), capacity, GeneratorConfig())
     level, is_fixed = draft_to_level(draft, capacity)
     # Nothing but walls touches the goal.
     mode = jnp.where(level.shape_role == Role.BLUE, PASSES_THROUGH, level.collision_mode)

@@ -21,34 +21,28 @@ from jax2d.fields import Array
 from jax2d.scene import Capacity
 from kinetix_dist.level import bodies
 from kinetix_dist.level.bodies import CLEARANCE_M, WALL_MARGIN_M
-from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
-    draft_to_level,
     empty_draft,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.permute import num_permutation_draws, permute_slots
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.permute import num_permutation_draws
 from kinetix_dist.level.roles import Role
-from kinetix_dist.level.things import (
-    Draws,
-    Part,
-    Thing,
-    extent,
-    mirrored,
-    moved,
-    with_hinges,
-    with_jets,
-    with_parts,
-)
+from kinetix_dist.level.thing_tables import Table, choose, table_of, with_boxes, with_circle, with_table
+from kinetix_dist.level.things import Draws, Part, Thing, draw_numbers
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 GOAL_GAP_M = 0.3  # from the thing to the goal, at least
+# Numbers that are drawn after those that a thing is built of, in this order
+_NUM_BESIDE_DRAWS = 9  # the radius of the goal, where it is and whether there is an obstacle
+_NUM_PILLAR_DRAWS, _NUM_BLOCK_DRAWS = 7, 8  # where there is a gap
+_NUM_LAST_DRAWS = 4  # besides three for each hinge
 
 
-def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
-    """One level of a kind that `config.locomotion_kinds` names and the capacity has room for. Consumes `key`.
+def locomotion_draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Draft, Array]:
+    """What is in a level of a kind that `config.locomotion_kinds` names and the capacity has room for, and uniform
+    numbers for `permute_slots`. Consumes `key`.
 
     Raises ValueError where there is room for none of them.
     """
@@ -60,12 +54,13 @@ def generate_locomotion_level(key: Array, capacity: Capacity, config: GeneratorC
             f"no kind of locomotion_kinds {', '.join(config.locomotion_kinds)} has room in {of} and "
             f"{capacity.thrusters} thrusters; use a larger size or other kinds"
         )
-    kind_key, *keys = jax.random.split(key, 1 + len(kinds))
-    drafts = [_draw(kind_of, one, capacity, config) for kind_of, one in zip((_KINDS[k] for k in kinds), keys)]
-    chosen = _choose(kind_key, weights)
-    draft = jax.tree.map(lambda *columns: jnp.stack(columns)[chosen], *drafts)
-    order = jax.random.uniform(jax.random.fold_in(kind_key, 1), (num_permutation_draws(draft),))
-    return derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
+    keys = jax.random.split(key, 1 + len(kinds))
+    chosen = _choose(keys[0], weights)
+    # All kinds are built, of the numbers of the chosen one.
+    numbers = draw_numbers(keys[1 + chosen])
+    tables, num_blocks = _tables([_KINDS[kind] for kind in kinds], numbers, capacity)
+    draft = _draft(choose(tables, chosen), num_blocks, numbers, capacity, config)
+    return draft, jax.random.uniform(jax.random.fold_in(keys[0], 1), (num_permutation_draws(draft),))
 
 
 def _choose(key: Array, weights: Sequence[float]) -> Array:
@@ -81,78 +76,110 @@ def fitting_kinds(kinds: Sequence[str], capacity: Capacity) -> list[str]:
     return [kind for kind in kinds if _KINDS[kind].fits(capacity)]
 
 
-def _draw(kind: _Kind, key: Array, capacity: Capacity, config: GeneratorConfig) -> Draft:
-    draws = Draws(key)
-    thing = kind.build(draws, capacity)
-    radius = draws.between(0.12, 0.28)
-    if thing.middle is None or thing.goal is None:
-        thing, goal, extra = _beside_its_goal(draws, thing, radius, capacity)
-        blue_is_fixed = draws.chance(0.7)
-    else:
-        radius = radius if thing.goal_radius is None else thing.goal_radius
-        thing, goal, extra = moved(thing, thing.middle), thing.middle + thing.goal, []
-        blue_is_fixed = jnp.array(True)
-    blue = [Part(position=goal, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)]
-    if thing.slab is not None:
-        is_slab = jnp.asarray(thing.goal_is_slab)
-        # A disc in its place hangs: one that fell is behind the wall of what carries the load.
-        disc = dataclasses.replace(blue[0], active=~is_slab, is_fixed=True)
-        blue = [disc] if thing.goal_is_slab is not True else []
-        blue.append(Part(position=goal, half=thing.slab, role=Role.BLUE, is_fixed=blue_is_fixed, active=is_slab))
+def _tables(kinds: Sequence[_Kind], numbers: Array, capacity: Capacity) -> tuple[list[Table], int | None]:
+    """A table of each kind, built of the first of the numbers ([64]), and how many blocks those with a gap may have
+    (None: none has a gap)."""
+    each, things, num_draws = jax.lax.unstack(numbers), [], []
+    for kind in kinds:
+        draws = Draws(each)
+        things.append(kind.build(draws, capacity))
+        num_draws.append(draws.num_used)
+    num_hinges = max(len(thing.hinges) for thing in things)
+    num_blocks = {thing.num_blocks for thing in things if thing.gap is not None}
+    assert len(num_blocks) <= 1
+    for thing, num in zip(things, num_draws, strict=True):
+        num_way = 0 if thing.gap is None else _NUM_PILLAR_DRAWS + thing.num_blocks * _NUM_BLOCK_DRAWS
+        assert num + _NUM_BESIDE_DRAWS + num_way + _NUM_LAST_DRAWS + 3 * len(thing.hinges) <= len(each)
+        assert thing.slab is None or not (thing.has_bump or thing.gap is not None)  # both would be in the next row
+    tables = [table_of(thing, num, capacity, num_hinges) for thing, num in zip(things, num_draws, strict=True)]
+    return tables, max(num_blocks, default=None)
+
+
+def _draft(table: Table, num_blocks: int | None, numbers: Array, capacity: Capacity, config: GeneratorConfig) -> Draft:
+    """The thing, its goal and what is between them, from the numbers ([64]) after those that it was built of."""
+    padded = jnp.pad(numbers, (0, len(numbers)))  # what is beyond the last one is for kinds that do not use it
+
+    def draws_after(num_before: Array | int, number: int) -> Draws:
+        some = jax.lax.dynamic_slice_in_dim(padded, table.num_draws + num_before, number)
+        return Draws(jax.lax.unstack(some))
+
+    num_way_draws = 0 if num_blocks is None else _NUM_PILLAR_DRAWS + num_blocks * _NUM_BLOCK_DRAWS
+    beside, way = draws_after(0, _NUM_BESIDE_DRAWS), draws_after(_NUM_BESIDE_DRAWS, num_way_draws)
+    # Of what cannot go anywhere only the radius is drawn before the last ones.
+    num_before = _NUM_BESIDE_DRAWS + jnp.where(table.gap.is_given, num_way_draws, 0)
+    last = draws_after(jnp.where(table.is_placed, 0, num_before), _NUM_LAST_DRAWS + 3 * len(table.hinges.a))
+    radius = table.goal_radius.otherwise(beside.between(0.12, 0.28))
+    table, goal = _beside_its_goal(beside, way, table, num_blocks, radius)
+    blue_is_fixed = last.chance(0.7) | table.is_placed
+    blue = Part(position=goal, half=table.slab.value, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)
+    slab = dataclasses.replace(blue, active=table.goal_is_slab)
+    # A disc in place of a slab hangs: one that fell is behind the wall of what carries the load.
+    disc = dataclasses.replace(blue, active=~table.goal_is_slab, is_fixed=blue_is_fixed | table.slab.is_given)
+    table = with_circle(with_boxes(table, [slab]), disc)
+    floor_is_red = table.floor_is_red.otherwise(last.chance(config.floor_red_chance))
     draft = empty_draft(capacity)
-    floor_is_red = draws.chance(config.floor_red_chance)
-    floor_is_red = floor_is_red if thing.floor_is_red is None else thing.floor_is_red
-    floor_role = jnp.where(floor_is_red, Role.RED, Role.NONE).astype(jnp.int32)
-    shapes = dataclasses.replace(draft.shapes, role=draft.shapes.role.at[0].set(floor_role))
-    draft, slots = with_parts(dataclasses.replace(draft, shapes=shapes), [*thing.parts, *extra, *blue], capacity)
-    draft = with_jets(draft, thing.jets, slots)
-    return with_hinges(draws, draft, thing, slots, capacity, config)
+    role = draft.shapes.role.at[0].set(jnp.where(floor_is_red, Role.RED, Role.NONE))
+    draft = dataclasses.replace(draft, shapes=dataclasses.replace(draft.shapes, role=role))
+    return with_table(last, draft, table, capacity, config)
 
 
-def _beside_its_goal(draws: Draws, thing: Thing, radius: Array, capacity: Capacity) -> tuple[Thing, Array, list[Part]]:
-    """The thing at the left, the centre of its goal to the right of it ([2] m) and what is between them; all of it
-    mirrored half of the time."""
-    lowest, highest = extent(thing.parts)
+def _beside_its_goal(
+    draws: Draws, way: Draws, table: Table, num_blocks: int | None, radius: Array
+) -> tuple[Table, Array]:
+    """The thing at the left with what is between it and its goal, and the centre of the goal to the right of it ([2]
+    m); all of it mirrored half of the time. What cannot go anywhere is where it says instead."""
+    lowest, highest = table.extent()
     width = highest[0] - lowest[0]
     left = WALL_MARGIN_M + draws.between(0.0, 0.5)
     nearest = left + width + GOAL_GAP_M
-    if thing.slab is not None:
-        radius = jnp.where(thing.goal_is_slab, thing.slab[0], radius)
-    share = draws.between(0.0, 1.0) ** thing.goal_nearness
+    radius = jnp.where(table.goal_is_slab, table.slab.value[0], radius)
+    share = _to_power(draws.between(0.0, 1.0), table)
     goal_x = nearest + radius + share * (WORLD_SIZE_M - WALL_MARGIN_M - radius - (nearest + radius))
-    low, high = thing.goal_rise
-    goal_y = FLOOR_TOP_M + CLEARANCE_M + radius + draws.between(low, high) * (highest[1] - lowest[1])
-    goal_y = goal_y if thing.goal_height is None else thing.goal_height
-    if thing.slab is not None:
-        goal_y = jnp.where(thing.goal_is_slab, FLOOR_TOP_M + CLEARANCE_M + thing.slab[1], goal_y)
+    rise = table.goal_rise_low + draws.between(0.0, 1.0) * table.goal_rise_span
+    goal_y = FLOOR_TOP_M + CLEARANCE_M + radius + rise * (highest[1] - lowest[1])
+    goal_y = table.goal_height.otherwise(goal_y)
+    goal_y = jnp.where(table.goal_is_slab, FLOOR_TOP_M + CLEARANCE_M + table.slab.value[1], goal_y)
     bump_half = jnp.stack([draws.between(0.03, 0.1), draws.between(0.02, 0.08)])
-    obstacle_ends = jnp.stack([left + width, goal_x - radius]) + jnp.array([1.0, -1.0]) * (bump_half[0] + 0.03)
+    obstacle_ends = jnp.stack([left + width, goal_x - radius]) + np.array([1.0, -1.0]) * (bump_half[0] + 0.03)
     obstacle_x = draws.between(obstacle_ends[0], obstacle_ends[1])
     has_obstacle = draws.chance(0.4)
     is_mirrored = draws.chance(0.5)
-    if thing.is_handed:
-        thing = mirrored(thing, is_mirrored)
-        lowest, highest = extent(thing.parts)
-    middle_x = jnp.where(is_mirrored, WORLD_SIZE_M - left - highest[0], left - lowest[0])
+    is_turned = is_mirrored & table.is_handed & ~table.is_placed
+    table = table.mirrored(is_turned)
+    ends = jnp.where(is_turned, jnp.stack([-highest[0], -lowest[0]]), jnp.stack([lowest[0], highest[0]]))
+    middle_x = jnp.where(is_mirrored, WORLD_SIZE_M - left - ends[1], left - ends[0])
     goal_x = jnp.where(is_mirrored, WORLD_SIZE_M - goal_x, goal_x)
     obstacle_x = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_x, obstacle_x)
     obstacle_ends = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_ends[::-1], obstacle_ends)
-    thing = moved(thing, jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + thing.height - lowest[1]]))
-    room = capacity.polygons - NUM_WALLS - sum(part.half is not None for part in thing.parts)
-    extra = []
-    if thing.gap is not None:
-        ends = jnp.sort(jnp.stack([middle_x + 0.5 * (lowest[0] + highest[0]), goal_x]))
-        within = ends + jnp.stack([1.0, -1.0]) * (jnp.maximum(radius, 0.5 * width) + CLEARANCE_M)
-        pillars = _pillars(draws, thing.gap, obstacle_x, obstacle_ends, bump_half[0])
-        extra = _either(draws.chance(0.5), pillars, [_block(draws, within) for _ in range(thing.num_blocks)])
-    elif thing.has_bump:
-        position = jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]])
-        extra = [Part(position=position, half=bump_half, is_fixed=True, active=has_obstacle)]
-    return thing, jnp.stack([goal_x, goal_y]), extra[:room]
+    beside = jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + table.height - lowest[1]])
+    table = table.moved(jnp.where(table.is_placed, table.middle, beside))
+    goal = jnp.where(table.is_placed, table.middle + table.goal, jnp.stack([goal_x, goal_y]))
+    bump = Part(
+        position=jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]]),
+        half=bump_half,
+        is_fixed=True,
+        active=has_obstacle & table.has_bump & ~table.is_placed,
+    )
+    if num_blocks is None:
+        return with_boxes(table, [bump]), goal
+    has_way = table.gap.is_given & ~table.is_placed
+    between = jnp.sort(jnp.stack([middle_x + 0.5 * (ends[0] + ends[1]), goal_x]))
+    within = between + np.array([1.0, -1.0]) * (jnp.maximum(radius, 0.5 * width) + CLEARANCE_M)
+    pillars = _pillars(way, table.gap.value, obstacle_x, obstacle_ends, bump_half[0])
+    is_pillars = way.chance(0.5)
+    blocks = [_block(way, within) for _ in range(num_blocks)]
+    obstacles = _either(has_way, _either(is_pillars, pillars, blocks), [bump])
+    return with_boxes(table, obstacles), goal
+
+
+def _to_power(share: Array, table: Table) -> Array:
+    """share ** goal_nearness. Where the power is known, multiplied out: levels of a key stay what they are."""
+    known = jax.lax.select_n(jnp.asarray(table.goal_nearness), jnp.ones(()), share, share**2, share**3)
+    return jnp.where(table.is_nearness_known, known, share**table.goal_nearness)
 
 
 def _either(is_first: Array, first: list[Part], second: list[Part]) -> list[Part]:
-    """The fixed boxes of one of two lists, of which the second is the longer one."""
+    """The fixed boxes of one of two lists."""
 
     def one_of(a: Part, b: Part) -> Part:
         fields = ("position", "half", "role", "active")
@@ -160,8 +187,9 @@ def _either(is_first: Array, first: list[Part], second: list[Part]) -> list[Part
             a, **{name: jnp.where(is_first, getattr(a, name), getattr(b, name)) for name in fields}
         )
 
-    rest = [dataclasses.replace(part, active=part.active & ~is_first) for part in second[len(first) :]]
-    return [one_of(a, b) for a, b in zip(first, second, strict=False)] + rest
+    rest_of_first = [dataclasses.replace(part, active=part.active & is_first) for part in first[len(second) :]]
+    rest_of_second = [dataclasses.replace(part, active=part.active & ~is_first) for part in second[len(first) :]]
+    return [one_of(a, b) for a, b in zip(first, second, strict=False)] + rest_of_first + rest_of_second
 
 
 def _block(draws: Draws, within: Array) -> Part:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array, replace
-from kinetix_dist.level.draft import Draft
+from kinetix_dist.level.draft import Draft, row_at
 from kinetix_dist.level.level import NUM_WALLS
 
 
@@ -28,13 +28,15 @@ def permute_slots(draw: Array, draft: Draft, num_polygons: int) -> Draft:
     slot_of = jnp.argsort(source).astype(jnp.int32)  # old slot -> new slot
     joint_order = by_draw[2]
     thruster_order = by_draw[3]
-    shapes = jax.tree.map(lambda x: x[source], draft.shapes)
-    joints = jax.tree.map(lambda x: x[joint_order], draft.driven_joints)
-    thrusters = jax.tree.map(lambda x: x[thruster_order], draft.driven_thrusters)
+    shapes = jax.tree.map(lambda x: row_at(x, source), draft.shapes)
+    joints = jax.tree.map(lambda x: row_at(x, joint_order), draft.driven_joints)
+    thrusters = jax.tree.map(lambda x: row_at(x, thruster_order), draft.driven_thrusters)
     return Draft(
         shapes=shapes,
-        driven_joints=replace(joints, joints={"a": slot_of[joints.joints.a], "b": slot_of[joints.joints.b]}),
-        driven_thrusters=replace(thrusters, thrusters={"body": slot_of[thrusters.thrusters.body]}),
+        driven_joints=replace(
+            joints, joints={"a": row_at(slot_of, joints.joints.a), "b": row_at(slot_of, joints.joints.b)}
+        ),
+        driven_thrusters=replace(thrusters, thrusters={"body": row_at(slot_of, thrusters.thrusters.body)}),
     )
 
 

@@ -41,7 +41,7 @@ def vary(key: Array, level: Level, share: float) -> Level:
     motor, thruster, heavy, rough, moving, pulled, held, red, hung = (each < 0.5 for each in coins)
     levelwide = jax.random.uniform(keys[1], (4,))
     wall = 1 + jnp.floor(levelwide[3] * (NUM_WALLS - 1)).astype(jnp.int32)  # not the floor, on which it could lie
-    level = jax.tree.map(lambda new, old: jnp.where(hung, new, old), _hung_on_wall(level, wall), level)
+    level = _either(hung, _hung_on_wall(level, wall), level)
     scene = level.scene
     shapes, joints, thrusters = scene.shapes, scene.joints, scene.thrusters
     of_shape = jax.random.uniform(keys[2], (2, num_shapes))
@@ -80,7 +80,12 @@ def vary(key: Array, level: Level, share: float) -> Level:
         shape_role=role,
     )
     varied = derive(changed, is_fixed)
-    return jax.tree.map(lambda new, old: jnp.where(coin < share, new, old), varied, original)
+    return _either(coin < share, varied, original)
+
+
+def _either(is_new: Array, new: Level, old: Level) -> Level:
+    """One of two levels, which may have arrays in common."""
+    return jax.tree.map(lambda a, b: b if a is b else jnp.where(is_new, a, b), new, old)
 
 
 def _hung_on_wall(level: Level, wall: Array) -> Level:

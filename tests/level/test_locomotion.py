@@ -17,7 +17,7 @@ from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.overlap import world_corners
 from kinetix_dist.level.roles import Role
 from kinetix_dist.level.statistics import overlaps
-from kinetix_dist.level.things import Draws
+from kinetix_dist.level.things import Draws, draw_numbers
 from kinetix_dist.level.walls import FLOOR_TOP_M
 from tests.level.valid import assert_valid
 
@@ -403,7 +403,7 @@ def test_weights_that_cannot_be_are_refused(kinds: tuple[str, ...], weights: tup
 
 
 def test_numbers_that_were_not_drawn_are_not_used() -> None:
-    draws = Draws(jax.random.key(0))
+    draws = Draws(jax.lax.unstack(draw_numbers(jax.random.key(0))))
     for _ in range(64):
         draws.between(0.0, 1.0)
     with pytest.raises(AssertionError):
