@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import linen as nn
 
 from jax2d.scene import Array
@@ -159,6 +160,7 @@ class EntityTransformer(nn.Module):
         kernel = self.param(f"{name}_qkv_kernel", lecun_normal(), (size, 3 * features))
         bias = self.param(f"{name}_qkv_bias", zeros, (3 * features,))
         kernel, bias = self._fold_norm(name, kernel, bias)
+        bias = without_key_bias(bias)
         out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (features, size))
         out_bias = self.param(f"{name}_out_bias", zeros, (size,))
         heads = (NUM_MASKS, self.num_heads // NUM_MASKS)
@@ -229,6 +231,16 @@ class EntityTransformer(nn.Module):
         kernel = self.param(f"{kind}_told_kernel", lecun_normal(), (rows.shape[-1], self.hidden_size))
         bias = self.param(f"{kind}_told_bias", zeros, (self.hidden_size,))
         return sum_by_colour(jnp.tanh(linear(rows, kernel) + bias.astype(self.dtype)), colours)
+
+
+def without_key_bias(bias: Array) -> Array:
+    """[3 F], of queries, keys and values, with zeros for keys.
+
+    What is the same for all keys moves all scores of a query alike, and softmax ignores it: the attention is the same.
+    As a parameter nothing holds it but the rounding of its gradient, which Adam makes steps of. In a long run in
+    bfloat16 it grew until scores were rounded away (docs/lab_log.md, "A gradient that grows").
+    """
+    return bias * np.repeat(np.array([1.0, 0.0, 1.0], np.float32), bias.shape[0] // 3)
 
 
 def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Array]:

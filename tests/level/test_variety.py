@@ -77,7 +77,7 @@ def test_each_change_is_made_to_half_of_the_levels_within_its_limits() -> None:
     gravity = varied.scene.gravity[:, 1:] / plain.scene.gravity[:, 1:]
     speed = np.abs(varied.velocity).max(axis=-1)
     for value, low, high, where in (
-        (power, 0.05, 1.0, has_motor),
+        (power, 0.05, 2.0, has_motor),
         (push, 0.1, 1.5, thrusters.active),
         (gravity, 0.2, 1.1, np.ones_like(gravity, bool)),
         (shapes.density, 0.5, 4.0, moves),

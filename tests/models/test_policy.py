@@ -191,6 +191,20 @@ def test_first_policy_is_nearly_uniform():
     assert max(float(jnp.max(jnp.abs(head))) for head in logits) < 0.1
 
 
+def test_nothing_moves_what_is_the_same_for_all_keys(small):
+    """Softmax ignores it (the formula above has it). The rounding of a gradient that should be zero let it grow."""
+    policy, params, obs = small
+
+    def loss(params):
+        logits, value = policy.apply(params, obs)
+        return sum((head**2).sum() for head in logits) + (value**2).sum()
+
+    gradient = jax.grad(loss)(params)["params"]
+    for layer in range(SMALL.num_layers):
+        query, key, value = np.split(np.asarray(gradient[f"attention_{layer}_qkv_bias"]), 3)
+        assert (key == 0).all() and np.abs(query).max() > 0 and np.abs(value).max() > 0
+
+
 def test_order_of_entities_does_not_matter(small):
     policy, params, obs = small
     polygons, circles = np.array([2, 0, 1]), np.array([1, 0])
