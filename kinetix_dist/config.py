@@ -401,6 +401,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
         del kept["curriculum"]["sizes"]
     if not config.curriculum.generator.varied_share:  # and without other physics
         del kept["curriculum"]["generator"]["varied_share"]
+    if not config.curriculum.generator.locomotion_weights:  # and without weights of kinds
+        del kept["curriculum"]["generator"]["locomotion_weights"]
     if not config.curriculum.learnable_only:  # and without levels of a buffer that are not played
         del kept["curriculum"]["learnable_only"]
     if config.phases:

@@ -105,7 +105,7 @@ def test_levels_that_solve_themselves_are_left_out_while_there_are_others():
         return jnp.arange(levels.position.shape[0]) < 2
 
     filtered = _propose(config, [0], noop_solved=first_two_solve_themselves)
-    np.testing.assert_array_equal(filtered.position[:2], plain.position[2:])
+    np.testing.assert_allclose(filtered.position[:2], plain.position[2:], rtol=1e-5)  # of another program
 
 
 def test_fixed_levels_are_spread_evenly_over_worlds():

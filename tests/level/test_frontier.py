@@ -43,7 +43,8 @@ def test_the_set_is_drawn_again_from_its_indices(data: Path, monkeypatch: pytest
     assert names == [f"frontier_s_{index}" for index in made.indices]
     batch = stream_levels("s", range(made.num_drawn))
     for own, drawn in zip(jax.tree.leaves(levels), jax.tree.leaves(batch)):
-        np.testing.assert_array_equal(own, np.asarray(drawn)[list(made.indices)])
+        # Programs that draw another number of levels may round the last bits otherwise.
+        np.testing.assert_allclose(own, np.asarray(drawn)[list(made.indices)], rtol=1e-5, atol=1e-6)
     with pytest.raises(ValueError, match="'frontier_s' is drawn when it is used"):
         files_of_set("frontier_s")
 

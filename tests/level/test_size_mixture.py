@@ -136,4 +136,4 @@ def test_fresh_levels_are_those_drawn_that_do_not_solve_themselves_size_by_size(
     drawn = jax.vmap(lambda key: generate_mixture(key, (("s", 12), ("m", 4)), SIZES["m"], CONFIG))(keys)
     is_trivial = np.arange(16) % 3 == 0
     kept = [*np.flatnonzero(~is_trivial[:12])[:6], *(12 + np.flatnonzero(~is_trivial[12:])[:2])]
-    np.testing.assert_array_equal(levels.position[:8], np.asarray(drawn.position)[0, kept])
+    np.testing.assert_allclose(levels.position[:8], np.asarray(drawn.position)[0, kept], rtol=1e-5)  # last bits
