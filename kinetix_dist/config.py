@@ -393,6 +393,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
         del kept["policy"]["recurrent"], kept["policy"]["memory_size"]
     if config.policy.read_out == "pooled":  # hashes are those of versions without another
         del kept["policy"]["read_out"]
+    if not config.policy.max_qk_norm:  # and without a limit of queries and keys
+        del kept["policy"]["max_qk_norm"]
     del kept["env"]["effect_groups"]  # a matter of time: engines agree bit for bit within their effects
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:

@@ -115,6 +115,9 @@ def tiny() -> TrainConfig:
     )
 
 
+# Of `pretrain_s` and its like: two to three times what a head has that does not collapse (docs/lab_log.md).
+MAX_QK_NORM = 4.0
+
 # The curricula of `sfl_s` and its like: the paper's hyperparameters for each size of levels.
 _CURRICULA = {
     "sfl": CurriculumConfig(),
@@ -149,7 +152,9 @@ def _pretrain(size: str) -> TrainConfig:
     tasks = dataclasses.replace(generator("tasks"), locomotion_share=0.4, varied_share=0.3)
     return dataclasses.replace(
         paper,
-        policy=PolicyConfig(network=network, dtype="bfloat16", read_out="colour", kernels="auto"),
+        policy=PolicyConfig(
+            network=network, dtype="bfloat16", read_out="colour", kernels="auto", max_qk_norm=MAX_QK_NORM
+        ),
         ppo=PpoConfig(
             epochs=1,
             minibatches=256,

@@ -81,6 +81,7 @@ class EntityTransformer(nn.Module):
     gated: bool = True
     by_colour: bool = False  # heads read what obeys them, see colour_readout.py
     kernels: str = "xla"  # of the layers, see kernels/support.py
+    max_qk_norm: float = 0.0  # of a head's weights, see `limit_queries_and_keys`; 0: none
 
     @nn.compact
     def __call__(self, obs: EntityObs, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
@@ -161,6 +162,8 @@ class EntityTransformer(nn.Module):
         bias = self.param(f"{name}_qkv_bias", zeros, (3 * features,))
         kernel, bias = self._fold_norm(name, kernel, bias)
         bias = without_key_bias(bias)
+        if self.max_qk_norm:
+            kernel, bias = limit_queries_and_keys(kernel, bias, self.num_heads, self.max_qk_norm)
         out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (features, size))
         out_bias = self.param(f"{name}_out_bias", zeros, (size,))
         heads = (NUM_MASKS, self.num_heads // NUM_MASKS)
@@ -241,6 +244,24 @@ def without_key_bias(bias: Array) -> Array:
     bfloat16 it grew until scores were rounded away (docs/lab_log.md, "A gradient that grows").
     """
     return bias * np.repeat(np.array([1.0, 0.0, 1.0], np.float32), bias.shape[0] // 3)
+
+
+def limit_queries_and_keys(kernel: Array, bias: Array, num_heads: int, max_norm: float) -> tuple[Array, Array]:
+    """Kernel [E, 3 F] and bias [3 F] with the Frobenius norm of what gives a head's queries, and of what gives its
+    keys, scaled to `max_norm` where it is more: a max-norm constraint (Srivastava et al. 2014) as a parametrisation.
+
+    A head whose scores grow until it looks at one token has no gradient left but rounding, and Adam makes steps of it:
+    "attention entropy collapse" (Zhai et al. 2023). Here tokens are normalised, so that a query is about as long as
+    the norm of its weights, and scores stay where bfloat16 tells them apart. Beyond the limit a gradient turns the
+    weights and no longer stretches them.
+    """
+    weights = jnp.concatenate([kernel, bias[None]])
+    by_head = weights.reshape(weights.shape[0], 3, num_heads, -1)
+    squared = jnp.sum(by_head * by_head, axis=(0, 3), keepdims=True)
+    factor = max_norm * jax.lax.rsqrt(jnp.maximum(squared, max_norm * max_norm))
+    is_value = np.array([False, False, True])[:, None, None]
+    weights = (by_head * jnp.where(is_value, 1.0, factor)).reshape(weights.shape)
+    return weights[:-1], weights[-1]
 
 
 def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -47,6 +48,7 @@ class PolicyConfig:
     memory_size: int = 256  # of it
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
     kernels: str = "xla"  # of the layers: "xla", "mosaic" (Hopper GPUs), or "auto", which takes these where they run
+    max_qk_norm: float = 0.0  # of the weights of a head's queries, and of its keys; 0: no limit; transformers alone
 
     def __post_init__(self) -> None:
         if self.network not in NETWORKS:
@@ -75,6 +77,13 @@ class PolicyConfig:
         for name, least in (*((name, 1) for name in at_least_one), ("hidden_layers", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+        if not 0 <= self.max_qk_norm < math.inf:
+            raise ValueError(f"PolicyConfig.max_qk_norm is {self.max_qk_norm}; it must be 0 or a positive number")
+        if self.max_qk_norm and NETWORKS[self.network].takes != ENTITIES:
+            raise ValueError(
+                f"PolicyConfig.max_qk_norm is {self.max_qk_norm}, but network {self.network!r} has no attention; "
+                "set it to 0"
+            )
         if self.num_heads % NUM_MASKS:
             raise ValueError(f"PolicyConfig.num_heads is {self.num_heads}; it must be a multiple of {NUM_MASKS} masks")
         if self.attention_features % self.num_heads:
@@ -129,6 +138,7 @@ def _transformer(
         gated=gated,
         by_colour=by_colour,
         kernels=config.kernels,
+        max_qk_norm=config.max_qk_norm,
         **_common(config, head_sizes),
     )
 
