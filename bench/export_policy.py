@@ -3,8 +3,9 @@
     python bench/export_policy.py runs/sfl_s/checkpoints/00000343 pretrained/generalist
 
 Optimizer, curriculum and random streams stay behind, so the result (3 MB at the paper's sizes) can be evaluated and
-replayed but not resumed. Level sets given as paths are dropped from the configuration, and paths of ancestors are cut
-to RUN/checkpoints/NUMBER: they exist on one machine only. config_hash stays that of the run.
+replayed but not resumed. Level sets given as paths are dropped from the configuration (where all are, random levels of
+its size take their place), and paths of ancestors are cut to RUN/checkpoints/NUMBER: they exist on one machine only.
+config_hash stays that of the run.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def export(source: Path, to: Path) -> int:
     arrays = {f"{PARAMS_PREFIX}/{name}": array for name, array in released_arrays(checkpoint).items()}
     description = {name: checkpoint.description[name] for name in KEPT if name in checkpoint.description}
     evaluation = description["config"]["evaluation"]
-    evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name]
+    random = f"random_{description['config']['env']['size']}"
+    evaluation["sets"] = [name for name in evaluation["sets"] if "/" not in name] or [random]
     run = description["config"]["run"]
     run["start_from"] = _without_machine(run.get("start_from", ""))
     description["lineage"] = [

@@ -89,7 +89,8 @@ def _share(rounded: Any, exact: Any) -> float:
 def line_of(record: dict[str, Any]) -> str:
     shares = (f"{record['gradient'][name]:.2f}" for name in SHOWN)
     name = "/".join(Path(record["checkpoint"]).parts[-3:])
-    return COLUMNS.format(name, f"{record['key_constant']:.1f}", f"{record['query_norm']:.1f}", f"{record['outputs']:.3f}", *shares)
+    norms = (f"{record[norm]:.1f}" for norm in ("key_constant", "query_norm"))
+    return COLUMNS.format(name, *norms, f"{record['outputs']:.3f}", *shares)
 
 
 def main() -> int:

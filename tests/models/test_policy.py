@@ -13,6 +13,7 @@ import pytest
 
 from jax2d.scene import Capacity
 from kinetix_dist.env.observations.flat import flatten
+from kinetix_dist.models.entity_transformer import limit_queries_and_keys
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy, num_parameters
 from tests.models.synthetic import random_obs
 
@@ -65,18 +66,64 @@ def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders()
     assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417 + 3 * 128
 
 
-@pytest.mark.parametrize("read_out", ["pooled", "colour"])
-def test_a_lean_layer_is_what_its_formula_says(read_out):
+@pytest.mark.parametrize(("read_out", "max_qk_norm"), [("pooled", 0.0), ("colour", 0.0), ("pooled", 1.7)])
+def test_a_lean_layer_is_what_its_formula_says(read_out, max_qk_norm):
     """In numpy, in float64, world by world and token by token."""
     obs = random_obs(4, CAPACITY, seed=3)
-    config = dataclasses.replace(SMALL, network="transformer_lean", num_layers=1, read_out=read_out)
+    config = dataclasses.replace(
+        SMALL, network="transformer_lean", num_layers=1, read_out=read_out, max_qk_norm=max_qk_norm
+    )
     policy = make_policy(config, HEAD_SIZES)
     params = _perturbed(init_params(policy, obs, jax.random.key(0)))
     found = _as_vector(policy.apply(params, obs))
     p = jax.tree.map(lambda x: np.asarray(x, np.float64), params["params"])
     o = jax.tree.map(np.asarray, obs)
+    if max_qk_norm:
+        p = _with_short_queries_and_keys(p, max_qk_norm)
     for world in range(4):
         np.testing.assert_allclose(found[world], _lean_world(p, jax.tree.map(operator.itemgetter(world), o)), atol=2e-5)
+
+
+def _with_short_queries_and_keys(p, max_norm):
+    """The same layer with the norm's scale and offset in the weights, and these scaled head by head."""
+    scale, offset = p["attention_0_norm_scale"], p["attention_0_norm_offset"]
+    kernel = scale[:, None] * p["attention_0_qkv_kernel"]
+    bias = p["attention_0_qkv_bias"] + offset @ p["attention_0_qkv_kernel"]
+    features, width = SMALL.attention_features, SMALL.attention_features // SMALL.num_heads
+    bias[features : 2 * features] = 0.0  # of keys
+    norms = []
+    for start in range(0, 2 * features, width):  # heads of queries, then of keys
+        of_head = slice(start, start + width)
+        norms.append(np.sqrt((kernel[:, of_head] ** 2).sum() + (bias[of_head] ** 2).sum()))
+        factor = min(1.0, max_norm / norms[-1])
+        kernel[:, of_head], bias[of_head] = factor * kernel[:, of_head], factor * bias[of_head]
+    assert min(norms) < max_norm < max(norms)  # some are scaled and some are not
+    plain = {"attention_0_norm_scale": np.ones_like(scale), "attention_0_norm_offset": np.zeros_like(offset)}
+    return p | plain | {"attention_0_qkv_kernel": kernel, "attention_0_qkv_bias": bias}
+
+
+def test_beyond_its_limit_a_query_is_turned_and_not_stretched():
+    rng = np.random.default_rng(0)
+    kernel, bias = rng.standard_normal((16, 24)).astype(np.float32), rng.standard_normal(24).astype(np.float32)
+    kernel[:, 2:4] *= 0.1  # the queries of the second head, within the limit
+    bias[2:4] *= 0.1
+    weights, limited = (kernel, bias), functools.partial(limit_queries_and_keys, num_heads=4, max_norm=2.0)
+    np.testing.assert_array_equal(limited(*weights)[0][:, 2:4], kernel[:, 2:4])
+    np.testing.assert_array_equal(limited(*weights)[0][:, 16:], kernel[:, 16:])  # values
+    wanted = rng.standard_normal((17, 24)).astype(np.float32)
+
+    def loss(kernel, bias):
+        kernel, bias = limited(kernel, bias)
+        return (jnp.concatenate([kernel, bias[None]]) * wanted).sum()
+
+    of_kernel, of_bias = jax.grad(loss, argnums=(0, 1))(*weights)
+    gradient = np.concatenate([of_kernel, of_bias[None]])
+    along = (gradient * np.concatenate([kernel, bias[None]])).reshape(17, 3, 4, 2).sum(axis=(0, 3))
+    np.testing.assert_allclose(np.delete(along[:2].reshape(-1), 1), 0.0, atol=1e-4)
+    np.testing.assert_array_equal(gradient[:, 2:4], wanted[:, 2:4])
+    assert np.abs(gradient[:, :2]).max() > 0.1
+    zeros = jax.grad(loss, argnums=(0, 1))(0 * kernel, 0 * bias)
+    assert all(np.isfinite(x).all() for x in zeros)
 
 
 def _norm(x, p, name):
@@ -303,11 +350,18 @@ def test_read_by_colour_no_colour_is_another_one(network):
         ("encoder_size", 0, "0; it must be 1 or more"),
         ("num_layers", 0, "0; it must be 1 or more"),
         ("read_out", "entity", "'entity'; choose one of pooled, colour"),
+        ("max_qk_norm", -1.0, "-1.0; it must be 0 or a positive number"),
+        ("max_qk_norm", float("nan"), "nan; it must be 0 or a positive number"),
     ],
 )
 def test_a_bad_configuration_is_refused(field, value, message):
     with pytest.raises(ValueError, match=message):
         PolicyConfig(**{field: value})
+
+
+def test_a_limit_of_queries_is_refused_where_there_are_none():
+    with pytest.raises(ValueError, match=r"max_qk_norm is 4.0, but network 'flat' has no attention; set it to 0"):
+        PolicyConfig(network="flat", max_qk_norm=4.0)
 
 
 def test_reading_by_colour_is_refused_where_there_is_nothing_to_read():

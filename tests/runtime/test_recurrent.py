@@ -97,6 +97,12 @@ def test_hashes_of_configurations_with_the_heads_of_the_paper_do_not_know_of_oth
     assert "read_out" not in numbers_of(config)["policy"] and config.hash != other.hash
 
 
+def test_hashes_of_configurations_without_a_limit_of_queries_do_not_know_of_it() -> None:
+    config = tiny_config(num_updates=1)
+    other = dataclasses.replace(config, policy=dataclasses.replace(config.policy, max_qk_norm=4.0))
+    assert "max_qk_norm" not in numbers_of(config)["policy"] and config.hash != other.hash
+
+
 @pytest.mark.slow  # another curriculum: two students and a teacher without memory
 def test_students_of_paired_remember(tmp_path: Path) -> None:
     rows = _run(config_of(2, "paired"), tmp_path / "run")
