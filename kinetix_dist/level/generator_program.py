@@ -9,10 +9,13 @@ exported program is traced once for a configuration, and adds 0.3 s to a program
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,18 +31,32 @@ from kinetix_dist.level.walls import empty_level
 from kinetix_dist.telemetry.cached_files import cached
 
 KIND = "levels"  # folder in the compile cache
+# Settings of JAX that change what a traced program computes, by their context managers.
+_SETTINGS: dict[str, Callable[[Any], Any]] = {
+    "jax_enable_x64": jax.enable_x64,
+    "jax_threefry_partitionable": jax.threefry_partitionable,
+    "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
+    "jax_default_matmul_precision": jax.default_matmul_precision,
+}
 
 
 def draw_levels(keys: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     """[n, ...]: `generate_level` of each of the keys [n], which are consumed. Works inside jit, not inside vmap."""
     data = jax.random.key_data(keys)
-    program = _program(capacity, config, jax.default_backend(), str(jax.random.key_impl(keys)), data.shape[1:])
+    settings = tuple((name, getattr(jax.config, name)) for name in _SETTINGS)
+    backend, key_impl = jax.default_backend(), str(jax.random.key_impl(keys))
+    program = _program(capacity, config, backend, key_impl, data.shape[1:], settings)
     return jax.tree.unflatten(jax.tree.structure(empty_level(capacity)), program.call(data))
 
 
 @functools.cache
 def _program(
-    capacity: Capacity, config: GeneratorConfig, backend: str, key_impl: str, key_shape: tuple[int, ...]
+    capacity: Capacity,
+    config: GeneratorConfig,
+    backend: str,
+    key_impl: str,
+    key_shape: tuple[int, ...],
+    settings: tuple[tuple[str, Any], ...],
 ) -> export.Exported:
     """Of `key_data` [n, ...] uint32, the leaves of levels."""
 
@@ -50,16 +67,18 @@ def _program(
     def make() -> bytes:
         (number,) = export.symbolic_shape("n")
         keys = jax.ShapeDtypeStruct((number, *key_shape), jnp.uint32)
-        return bytes(export.export(jax.jit(jax.vmap(one)))(keys).serialize())
+        with contextlib.ExitStack() as stack:  # a thread begins with those of the process
+            for name, value in settings:
+                stack.enter_context(_SETTINGS[name](value))
+            return bytes(export.export(jax.jit(jax.vmap(one)))(keys).serialize())
 
-    asked_for = repr((_sources(), jax.__version__, backend, key_impl, capacity, config))
+    asked_for = repr((_SOURCES, jax.__version__, backend, key_impl, capacity, config, settings))
     # In a thread of its own: what is being traced here, and on which mesh, is not part of it.
     with ThreadPoolExecutor(1) as thread:
         content = thread.submit(cached, KIND, asked_for, make).result()
     return export.deserialize(bytearray(content))
 
 
-@functools.cache
 def _sources() -> str:
     """A checksum of all modules that may say what a level is."""
     digest = hashlib.sha256()
@@ -70,3 +89,7 @@ def _sources() -> str:
             digest.update(f"{file.relative_to(folder)} {len(content)}\n".encode())
             digest.update(content)
     return digest.hexdigest()
+
+
+# Of the modules as this process has them: a file may change while it runs.
+_SOURCES = _sources()

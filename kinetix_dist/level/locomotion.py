@@ -67,7 +67,7 @@ def _choose(key: Array, weights: Sequence[float]) -> Array:
     """int32, one of as many as there are weights. Consumes `key`."""
     if len(set(weights)) == 1:
         return jax.random.randint(key, (), 0, len(weights))
-    ends = np.cumsum(np.asarray(weights, np.float32))
+    ends = np.cumsum(np.asarray(weights) / max(weights)).astype(np.float32)  # any floats: float32 may not hold them
     return jnp.searchsorted(ends[:-1], jax.random.uniform(key) * ends[-1], side="right").astype(jnp.int32)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
@@ -82,6 +82,37 @@ def test_another_generator_and_other_modules_are_another_program(cache: Path, mo
     draw_levels(keys, CAPACITY, dataclasses.replace(GeneratorConfig(), triangle_chance=0.5))
     assert len(list(cache.iterdir())) == 2
     generator_program._program.cache_clear()
-    monkeypatch.setattr(generator_program, "_sources", lambda: "of a module that was changed")
+    monkeypatch.setattr(generator_program, "_SOURCES", "of a module that was changed")
     draw_levels(keys, CAPACITY, GeneratorConfig())
     assert len(list(cache.iterdir())) == 3
+
+
+def test_a_setting_of_jax_that_changes_numbers_is_another_program(cache: Path) -> None:
+    """Also where a context manager sets it: the program is traced in a thread, which does not inherit that."""
+    keys, config = level_keys(KEY, 4), GeneratorConfig()
+    with jax.threefry_partitionable(False):
+        other = draw_levels(keys, CAPACITY, config)
+        assert_same_levels(other, generate_levels(KEY, 4, CAPACITY, config))
+    usual = draw_levels(keys, CAPACITY, config)
+    assert_same_levels(usual, generate_levels(KEY, 4, CAPACITY, config))
+    assert np.abs(np.asarray(usual.position) - np.asarray(other.position)).max() > 0.01
+    with jax.enable_x64(True):
+        draw_levels(keys, CAPACITY, config)
+    assert len(list(cache.iterdir())) == 3
+
+
+def test_a_module_that_changes_while_a_process_runs_does_not_give_its_program_another_name(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or the program of the old module would be read by whoever has the new one."""
+    keys = level_keys(KEY, 2)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", _changed(Path.read_bytes))
+        draw_levels(keys, CAPACITY, GeneratorConfig())
+    generator_program._program.cache_clear()
+    draw_levels(keys, CAPACITY, GeneratorConfig())
+    assert len(list(cache.iterdir())) == 1
+
+
+def _changed(read: Callable[[Path], bytes]) -> Callable[[Path], bytes]:
+    return lambda path: read(path) + (b"# changed" if path.suffix == ".py" else b"")

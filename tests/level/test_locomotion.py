@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jax2d.scene import Capacity, JointKind
+from kinetix_dist.level import locomotion
 from kinetix_dist.level.generator import generate_level, generate_levels
 from kinetix_dist.level.generator_config import ALL_KINDS, LOCOMOTION_KINDS, GeneratorConfig, generator
 from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level
@@ -391,9 +392,9 @@ def test_kinds_are_drawn_as_often_as_their_weights_say() -> None:
     ("kinds", "weights", "said"),
     [
         (("car", "arm"), (1.0,), "has 1 numbers for 2 kinds; give one for each, or none"),
-        (("car", "arm"), (1.0, 0.0), "must be above 0; leave a kind out"),
-        (("car", "arm"), (1.0, float("nan")), "must be above 0"),
-        (("car", "arm"), (1.0, float("inf")), "must be above 0"),
+        (("car", "arm"), (1.0, 0.0), "must be finite and above 0; leave out a kind"),
+        (("car", "arm"), (1.0, float("nan")), "must be finite and above 0"),
+        (("car", "arm"), (1.0, float("inf")), "must be finite and above 0"),
         (("car", "car"), (), "names a kind twice; use locomotion_weights"),
     ],
 )
@@ -465,3 +466,9 @@ def test_what_cannot_be_drawn_is_refused_with_its_name() -> None:
     cars = dataclasses.replace(generator("locomotion"), locomotion_kinds=("car",))
     with pytest.raises(ValueError, match="no kind of locomotion_kinds car has room in 5 polygons, 2 circles"):
         generate_level(jax.random.key(0), Capacity(polygons=5, circles=2, joints=1, thrusters=1), cars)
+
+
+@pytest.mark.parametrize("weights", [(1e39, 3e39), (1e-300, 3e-300), (1e38, 3e38)])
+def test_weights_that_float32_does_not_hold_are_weights(weights: tuple[float, ...]) -> None:
+    chosen = jax.vmap(lambda key: locomotion._choose(key, weights))(jax.random.split(jax.random.key(0), 2000))
+    assert abs(float(chosen.mean()) - 0.75) < 0.05  # five standard errors
