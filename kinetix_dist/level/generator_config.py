@@ -119,7 +119,7 @@ class GeneratorConfig:
             )
         if not all(0.0 < weight < math.inf for weight in self.locomotion_weights):
             raise ValueError(
-                "GeneratorConfig.locomotion_weights must be finite and above 0; leave out a kind that is not to be drawn"
+                "GeneratorConfig.locomotion_weights must be finite and above 0; leave out a kind that is not wanted"
             )
         smallest = 2.0 * max(self.min_half_extent * math.sqrt(2.0), self.min_radius / self.circle_size_factor)
         if self.max_shape_size < smallest:
