@@ -115,7 +115,7 @@ def tiny() -> TrainConfig:
     )
 
 
-# Of `pretrain_s` and its like: two to three times what a head has that does not collapse (docs/lab_log.md).
+# Of `pretrain_s` and its like: more than twice what a head has that does not collapse (docs/lab_log.md).
 MAX_QK_NORM = 4.0
 
 # The curricula of `sfl_s` and its like: the paper's hyperparameters for each size of levels.
