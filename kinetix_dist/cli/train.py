@@ -171,7 +171,7 @@ def _run(args: Args, stop: StopSignals) -> None:
             if config.run.placement != "local":
                 plan(config, num_gpus=count_gpus())
     fork_server = start_fork_server(config)
-    directory = None
+    directory, differs = None, ()
     try:
         with user_errors(PlacementError):
             hold_to_cpu(config)
@@ -179,7 +179,7 @@ def _run(args: Args, stop: StopSignals) -> None:
             _check_levels(config)  # reading levels computes
         if not args.resume:
             with user_errors(CheckpointError, ValueError, OSError):
-                starting_point(config)
+                differs = starting_point(config).differs
         with user_errors(RunDirectoryError):
             directory = _open(args)
         enable_compile_cache(config.run.compile_cache)
@@ -188,6 +188,10 @@ def _run(args: Args, stop: StopSignals) -> None:
             f"  physics {describe(config.env.physics)}",
             flush=True,
         )
+        if differs:
+            print(
+                f"starts     from another policy than {config.run.start_from} plays: {', '.join(differs)}", flush=True
+            )
         print(f"watch it   kinetix-dist dashboard {shlex.quote(str(directory.path))}", flush=True)
         with user_errors(
             CheckpointError, DeviceMemoryError, KernelError, PlacementError, PortTakenError, FileNotFoundError

@@ -194,3 +194,16 @@ def test_a_new_run_takes_parameters_and_optimiser_of_a_checkpoint_and_keeps_its_
     count = next(name for name in saved.arrays if name.startswith("learner/opt_state") and name.endswith("count"))
     assert saved.arrays[count] == theirs.arrays[count] + 4
     assert [one["num_updates"] for one in lineage_from(saved)] == [NUM_UPDATES, 1]
+
+
+@pytest.mark.parametrize("unbroken", ["local"], indirect=True)
+def test_what_makes_another_policy_of_the_same_parameters_is_said(unbroken):
+    config, path, _, _ = unbroken
+    parent = str(list_checkpoints(path / "checkpoints")[-1])
+    like_it = dataclasses.replace(config, phases=(), run=dataclasses.replace(config.run, start_from=parent))
+    assert starting_point(like_it).differs == ()
+    other = dataclasses.replace(like_it, policy=dataclasses.replace(config.policy, num_heads=4, max_qk_norm=2.0))
+    assert starting_point(other).differs == (
+        "policy.max_qk_norm 2.0 instead of 0.0",
+        "policy.num_heads 4 instead of 8",
+    )

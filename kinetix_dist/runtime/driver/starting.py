@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.checkpoint import Checkpoint, CheckpointError, flatten_arrays, load_checkpoint, select_arrays
-from kinetix_dist.config import TrainConfig, from_dict_for_playing
+from kinetix_dist.config import TrainConfig, differing, from_dict_for_playing
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX, load_policy
 from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START, one_level
 
+# Of `policy`: parameters have the same shapes whatever these are.
+_FUNCTION = ("network", "num_heads", "max_qk_norm")
 LINEAGE = "lineage"  # in the description of a checkpoint: where it comes from, the oldest first
 # Of a checkpoint's description, what its children keep of it.
 _KEPT = ("config_hash", "num_updates", "env_steps", "training_seconds")
@@ -31,6 +33,7 @@ class Start:
 
     arrays: dict[str, np.ndarray] | None = None  # for `Trainer.start` at update 0; None: all from the seed
     lineage: tuple[Mapping[str, Any], ...] = ()
+    differs: tuple[str, ...] = ()  # fields of `policy` by which the same parameters compute something else, in words
 
 
 def starting_point(config: TrainConfig) -> Start:
@@ -58,11 +61,14 @@ def starting_point(config: TrainConfig) -> Start:
             f"run.start_from: {checkpoint.path} does not fit policy.*, env.observation and env.action_space of this "
             f"run: {error}"
         ) from error
+    ours, theirs = config.policy, from_dict_for_playing(checkpoint.description["config"]).policy
+    differs = differing(*({f"policy.{name}": getattr(policy, name) for name in _FUNCTION} for policy in (ours, theirs)))
     arrays = flatten_arrays({PARAMS: params})
     if config.run.start_optimizer:
         # Moments belong to the parameters that learned, not to their average.
         arrays = flatten_arrays({PARAMS: select_arrays(checkpoint.arrays, PARAMS_PREFIX), OPTIMIZER: optimizer})
-    return Start({f"{START}/{name}": array for name, array in arrays.items()}, lineage_from(checkpoint))
+    arrays = {f"{START}/{name}": array for name, array in arrays.items()}
+    return Start(arrays, lineage_from(checkpoint), tuple(differs))
 
 
 def lineage_from(checkpoint: Checkpoint) -> tuple[Mapping[str, Any], ...]:
