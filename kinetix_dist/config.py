@@ -12,6 +12,7 @@ import functools
 import hashlib
 import json
 import math
+import operator
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
@@ -385,28 +386,32 @@ def check_finite(section: Any, field: str = "") -> None:
         check_finite(item, f"{field}.{name}".removeprefix("."))
 
 
+# Fields that `numbers_of` leaves out while they are off, so that hashes are those of versions without them.
+_OFF = {
+    "policy.read_out": "pooled",
+    "policy.max_qk_norm": 0.0,
+    "curriculum.sizes": [],
+    "curriculum.generator.varied_share": 0.0,
+    "curriculum.generator.locomotion_weights": [],
+    "curriculum.learnable_only": False,
+}
+
+
 def numbers_of(config: TrainConfig) -> dict[str, Any]:
     """What the parameters after k updates depend on."""
     sections = to_dict(config)
     kept = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
     if config.policy.recurrent == "none":  # hashes are those of versions without memory
         del kept["policy"]["recurrent"], kept["policy"]["memory_size"]
-    if config.policy.read_out == "pooled":  # hashes are those of versions without another
-        del kept["policy"]["read_out"]
-    if not config.policy.max_qk_norm:  # and without a limit of queries and keys
-        del kept["policy"]["max_qk_norm"]
     del kept["env"]["effect_groups"]  # a matter of time: engines agree bit for bit within their effects
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:
             del kept["curriculum"][section]
-    if not config.curriculum.sizes:  # hashes are those of versions without mixtures and phases
-        del kept["curriculum"]["sizes"]
-    if not config.curriculum.generator.varied_share:  # and without other physics
-        del kept["curriculum"]["generator"]["varied_share"]
-    if not config.curriculum.generator.locomotion_weights:  # and without weights of kinds
-        del kept["curriculum"]["generator"]["locomotion_weights"]
-    if not config.curriculum.learnable_only:  # and without levels of a buffer that are not played
-        del kept["curriculum"]["learnable_only"]
+    for name, off in _OFF.items():
+        *path, field = name.split(".")
+        section = functools.reduce(operator.getitem, path, kept)
+        if section[field] == off:
+            del section[field]
     if config.phases:
         kept["phases"] = [
             {name: value for name, value in phase.items() if value is not None} for phase in sections["phases"]

@@ -79,7 +79,7 @@ class PolicyConfig:
                 raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be {least} or more")
         if not 0 <= self.max_qk_norm < math.inf:
             raise ValueError(f"PolicyConfig.max_qk_norm is {self.max_qk_norm}; it must be 0 or a positive number")
-        if self.max_qk_norm and NETWORKS[self.network].takes != ENTITIES:
+        if self.max_qk_norm and not NETWORKS[self.network].has_attention:
             raise ValueError(
                 f"PolicyConfig.max_qk_norm is {self.max_qk_norm}, but network {self.network!r} has no attention; "
                 "set it to 0"
@@ -100,6 +100,7 @@ class Network:
     takes: str  # the kind of policy input, see `Observation.gives`
     build: Callable[[PolicyConfig, tuple[int, ...]], nn.Module]  # (config, sizes of the heads) -> a flax module
     reads_by_colour: bool = False  # whether it has `PolicyConfig.read_out` "colour"
+    has_attention: bool = False  # whether it has `PolicyConfig.max_qk_norm`
     has_kernels: bool = False  # whether it has `PolicyConfig.kernels` "mosaic"
     sample_bytes: int = 0  # of device memory for a sample of a minibatch, gradients included; 0: too few to count
 
@@ -152,22 +153,23 @@ def _cnn(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
 
 
 NETWORKS: Registry[Network] = Registry("network")
-NETWORKS.register("transformer", Network(takes=ENTITIES, build=_transformer, reads_by_colour=True, has_kernels=True))
+_ATTENTION = functools.partial(Network, takes=ENTITIES, has_attention=True)
+NETWORKS.register("transformer", _ATTENTION(build=_transformer, reads_by_colour=True, has_kernels=True))
 # Plain residuals for gates: fewer and smaller products, see entity_transformer.py.
 NETWORKS.register(
     "transformer_lean",
-    Network(takes=ENTITIES, build=functools.partial(_transformer, gated=False), reads_by_colour=True),
+    _ATTENTION(build=functools.partial(_transformer, gated=False), reads_by_colour=True),
 )
 NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
 NETWORKS.register("cnn", Network(takes=IMAGE, build=_cnn, sample_bytes=SAMPLE_BYTES))
 # Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.
 NETWORKS.register(
     "transformer_kinetix",
-    Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(1.0, 0.0)), has_kernels=True),
+    _ATTENTION(build=functools.partial(_transformer, shape_ids=(1.0, 0.0)), has_kernels=True),
 )
 NETWORKS.register(
     "transformer_kinetix_paper",
-    Network(takes=ENTITIES, build=functools.partial(_transformer, shape_ids=(0.0, 0.0)), has_kernels=True),
+    _ATTENTION(build=functools.partial(_transformer, shape_ids=(0.0, 0.0)), has_kernels=True),
 )
 
 
