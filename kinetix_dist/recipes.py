@@ -18,7 +18,7 @@ from kinetix_dist.config import (
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.config import AnnealConfig, PpoConfig
-from kinetix_dist.level.generator_config import GeneratorConfig, generator
+from kinetix_dist.level.generator_config import ALL_KINDS, GeneratorConfig, generator
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.phases import PhaseConfig
@@ -118,6 +118,27 @@ def tiny() -> TrainConfig:
 # Of `pretrain_s` and its like: more than twice what a head has that does not collapse (docs/lab_log.md).
 MAX_QK_NORM = 4.0
 
+# How often `pretrain_l` draws each kind of thing: those that a policy is slow to learn more often (docs/training.md).
+TASK_WEIGHTS = {
+    "car": 1.0,
+    "unicycle": 2.0,
+    "walker": 2.0,
+    "arm": 0.5,
+    "runner": 3.0,
+    "snake": 2.0,
+    "cartpole": 2.0,
+    "flyer": 2.0,
+    "pusher": 0.5,
+    "beam": 0.5,
+    "lander": 2.0,
+    "carrier": 2.0,
+    "jumper": 1.0,
+    "sprinter": 6.0,
+    "thrower": 3.0,
+    "turner": 3.0,
+    "flipper": 1.5,
+}
+
 # The curricula of `sfl_s` and its like: the paper's hyperparameters for each size of levels.
 _CURRICULA = {
     "sfl": CurriculumConfig(),
@@ -149,7 +170,8 @@ def _pretrain(size: str) -> TrainConfig:
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
     # What hand-made levels have and random ones lack (docs/results/2026-11-25-tasks.md); shown in arrays of L alone.
-    tasks = dataclasses.replace(generator("tasks"), locomotion_share=0.4, varied_share=0.3)
+    weights = tuple(TASK_WEIGHTS[kind] for kind in ALL_KINDS)
+    tasks = dataclasses.replace(generator("tasks"), locomotion_share=0.45, locomotion_weights=weights, varied_share=0.3)
     return dataclasses.replace(
         paper,
         policy=PolicyConfig(

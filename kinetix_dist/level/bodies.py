@@ -508,3 +508,115 @@ def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
         goal_radius=goal_radius,
         floor_is_red=draws.chance(0.7),
     )
+
+
+def build_thrower(draws: Draws, capacity: Capacity) -> Thing:
+    """An arm that turns about a fixed disc, and a green disc on it that nothing holds: on the far end of a level arm,
+    which throws it over the pivot, or on the tip of an upright one. The goal is some way off."""
+    half = jnp.stack([draws.between(0.3, 0.6), draws.between(0.03, 0.06)])
+    ball, pivot, goal_radius = draws.between(0.08, 0.16), draws.between(0.06, 0.1), draws.between(0.12, 0.45)
+    is_upright, side = draws.chance(0.3), jnp.where(draws.chance(0.5), 1.0, -1.0)
+    out = draws.between(0.5, 0.9) * half[0]  # from the pivot to the middle of the arm
+    inset = draws.between(0.6, 1.4) * ball
+    zero = jnp.zeros(())
+    middle_of_arm = jnp.where(is_upright, jnp.stack([zero, out]), jnp.stack([-side * out, zero]))
+    end = out + half[0]
+    on_tip = jnp.stack([zero, end + ball + CLEARANCE_M])
+    on_arm = jnp.stack([-side * (end - inset), half[1] + ball + CLEARANCE_M])
+    parts = [
+        Part(position=jnp.zeros(2), radius=pivot, is_fixed=True),
+        Part(position=middle_of_arm, angle=jnp.where(is_upright, 0.5 * math.pi, 0.0), half=half),
+        Part(position=jnp.where(is_upright, on_tip, on_arm), radius=ball, role=Role.GREEN),
+    ]
+    # As far to the side as there is room for, whatever the pivot; what lies lower is reached by a slower arm, too.
+    away = draws.between(0.9, 2.5)
+    x = draws.between(WALL_MARGIN_M + end, WORLD_SIZE_M - WALL_MARGIN_M - away - goal_radius)
+    y = draws.between(FLOOR_TOP_M + 0.4, 3.2)
+    lowest = FLOOR_TOP_M + CLEARANCE_M + goal_radius
+    goal_y = jnp.where(draws.chance(0.5), lowest, draws.between(lowest, jnp.maximum(lowest, y + 0.6)))
+    return Thing(
+        parts=parts,
+        hinges=[Hinge(a=0, b=1, at=jnp.zeros(2))],
+        middle=jnp.stack([jnp.where(side > 0.0, x, WORLD_SIZE_M - x), y]),
+        goal=jnp.stack([side * away, goal_y - y]),
+        goal_radius=goal_radius,
+        has_full_motors=draws.chance(0.4),
+        floor_is_red=draws.chance(0.4),
+    )
+
+
+def build_turner(draws: Draws, capacity: Capacity) -> Thing:
+    """A blue disc and, below it, a red one, in the air and on one motor; green is a slab on the floor. Where there is
+    room, half have a blue box instead of the disc. The blue one has to come down first."""
+    may_be_box = capacity.polygons - NUM_WALLS >= 2
+    radii = [draws.between(0.1, 0.25) for _ in range(2)]
+    box = jnp.stack([draws.between(0.08, 0.3), draws.between(0.06, 0.15)])
+    is_box = draws.chance(0.5) if may_be_box else jnp.array(False)
+    direction = draws.between(0.1, 0.9) * math.pi  # of the blue one, above the red one
+    apart = draws.between(0.4, 1.0) * (radii[0] + radii[1]) * jnp.stack([jnp.cos(direction), jnp.sin(direction)])
+    at = draws.between(0.0, 1.0) * apart
+    blue, red = Role.GREEN, Role.RED  # exchanged with the goal's
+    parts = [
+        Part(position=jnp.zeros(2), radius=radii[1], role=red),
+        Part(position=apart, radius=radii[0], role=blue, active=~is_box),
+    ]
+    hinges = [Hinge(a=0, b=1, at=at, active=~is_box)]
+    if may_be_box:
+        parts.append(Part(position=apart, angle=direction, half=box, role=blue, active=is_box))
+        hinges.append(Hinge(a=0, b=2, at=at, active=is_box))
+    slab = jnp.stack([draws.between(1.2, 2.3), draws.between(0.03, 0.1)])
+    middle = jnp.stack([draws.between(0.9, WORLD_SIZE_M - 0.9), draws.between(FLOOR_TOP_M + 1.2, 4.2)])
+    slab_x = draws.between(WALL_MARGIN_M + slab[0], WORLD_SIZE_M - WALL_MARGIN_M - slab[0])
+    slab_y = FLOOR_TOP_M + CLEARANCE_M + slab[1]
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        middle=middle,
+        goal=jnp.stack([slab_x, slab_y]) - middle,
+        slab=slab,
+        goal_is_green=True,
+        has_bump=False,
+        floor_is_red=jnp.array(False),
+    )
+
+
+def build_flipper(draws: Draws, capacity: Capacity) -> Thing:
+    """A car with a blue wheel and a red one, the red one beside the goal, and two thrusters somewhere on it that push
+    up. It has to turn over, so that the blue one comes first; green is a box on the floor."""
+    radius = draws.between(0.14, 0.36)
+    along = radius + draws.between(0.05, 0.25)
+    half = jnp.stack([along, draws.between(0.06, 0.12)])
+    side = jnp.where(draws.chance(0.5), 1.0, -1.0)  # of the goal, from the car
+    blue, red = Role.GREEN, Role.RED  # exchanged with the goal's
+    axles = [jnp.stack([way * side * along, jnp.zeros(())]) for way in (-1.0, 1.0)]
+    parts = [Part(position=jnp.zeros(2), half=half)]
+    parts += [Part(position=axle, radius=radius, role=role) for axle, role in zip(axles, (blue, red), strict=True)]
+    mass = 4.0 * half[0] * half[1] + 2.0 * math.pi * radius**2
+    power = draws.between(0.65, 2.0) * mass * GRAVITY_M_S2 * NEWTON
+    jets = [
+        Jet(
+            of=0,
+            at=half * jnp.stack([draws.between(-0.9, 0.9), jnp.full((), -0.9)]),
+            angle=jnp.asarray(0.5 * math.pi),
+            power=power,
+            colour=colour,
+        )
+        for colour in range(2)
+    ]
+    slab = jnp.stack([draws.between(0.15, 0.35), draws.between(0.2, 0.5)])
+    away = along + radius + draws.between(0.1, 1.0) + slab[0]
+    reach = along + radius
+    x = draws.between(WALL_MARGIN_M + reach, WORLD_SIZE_M - WALL_MARGIN_M - away - slab[0])
+    floor = FLOOR_TOP_M + CLEARANCE_M
+    middle = jnp.stack([jnp.where(side > 0.0, x, WORLD_SIZE_M - x), floor + radius])
+    return Thing(
+        parts=parts,
+        hinges=[Hinge(a=0, b=1 + k, at=axle) for k, axle in enumerate(axles)],
+        jets=jets,
+        middle=middle,
+        goal=jnp.stack([side * away, slab[1] - radius]),
+        slab=slab,
+        goal_is_green=True,
+        has_bump=False,
+        floor_is_red=jnp.array(False),
+    )

@@ -16,6 +16,7 @@ import numpy as np
 from jax2d.fields import Array
 from jax2d.scene import Capacity, JointDrive, JointKind, Joints, Thrusters
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import empty_level
 
 
@@ -138,6 +139,14 @@ def empty_draft(capacity: Capacity) -> Draft:
         driven_thrusters=DrivenThrusters(thrusters=scene.thrusters, colour=level.thruster_colour),
     )
     return jax.tree.map(jnp.asarray, draft)
+
+
+def with_green_and_blue_exchanged(draft: Draft, is_wanted: Array) -> Draft:
+    """The draft with the roles of green and blue shapes exchanged, where that is wanted."""
+    role = draft.shapes.role
+    is_either = (role == Role.GREEN) | (role == Role.BLUE)
+    role = jnp.where(is_wanted & is_either, Role.GREEN + Role.BLUE - role, role)
+    return dataclasses.replace(draft, shapes=dataclasses.replace(draft.shapes, role=role))
 
 
 def write_slot(table: Any, slot: Array, row: Any, do: Array) -> Any:

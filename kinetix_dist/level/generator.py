@@ -27,6 +27,7 @@ from kinetix_dist.level.draft import (
     empty_draft,
     first_free,
     read_slot,
+    with_green_and_blue_exchanged,
     write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
@@ -192,8 +193,4 @@ def _add_thrusters(draws: Array, draft: Draft, force_thruster: Array, config: Ge
 
 def _swap_green_and_blue(coin: Array, draft: Draft) -> Draft:
     """Removes the bias of green to the left and of green being added first, unless the floor plays a role."""
-    shapes = draft.shapes
-    swap = (coin < 0.5) & (shapes.role[0] == Role.NONE)
-    is_either = (shapes.role == Role.GREEN) | (shapes.role == Role.BLUE)
-    role = jnp.where(swap & is_either, Role.GREEN + Role.BLUE - shapes.role, shapes.role)
-    return dataclasses.replace(draft, shapes=dataclasses.replace(shapes, role=role))
+    return with_green_and_blue_exchanged(draft, (coin < 0.5) & (draft.shapes.role[0] == Role.NONE))

@@ -27,6 +27,9 @@ ALL_KINDS = (
     "carrier",
     "jumper",
     "sprinter",
+    "thrower",
+    "turner",
+    "flipper",
 )
 _CHANCES = (
     "locomotion_share", "varied_share",

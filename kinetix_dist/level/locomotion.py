@@ -24,6 +24,7 @@ from kinetix_dist.level.bodies import CLEARANCE_M, WALL_MARGIN_M
 from kinetix_dist.level.draft import (
     Draft,
     empty_draft,
+    with_green_and_blue_exchanged,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
@@ -120,7 +121,8 @@ def _draft(table: Table, num_blocks: int | None, numbers: Array, capacity: Capac
     draft = empty_draft(capacity)
     role = draft.shapes.role.at[0].set(jnp.where(floor_is_red, Role.RED, Role.NONE))
     draft = dataclasses.replace(draft, shapes=dataclasses.replace(draft.shapes, role=role))
-    return with_table(last, draft, table, capacity, config)
+    draft = with_table(last, draft, table, capacity, config)
+    return with_green_and_blue_exchanged(draft, table.goal_is_green)
 
 
 def _beside_its_goal(
@@ -263,4 +265,7 @@ _KINDS = {
     "lander": _Kind(build=bodies.build_lander, polygons=2, circles=0, thrusters=2),
     "carrier": _Kind(build=bodies.build_carrier, polygons=5, circles=4, joints=4),
     "jumper": _Kind(build=bodies.build_jumper, polygons=3, circles=3, joints=2),
+    "thrower": _Kind(build=bodies.build_thrower, polygons=1, circles=3, joints=1),
+    "turner": _Kind(build=bodies.build_turner, polygons=1, circles=2, joints=1),
+    "flipper": _Kind(build=bodies.build_flipper, polygons=2, circles=2, joints=2, thrusters=2),
 }

@@ -125,6 +125,7 @@ class Table:
     goal_radius: Given
     slab: Given
     goal_is_slab: Array
+    goal_is_green: Array
     is_handed: Array
     height: Array
     goal_nearness: Array
@@ -218,6 +219,7 @@ def table_of(thing: Thing, num_draws: int, capacity: Capacity, num_hinges: int) 
         goal_radius=_given(thing.goal_radius, _NUMBER),
         slab=_given(thing.slab, _POINT),
         goal_is_slab=_one(thing.goal_is_slab if thing.slab is not None else False, _FLAG),
+        goal_is_green=_one(thing.goal_is_green, _FLAG),
         is_handed=_one(thing.is_handed, _FLAG),
         height=_one(thing.height, _NUMBER),
         goal_nearness=_one(thing.goal_nearness, _COUNT),

@@ -112,6 +112,7 @@ class Thing:
     goal_radius: Array | None = None  # m, None: as drawn for all
     slab: Array | None = None  # [2] m, half extents of a goal that lies on the floor instead
     goal_is_slab: bool | Array = True  # where there is a slab: or it is a disc, as drawn for all
+    goal_is_green: bool | Array = False  # green and blue are exchanged: red parts must not touch the goal
     # Of something that can go
     is_handed: bool = False  # it faces to the right, so that it is mirrored where the goal is to the left
     height: Array | float = 0.0  # m, of its lowest point above the floor

@@ -153,10 +153,10 @@ def _has_levels(path: Path) -> bool:
         return False
 
 
-def remove_later_snapshots(directory: Path, num_updates: int) -> list[Path]:
+def remove_later_snapshots(directory: Path, num_updates: int, *, is_curated: bool = False) -> list[Path]:
     """Of a run that goes on after so many updates, removes what it is about to write again; returns what was damaged.
 
-    A refresh is adopted after the checkpoint of its update, a buffer written with it.
+    A buffer is written with the checkpoint of its update, a refresh is adopted after it, or before it: is_curated.
     """
     damaged = []
     for kind, _, path in list_snapshots(directory):
@@ -165,7 +165,7 @@ def remove_later_snapshots(directory: Path, num_updates: int) -> list[Path]:
         except (SnapshotError, KeyError):
             damaged.append(path)
             continue
-        if written_after > num_updates or (kind == REFRESH and written_after == num_updates):
+        if written_after > num_updates or (kind == REFRESH and written_after == num_updates and not is_curated):
             path.unlink()
     return damaged
 

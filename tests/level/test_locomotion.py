@@ -24,10 +24,11 @@ from tests.level.valid import assert_valid
 
 NUM_LEVELS = 512
 KINDS_OF = {
-    "s": ("unicycle", "arm"),
-    "m": (*LOCOMOTION_KINDS, "snake", "cartpole", "flyer", "pusher", "beam", "lander"),
+    "s": ("unicycle", "arm", "turner"),
+    "m": (*LOCOMOTION_KINDS, "snake", "cartpole", "flyer", "pusher", "beam", "lander", "thrower", "turner", "flipper"),
     "l": ALL_KINDS,
 }
+WITH_GREEN_GOAL = ("turner", "flipper")  # blue and red are of one thing
 
 
 @functools.cache
@@ -53,8 +54,8 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
     # Walls: an obstacle may stand on the floor, and nothing else touches them.
     depth = overlap[:, :NUM_WALLS, NUM_WALLS:]
     assert not depth[levels.scene.shapes.inverse_mass[:, None, NUM_WALLS:].repeat(NUM_WALLS, 1) > 0].any()
-    green = levels.shape_role == Role.GREEN
-    assert (levels.scene.shapes.inverse_mass[green & levels.scene.shapes.active] > 0).all()
+    of_thing = levels.shape_role == (Role.BLUE if kind in WITH_GREEN_GOAL else Role.GREEN)
+    assert (levels.scene.shapes.inverse_mass[of_thing & levels.scene.shapes.active] > 0).all()
     joints, jets = levels.scene.joints, levels.scene.thrusters.active
     has_motor = joints.active & joints.motor_on
     assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
@@ -345,6 +346,69 @@ def test_a_jumper_has_a_gap_before_it_and_its_goal_is_not_higher() -> None:
         gap = max(low[row, second, 0] - high[row, first, 0], low[row, first, 0] - high[row, second, 0])
         assert 0.099 < gap < 0.501
         assert -0.001 < high[row, first, 1] - high[row, second, 1] < 0.701
+
+
+def test_a_disc_lies_on_the_arm_that_throws_it_and_the_goal_is_beyond_the_pivot() -> None:
+    levels, polygons = levels_of("l", "thrower"), SIZES["l"].polygons
+    shapes = levels.scene.shapes
+    is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
+    is_pivot = shapes.active & (shapes.inverse_mass == 0) & ~is_blue
+    is_pivot[:, :NUM_WALLS] = False
+    is_arm = shapes.active & (shapes.inverse_mass > 0) & ~is_green
+    disc, goal, pivot, arm = (levels.position[mask] for mask in (is_green, is_blue, is_pivot, is_arm))
+    angle = levels.angle[is_arm]
+    is_upright = np.abs(angle) > 1.0
+    assert 0.2 < is_upright.mean() < 0.4
+    np.testing.assert_allclose(np.abs(angle), np.where(is_upright, 0.5 * np.pi, 0.0), atol=1e-6)
+    # Its lowest point is 1 cm above the arm, and on it: nothing holds it.
+    half = np.abs(shapes.vertices[:, :, 0])[is_arm[:, :polygons]]
+    rise = np.where(is_upright, half[:, 0], half[:, 1])
+    reach = np.where(is_upright, half[:, 1], half[:, 0])
+    radius = shapes.radius[is_green[:, polygons:]]
+    np.testing.assert_allclose(disc[:, 1] - radius - arm[:, 1] - rise, 0.01, atol=1e-5)
+    assert (np.abs(disc[:, 0] - arm[:, 0]) < reach).all()
+    assert (levels.scene.joints.active.sum(axis=1) == 1).all()
+    lies = ~is_upright
+    assert (np.sign(goal[:, 0] - pivot[:, 0]) == -np.sign(disc[:, 0] - pivot[:, 0]))[lies].all()
+    away = np.abs(goal[:, 0] - pivot[:, 0])
+    assert away.min() > 0.89 and away.max() < 2.51 and 0.4 < (goal[:, 0] > pivot[:, 0]).mean() < 0.6
+    assert 0.3 < (levels.shape_role[:, 0] == Role.RED).mean() < 0.5
+
+
+def red_first(levels: Level) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(blue, red, green), [levels, shapes] bool each, of a thing that must not touch green with red."""
+    return tuple(levels.scene.shapes.active & (levels.shape_role == role) for role in (Role.BLUE, Role.RED, Role.GREEN))
+
+
+@pytest.mark.parametrize("size", ["s", "m", "l"])
+def test_a_turner_begins_with_red_below_blue_above_a_green_slab(size: str) -> None:
+    levels, polygons = levels_of(size, "turner"), SIZES[size].polygons
+    is_blue, is_red, is_green = red_first(levels)
+    assert all((mask.sum(axis=1) == 1).all() for mask in (is_blue, is_red, is_green))
+    assert (levels.position[is_blue][:, 1] > levels.position[is_red][:, 1]).all()
+    assert (bottoms_of(levels)[is_red] > FLOOR_TOP_M + 0.9).all()
+    np.testing.assert_allclose(bottoms_of(levels)[is_green], FLOOR_TOP_M + 0.01, atol=1e-4)
+    has_box = is_blue[:, :polygons].any(axis=1).mean()
+    assert has_box == 0.0 if size == "s" else 0.4 < has_box < 0.6
+    # Who does nothing comes down with red: few solve themselves.
+    assert np.mean(noop_solved(levels)) < 0.1
+
+
+@pytest.mark.parametrize("size", ["m", "l"])
+def test_a_flipper_has_its_red_wheel_beside_the_goal_and_thrusters_that_lift_an_end(size: str) -> None:
+    levels = levels_of(size, "flipper")
+    is_blue, is_red, is_green = red_first(levels)
+    blue, red, green = (levels.position[mask] for mask in (is_blue, is_red, is_green))
+    assert (np.sign(red[:, 0] - blue[:, 0]) == np.sign(green[:, 0] - red[:, 0])).all()
+    assert 0.4 < (green[:, 0] > red[:, 0]).mean() < 0.6
+    for mask in (is_blue, is_red, is_green):
+        np.testing.assert_allclose(bottoms_of(levels)[mask], FLOOR_TOP_M + 0.01, atol=1e-4)
+    shapes, jets = levels.scene.shapes, levels.scene.thrusters
+    moves = shapes.active & (shapes.inverse_mass > 0)
+    mass = np.divide(1.0, shapes.inverse_mass, out=np.zeros_like(shapes.inverse_mass), where=moves).sum(axis=1)
+    lift = (10.0 * jets.power * np.sin(jets.angle)).sum(axis=1) / (9.81 * mass)  # of both
+    assert (lift > 1.29).all() and (lift < 4.01).all()
+    assert (levels.shape_role[:, 0] == Role.NONE).all()
 
 
 @pytest.mark.parametrize(

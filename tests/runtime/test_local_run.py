@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, save_checkpoint
 from kinetix_dist.config import to_dict
+from kinetix_dist.runtime.driver import refreshes
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.curation import CuratorClient
@@ -24,6 +26,7 @@ from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
+from kinetix_dist.telemetry.curriculum_log import REFRESH, list_snapshots, read_snapshot
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import (
     QuietReporter,
@@ -99,6 +102,58 @@ def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_u
         ["update 4", "refresh 3", "update 5", "update 6", "update 7"],
     ]
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
+
+
+@pytest.mark.parametrize("is_quick", [True, False])
+def test_a_run_stopped_right_before_a_buffer_is_due_has_it_in_its_checkpoint(
+    eight_updates, tmp_path, monkeypatch, is_quick
+):
+    """The one asked for at 3 is due before update 5. Where scoring is slow, who stops does not wait for it."""
+    monkeypatch.setattr(refreshes, "MAX_STOPPING_S", np.inf if is_quick else 0.0)
+    config, stop, path = tiny_config(num_updates=8, num_curators=0), StopSignals(), tmp_path / "run"
+
+    class Signalled(_NotingTrainer):
+        def run_update(self, num_updates):
+            if num_updates == 4:
+                stop.requested = "SIGTERM"
+            return super().run_update(num_updates)
+
+    trainer = Signalled(config)
+    run = run_directory(path, config, resume=False)
+    controller = Controller(config, run, trainer, CurationByWorkers(trainer), QuietReporter(), stop=stop)
+    controller.restore(resume=False)
+    with pytest.raises(StoppedError, match="stopped by SIGTERM after update 5, which is saved"):
+        controller.train()
+    controller.close()
+    run.close()
+    early = ["refresh 3"] if is_quick else []
+    assert trainer.done == ["refresh 0", *(f"update {update}" for update in range(5)), *early]
+    _goes_on_as_unbroken(config, path, eight_updates[0], first=["update 5"] if is_quick else ["refresh 3", "update 5"])
+
+
+def test_a_checkpoint_right_before_a_buffer_is_due_has_it(eight_updates, tmp_path):
+    config, path = tiny_config(num_updates=6, num_curators=0, checkpoint_every=5), tmp_path / "run"
+    trainer = _NotingTrainer(config)
+    run_updates(config, path, trainer, CurationByWorkers(trainer))
+    assert trainer.done[-3:] == ["update 4", "refresh 3", "update 5"]
+    last = list_checkpoints(path / "checkpoints")[-1]
+    assert last.name == "00000006"
+    shutil.rmtree(last)  # a kill came before it
+    _goes_on_as_unbroken(tiny_config(num_updates=8, num_curators=0), path, eight_updates[0], first=["update 5"])
+
+
+def _goes_on_as_unbroken(config, path, unbroken, *, first):
+    """A run goes on from the checkpoint after 5 of 8 updates with what `first` says."""
+    trainer = _NotingTrainer(config)
+    run_updates(config, path, trainer, CurationByWorkers(trainer), resume=True)
+    assert trainer.done == [*first, "update 6", "update 7"]
+    assert_same_bits(final_arrays(path), final_arrays(unbroken))
+    names = [(kind, number) for kind, number, _ in list_snapshots(path / "curriculum")]
+    assert names == [(REFRESH, 0), (REFRESH, 3)]
+    for name in ("refresh_00000000.npz", "refresh_00000003.npz"):
+        here, there = (read_snapshot(folder / "curriculum" / name) for folder in (path, unbroken))
+        for key in ("policy_version", "first_batch", "level_id"):
+            np.testing.assert_array_equal(here.arrays[key], there.arrays[key])
 
 
 def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_first_update(tmp_path):

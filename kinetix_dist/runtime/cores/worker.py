@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import threading
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -151,31 +150,25 @@ class Worker(LearnerWorker):
         super().start(arrays)
         if ahead_of is not None and ahead.has_cores():
             rollout, released = self._playing.rollout(self._enter_phase_of(ahead_of)), self.released()
-            is_traced = threading.Event()
-            self._update_programs.begin(lambda: self._compile_update(rollout, is_traced))
+            self._update_programs.begin(lambda: self._compile_update(rollout))
             is_new = ahead_of == 0
             if is_new and jax.process_index() == 0:  # it begins with evaluations, see `training_run.py`
                 self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(released))
             has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
             if self._config.workers_curate and has_part:
                 version = self._config.curriculum.next_refresh(ahead_of)
-                # A new run refreshes first, one that is resumed makes an update first: threads that trace take turns.
-                after = None if is_new else is_traced
-                self._refresh_programs.begin(lambda: self._compile_refresh(released, version, after))
 
-    def _compile_update(self, rollout: RolloutCore, is_traced: threading.Event) -> None:
-        try:
-            program, batch = rollout.traced(self._learner.params, self._state.shapes)
-            self._update_programs.begin(lambda: self._learner.compile(*batch))
-            lowered = program.lower()
-        finally:
-            is_traced.set()
-        lowered.compile()
+                def compile_refresh() -> None:
+                    if not is_new:  # it makes an update first, and threads that trace take turns
+                        self._update_programs.settle()
+                    self._curator.compile_ahead(released, version)
 
-    def _compile_refresh(self, params: Any, policy_version: int, after: threading.Event | None) -> None:
-        if after is not None:
-            after.wait()
-        self._curator.compile_ahead(params, policy_version)
+                self._refresh_programs.begin(compile_refresh)
+
+    def _compile_update(self, rollout: RolloutCore) -> None:
+        program, batch = rollout.traced(self._learner.params, self._state.shapes)
+        self._update_programs.begin(lambda: self._learner.compile(*batch))
+        program.lower().compile()
 
     def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
         if use_policy:

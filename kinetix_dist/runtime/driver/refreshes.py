@@ -7,6 +7,7 @@ first update that finds it there. `Adoptions` keeps which one that was, so that 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -27,6 +28,7 @@ from kinetix_dist.runtime.driver.weight_sync import nested, resolve
 PENDING, PENDING_INPUT = "pending", "pending_input"
 # s that a curator at work may be silent, since its process can be short of a core; or an update, where that is longer
 MIN_PATIENCE_S = 3.0
+MAX_STOPPING_S = 5.0  # that a refresh may take in a run that was asked to stop
 
 
 class Refreshes:
@@ -60,6 +62,7 @@ class Refreshes:
         self._pending: tuple[int, Any, Any] | None = None
         self._is_stale = False
         self._scoring_seconds: float | None = None  # of the buffer in use
+        self._taken_in: float | None = None  # s that the last refresh of this session was waited for
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """As a checkpoint has it; afresh where both are empty. What was in flight is asked for again."""
@@ -81,6 +84,17 @@ class Refreshes:
         """All processes of the trainer are started again."""
         if self._curator is not None:
             self._curator.cancel()
+
+    @property
+    def may_be_early(self) -> bool:
+        """Whether what is to be done before an update may as well be done right after the one before it: nothing is
+        worked out beside training then, and no batch of levels is drawn ahead."""
+        return self._curator is not None and not self._curator.works_beside
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether the last one of this session was, with all programs compiled."""
+        return self._taken_in is not None and self._taken_in < MAX_STOPPING_S
 
     def curate(self, num_updates: int, *, update_seconds: float) -> None:
         """Before update `num_updates`: asks for a refresh and adopts one. update_seconds: of the update before."""
@@ -155,12 +169,15 @@ class Refreshes:
         # Without a first buffer there is nothing to play, and what is recorded is repeated as it was.
         must_wait = version == 0 or recorded is not None
         patience_s = None if must_wait else max(MIN_PATIENCE_S, update_seconds)
+        began = time.monotonic()
         with self._section("curate"), self._clock.role("curate"), self._may_stop():
             refresh = self._curator.take(patience_s=patience_s, meanwhile=self._trainer.check)
+        self._taken_in = time.monotonic() - began
         if refresh is None:
             self._note_late(version, num_updates)
             return
-        self._stop.raise_if_requested()  # the update to come may compile for minutes; the refresh stays in flight
+        if self._curator.works_beside:
+            self._stop.raise_if_requested()  # it stays in flight: batches drawn ahead are not from this buffer
         with self._section("curate"):
             self._trainer.adopt(refresh.parts)
         self._is_stale, self._pending = False, None

@@ -30,7 +30,7 @@ class UnfinishedSnapshot:
 
 class SnapshotSink:
     """A sink of `UnfinishedSnapshot`s. At the first `open` it removes what a session that goes on from `resume_at`
-    updates will write again."""
+    updates will write again. is_curated: see `remove_later_snapshots`."""
 
     def __init__(
         self,
@@ -40,12 +40,14 @@ class SnapshotSink:
         size: str,
         max_snapshots: int,
         resume_at: int,
+        is_curated: bool,
         tell: Callable[[str, dict[str, Any]], None],
     ) -> None:
         self._directory = directory
         self._known = {"curriculum": np.str_(curriculum), "size": np.str_(size)}
         self._max_snapshots = max_snapshots
         self._resume_at: int | None = resume_at
+        self._is_curated = is_curated
         self._tell = tell
 
     def write(self, update: int, snapshot: UnfinishedSnapshot, /) -> None:
@@ -71,6 +73,6 @@ class SnapshotSink:
         """Nothing is open between two snapshots."""
 
     def _remove_later(self, num_updates: int) -> None:
-        for path in remove_later_snapshots(self._directory, num_updates):
+        for path in remove_later_snapshots(self._directory, num_updates, is_curated=self._is_curated):
             file = f"{self._directory.name}/{path.name}"
             self._tell("file_set_aside", {"file": file, "to": set_aside_file(path).name, "reason": "it cannot be read"})
