@@ -127,7 +127,7 @@ TASK_WEIGHTS = {
     "runner": 3.0,
     "snake": 2.0,
     "cartpole": 2.0,
-    "flyer": 2.0,
+    "flyer": 3.0,
     "pusher": 0.5,
     "beam": 0.5,
     "lander": 2.0,
@@ -137,6 +137,7 @@ TASK_WEIGHTS = {
     "thrower": 3.0,
     "turner": 3.0,
     "flipper": 1.5,
+    "grasper": 3.0,
 }
 
 # The curricula of `sfl_s` and its like: the paper's hyperparameters for each size of levels.

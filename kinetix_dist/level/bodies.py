@@ -620,3 +620,59 @@ def build_flipper(draws: Draws, capacity: Capacity) -> Thing:
         has_bump=False,
         floor_is_red=jnp.array(False),
     )
+
+
+def build_grasper(draws: Draws, capacity: Capacity) -> Thing:
+    """An arm of two links on a fixed disc, and a hand of two fingers; on the lower one lies a green box that nothing
+    holds. The goal is a slab on the floor, mostly behind the arm."""
+    side = jnp.where(draws.chance(0.5), 1.0, -1.0)
+    upper, fore, finger = draws.between(0.5, 0.8), draws.between(0.4, 0.7), draws.between(0.25, 0.4)
+    width, palm = draws.between(0.03, 0.05), draws.between(0.16, 0.22)
+    lean, lower_rise, upper_rise = draws.between(-0.3, 0.3), draws.between(0.0, 0.12), draws.between(0.0, 0.5)
+    size, along = draws.between(0.05, 0.075), draws.between(0.35, 0.8)
+
+    def mirrored(x: Array, y: Array) -> Array:
+        return jnp.stack([side * x, y])
+
+    def link(start: Array, angle: Array, length: Array, half_width: Array | float) -> tuple[Part, Array]:
+        """A box from `start` on, and its end. angle: of the side that the hand is to."""
+        way = mirrored(jnp.cos(angle), jnp.sin(angle))
+        half = jnp.stack([0.5 * length, jnp.asarray(half_width)])
+        return Part(position=start + 0.5 * length * way, angle=side * angle, half=half), start + length * way
+
+    zero = jnp.zeros(())
+    upper_arm, elbow = link(jnp.zeros(2), lean - 0.5 * math.pi, upper, width)
+    forearm, wrist = link(elbow, zero, fore, width)
+    knuckles = [wrist + jnp.stack([zero, end * palm]) for end in (-1.0, 1.0)]
+    fingers = [
+        link(knuckle, rise, finger, 0.03)[0] for knuckle, rise in zip(knuckles, (lower_rise, upper_rise), strict=True)
+    ]
+    on = mirrored(jnp.cos(lower_rise), jnp.sin(lower_rise)), mirrored(-jnp.sin(lower_rise), jnp.cos(lower_rise))
+    load = knuckles[0] + (along * (finger - size) + size) * on[0] + (0.03 + size + CLEARANCE_M) * on[1]
+    parts = [
+        Part(position=jnp.zeros(2), radius=draws.between(0.08, 0.14), is_fixed=True),
+        upper_arm,
+        forearm,
+        Part(position=wrist, half=jnp.stack([jnp.full((), 0.03), palm])),
+        *fingers,
+        Part(position=load, angle=side * lower_rise, half=jnp.stack([size, size]), role=Role.GREEN),
+    ]
+    limit = jnp.full((), 0.8)
+    hinges = [
+        Hinge(a=0, b=1, at=jnp.zeros(2)),
+        Hinge(a=1, b=2, at=elbow),
+        Hinge(a=2, b=3, at=wrist, is_weld=True),
+        *(Hinge(a=3, b=4 + number, at=knuckle, limit=limit) for number, knuckle in enumerate(knuckles)),
+    ]
+    slab = jnp.stack([draws.between(0.15, 0.4), draws.between(0.03, 0.08)])
+    middle = jnp.stack([draws.between(1.7, WORLD_SIZE_M - 1.7), FLOOR_TOP_M + upper + draws.between(0.45, 1.2)])
+    goal = jnp.stack([middle[0] + side * draws.between(-1.2, 0.3), FLOOR_TOP_M + CLEARANCE_M + slab[1]])
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        middle=middle,
+        goal=goal - middle,
+        slab=slab,
+        has_bump=False,
+        floor_is_red=draws.chance(0.5),
+    )

@@ -30,6 +30,7 @@ ALL_KINDS = (
     "thrower",
     "turner",
     "flipper",
+    "grasper",
 )
 _CHANCES = (
     "locomotion_share", "varied_share",

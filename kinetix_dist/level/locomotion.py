@@ -268,4 +268,5 @@ _KINDS = {
     "thrower": _Kind(build=bodies.build_thrower, polygons=1, circles=3, joints=1),
     "turner": _Kind(build=bodies.build_turner, polygons=1, circles=2, joints=1),
     "flipper": _Kind(build=bodies.build_flipper, polygons=2, circles=2, joints=2, thrusters=2),
+    "grasper": _Kind(build=bodies.build_grasper, polygons=7, circles=1, joints=5),
 }

@@ -60,8 +60,8 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
     has_motor = joints.active & joints.motor_on
     assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
     is_weld = joints.active & (joints.kind == JointKind.FIXED)
-    # Feet, legs of landers, walls of what carries, the tip of a pole; a hinge alone holds a pole and a rope.
-    has_welds = kind in ("runner", "sprinter", "carrier") or (size == "l" and kind in ("lander", "cartpole"))
+    # Feet, legs of landers, walls of what carries, hands, the tip of a pole; a hinge alone holds a pole and a rope.
+    has_welds = kind in ("runner", "sprinter", "carrier", "grasper") or (size == "l" and kind in ("lander", "cartpole"))
     assert is_weld.any() == has_welds
     is_passive = joints.active & ~joints.motor_on & ~is_weld
     assert is_passive.any() == (kind == "cartpole" or (size, kind) == ("l", "lander"))
@@ -373,6 +373,26 @@ def test_a_disc_lies_on_the_arm_that_throws_it_and_the_goal_is_beyond_the_pivot(
     away = np.abs(goal[:, 0] - pivot[:, 0])
     assert away.min() > 0.89 and away.max() < 2.51 and 0.4 < (goal[:, 0] > pivot[:, 0]).mean() < 0.6
     assert 0.3 < (levels.shape_role[:, 0] == Role.RED).mean() < 0.5
+
+
+def test_what_is_to_be_grasped_lies_between_two_fingers() -> None:
+    levels, polygons = levels_of("l", "grasper"), SIZES["l"].polygons
+    is_green, is_blue = (levels.shape_role == role for role in (Role.GREEN, Role.BLUE))
+    green, blue = levels.position[is_green], levels.position[is_blue]
+    np.testing.assert_allclose(bottoms_of(levels)[is_blue], FLOOR_TOP_M + 0.01, atol=1e-4)
+    assert (green[:, 1] > blue[:, 1] + 0.2).all()
+    shapes, joints = levels.scene.shapes, levels.scene.joints
+    assert (joints.active.sum(axis=1) == 5).all()
+    pivot = shapes.active[:, polygons:] & (shapes.inverse_mass[:, polygons:] == 0)
+    to_hand = np.sign(green[:, 0] - levels.position[:, polygons:][pivot][:, 0])
+    assert 0.4 < (to_hand > 0).mean() < 0.6
+    for row in range(64):
+        fingers = np.flatnonzero(joints.has_limits[row] & joints.active[row])
+        ends = [{int(joints.a[row, joint]), int(joints.b[row, joint])} for joint in fingers]
+        (palm,) = ends[0] & ends[1]
+        lower, upper = sorted(((ends[0] | ends[1]) - {palm}), key=lambda shape: levels.position[row, shape, 1])
+        assert levels.position[row, lower, 1] < green[row, 1] < levels.position[row, upper, 1]
+        assert np.sign(green[row, 0] - levels.position[row, palm, 0]) == to_hand[row]
 
 
 def red_first(levels: Level) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
