@@ -242,15 +242,17 @@ def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
 
 
 def _check_levels(config: TrainConfig) -> None:
-    """Loads what training and evaluation will load, so that a wrong name or file is found at once."""
+    """Loads the level files of training and evaluation, so that a wrong name or file is found at once. Sets that are
+    drawn need their size alone to be right, and drawing them takes seconds."""
     from kinetix_dist.level.level import SIZES
-    from kinetix_dist.level.sets import RANDOM_SETS, load_level_set
+    from kinetix_dist.level.sets import load_level_set, size_of_drawn_set
 
     order = list(SIZES)
     for name in filter(None, (*config.evaluation.sets, config.curriculum.levels)):
-        if name not in RANDOM_SETS:
+        size = size_of_drawn_set(name)
+        if size is None:
             load_level_set(name, config.env.size)
-        elif order.index(RANDOM_SETS[name].size) > order.index(config.env.size):
+        elif order.index(size) > order.index(config.env.size):
             raise ValueError(f"level set {name!r} does not fit size {config.env.size!r}; choose a larger env.size")
 
 

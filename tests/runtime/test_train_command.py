@@ -12,11 +12,13 @@ import pytest
 
 from jax2d import PRESETS, Settings, preset
 from kinetix_dist.checkpoint import CheckpointError, save_checkpoint
+from kinetix_dist.cli import train
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import longer, parse
-from kinetix_dist.config import differences, from_dict, from_dict_for_playing, to_dict
+from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
+from kinetix_dist.level import sets
 from kinetix_dist.level.generator_config import GeneratorConfig, generator
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
@@ -197,8 +199,20 @@ def test_an_unknown_level_set(capsys, tmp_path):
     assert "unknown level set 'random_xl'" in line
     assert not (tmp_path / "run").exists()
     assert "does not fit size 's'" in _refusal(capsys, "--recipe", "tiny", "--evaluation.sets", "random_l")
+    for name in ("dev_designed_m", "frontier_m"):
+        line = _refusal(capsys, "--recipe", "tiny", "--evaluation.sets", name)
+        assert f"level set {name!r} does not fit size 's'; choose a larger env.size" in line
     line = _refusal(capsys, "--recipe", "tiny", "--curriculum.name", "fixed", "--curriculum.levels", "nowhere")
     assert "unknown level set 'nowhere'" in line
+
+
+def test_sets_that_are_drawn_are_not_drawn_before_a_run_begins(monkeypatch):
+    loaded = []
+    monkeypatch.setattr(sets, "load_level_set", lambda name, size: loaded.append(name))
+    names = ("random_s", "dev_random_s", "dev_designed_s", "frontier_s", "kinetix_s", "designed_s", "s/kick")
+    config = recipe("tiny")
+    train._check_levels(dataclasses.replace(config, evaluation=EvaluationConfig(sets=names)))
+    assert loaded == ["designed_s", "s/kick"]  # files, which may be wrong
 
 
 def test_resuming_takes_the_configuration_of_the_run_and_its_overrides(tmp_path):

@@ -167,8 +167,10 @@ class Worker(LearnerWorker):
 
     def _compile_update(self, rollout: RolloutCore) -> None:
         program, batch = rollout.traced(self._learner.params, self._state.shapes)
+        lowered = program.lower()
+        # What is compiled last decides, and threads that trace take turns: not before this.
         self._update_programs.begin(lambda: self._learner.compile(*batch))
-        program.lower().compile()
+        lowered.compile()
 
     def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
         if use_policy:
