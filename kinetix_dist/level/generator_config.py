@@ -119,7 +119,7 @@ class GeneratorConfig:
         if self.locomotion_weights and len(self.locomotion_weights) != len(self.locomotion_kinds):
             raise ValueError(
                 f"GeneratorConfig.locomotion_weights has {len(self.locomotion_weights)} numbers for "
-                f"{len(self.locomotion_kinds)} kinds; give one for each, or none"
+                f"{len(self.locomotion_kinds)} kinds; give one for each, or an empty list for equal ones"
             )
         if not all(0.0 < weight < math.inf for weight in self.locomotion_weights):
             raise ValueError(

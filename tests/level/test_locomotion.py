@@ -475,7 +475,7 @@ def test_kinds_are_drawn_as_often_as_their_weights_say() -> None:
 @pytest.mark.parametrize(
     ("kinds", "weights", "said"),
     [
-        (("car", "arm"), (1.0,), "has 1 numbers for 2 kinds; give one for each, or none"),
+        (("car", "arm"), (1.0,), "has 1 numbers for 2 kinds; give one for each, or an empty list"),
         (("car", "arm"), (1.0, 0.0), "must be finite and above 0; leave out a kind"),
         (("car", "arm"), (1.0, float("nan")), "must be finite and above 0"),
         (("car", "arm"), (1.0, float("inf")), "must be finite and above 0"),

@@ -1,5 +1,6 @@
 """A run in one process: buffers are adopted on time, and a killed run goes on as if nothing had happened."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -14,6 +15,7 @@ import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, save_checkpoint
 from kinetix_dist.config import to_dict
+from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.runtime.driver import refreshes
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
@@ -26,7 +28,7 @@ from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
-from kinetix_dist.telemetry.curriculum_log import REFRESH, list_snapshots, read_snapshot
+from kinetix_dist.telemetry.curriculum_log import REFRESH, CurriculumLogConfig, list_snapshots, read_snapshot
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import (
     QuietReporter,
@@ -104,13 +106,15 @@ def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_u
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
 
 
-@pytest.mark.parametrize("is_quick", [True, False])
-def test_a_run_stopped_right_before_a_buffer_is_due_has_it_in_its_checkpoint(
-    eight_updates, tmp_path, monkeypatch, is_quick
-):
-    """The one asked for at 3 is due before update 5. Where scoring is slow, who stops does not wait for it."""
-    monkeypatch.setattr(refreshes, "MAX_STOPPING_S", np.inf if is_quick else 0.0)
-    config, stop, path = tiny_config(num_updates=8, num_curators=0), StopSignals(), tmp_path / "run"
+def _with_refreshes_alike(**run):
+    """Without probes, so that the second refresh runs the programs of the first."""
+    config = tiny_config(num_curators=0, **run)
+    return dataclasses.replace(config, curriculum_log=CurriculumLogConfig(probe_levels=0))
+
+
+def _stopped_after_five(config, path):
+    """What was done until SIGTERM, which came in the fifth update."""
+    stop = StopSignals()
 
     class Signalled(_NotingTrainer):
         def run_update(self, num_updates):
@@ -126,20 +130,43 @@ def test_a_run_stopped_right_before_a_buffer_is_due_has_it_in_its_checkpoint(
         controller.train()
     controller.close()
     run.close()
-    early = ["refresh 3"] if is_quick else []
-    assert trainer.done == ["refresh 0", *(f"update {update}" for update in range(5)), *early]
+    assert trainer.done[:6] == ["refresh 0", *(f"update {update}" for update in range(5))]
+    return trainer.done[6:]
+
+
+@pytest.mark.parametrize("is_quick", [True, False])
+def test_a_run_stopped_right_before_a_buffer_is_due_has_it_in_its_checkpoint(
+    eight_updates, tmp_path, monkeypatch, is_quick
+):
+    """The one asked for at 3 is due before update 5. Where scoring is slow, who stops does not wait for it."""
+    monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf if is_quick else 0.0)
+    config, path = _with_refreshes_alike(num_updates=8), tmp_path / "run"
+    assert _stopped_after_five(config, path) == (["refresh 3"] if is_quick else [])
     _goes_on_as_unbroken(config, path, eight_updates[0], first=["update 5"] if is_quick else ["refresh 3", "update 5"])
 
 
-def test_a_checkpoint_right_before_a_buffer_is_due_has_it(eight_updates, tmp_path):
-    config, path = tiny_config(num_updates=6, num_curators=0, checkpoint_every=5), tmp_path / "run"
+@pytest.mark.parametrize("why", ["programs of a new phase", "of a probe", "no update comes"])
+def test_a_run_that_is_stopped_scores_no_levels_where_that_would_compile_or_be_in_vain(tmp_path, monkeypatch, why):
+    monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)
+    config = _with_refreshes_alike(num_updates=5 if why == "no update comes" else 8)
+    if why == "of a probe":
+        config = dataclasses.replace(config, curriculum_log=CurriculumLogConfig(probe_levels=4))
+    elif why == "programs of a new phase":
+        phase = PhaseConfig(start=5 * config.rollout.steps_per_update, dense_reward_scale=0.5)
+        config = dataclasses.replace(config, phases=(phase,))
+    assert _stopped_after_five(config, tmp_path / "run") == []
+
+
+def test_a_checkpoint_right_before_a_buffer_is_due_has_it(eight_updates, tmp_path, monkeypatch):
+    monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)
+    config, path = _with_refreshes_alike(num_updates=6, checkpoint_every=5), tmp_path / "run"
     trainer = _NotingTrainer(config)
     run_updates(config, path, trainer, CurationByWorkers(trainer))
     assert trainer.done[-3:] == ["update 4", "refresh 3", "update 5"]
     last = list_checkpoints(path / "checkpoints")[-1]
     assert last.name == "00000006"
     shutil.rmtree(last)  # a kill came before it
-    _goes_on_as_unbroken(tiny_config(num_updates=8, num_curators=0), path, eight_updates[0], first=["update 5"])
+    _goes_on_as_unbroken(_with_refreshes_alike(num_updates=8), path, eight_updates[0], first=["update 5"])
 
 
 def _goes_on_as_unbroken(config, path, unbroken, *, first):

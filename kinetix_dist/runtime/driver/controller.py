@@ -262,13 +262,16 @@ class Controller:
         # What the updates that are skipped began from is what to go back to.
         is_well = self._skipped.in_a_row == 0
         if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
-            if self._refreshes.may_be_early:
-                self._curate()
+            self._curate_early()
             self._save()
 
+    def _curate_early(self) -> None:
+        """Before a checkpoint: so that a run that is resumed there need not do it before its first update."""
+        if self._refreshes.may_be_early and not self._is_over():
+            self._curate()
+
     def _curate(self) -> None:
-        """What the curriculum does before the next update, once. Where that may be early it is done before a checkpoint
-        is saved, so that a run that is resumed there need not do it before its first update."""
+        """What the curriculum does before the next update, once."""
         if self._curated_for != self.num_updates:
             self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
             self._curated_for = self.num_updates
@@ -392,8 +395,8 @@ class Controller:
     def _stop(self) -> None:
         """Saves the last update and ends the run. Before the first one there is nothing to save."""
         with self.stop.deferred():
-            if self.num_updates > 0 and self._refreshes.may_be_early and self._refreshes.is_quick:
-                self._repeated(self._curate)
+            if self.num_updates > 0:
+                self._repeated(self._curate_early)
             is_saved = self.num_updates > 0 and self.save_now()
         self.run.event("stopped", signal=self.stop.requested, update=self.num_updates, saved=is_saved)
         if self.num_updates > 0 and not is_saved:

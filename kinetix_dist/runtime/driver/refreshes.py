@@ -7,6 +7,7 @@ first update that finds it there. `Adoptions` keeps which one that was, so that 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -28,7 +29,7 @@ from kinetix_dist.runtime.driver.weight_sync import nested, resolve
 PENDING, PENDING_INPUT = "pending", "pending_input"
 # s that a curator at work may be silent, since its process can be short of a core; or an update, where that is longer
 MIN_PATIENCE_S = 3.0
-MAX_STOPPING_S = 5.0  # that a refresh may take in a run that was asked to stop
+MAX_EARLY_S = 5.0  # that a refresh may hold up a checkpoint, also of a run that was asked to stop
 
 
 class Refreshes:
@@ -47,6 +48,7 @@ class Refreshes:
         data: RunData,
     ) -> None:
         self._config = config.curriculum
+        self._schedule = config.schedule
         self._has_input = config.curriculum_class.refreshes_from_state
         self._log = config.curriculum_log
         self._data = data
@@ -62,11 +64,12 @@ class Refreshes:
         self._pending: tuple[int, Any, Any] | None = None
         self._is_stale = False
         self._scoring_seconds: float | None = None  # of the buffer in use
-        self._taken_in: float | None = None  # s that the last refresh of this session was waited for
+        # s that refreshes were waited for, the last ones since the processes started, by the programs that they run
+        self._taken_in: dict[tuple[int, bool], float] = {}
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """As a checkpoint has it; afresh where both are empty. What was in flight is asked for again."""
-        self._pending = None
+        self._pending, self._taken_in = None, {}
         self._is_stale = description.get("buffer_is_stale", False)
         self._scoring_seconds = description.get("scoring_seconds")
         version = description.get("refresh_in_flight")
@@ -87,14 +90,19 @@ class Refreshes:
 
     @property
     def may_be_early(self) -> bool:
-        """Whether what is to be done before an update may as well be done right after the one before it: nothing is
-        worked out beside training then, and no batch of levels is drawn ahead."""
-        return self._curator is not None and not self._curator.works_beside
+        """Whether what is to be done before the next update may as well be done before a checkpoint: nothing is worked
+        out beside training, and a refresh that would have to be waited for has all programs compiled and is quick."""
+        if self._curator is None or self._curator.works_beside or self._has_input:
+            return False
+        return self._pending is None or self._taken_in.get(self._programs(self._pending[0]), math.inf) < MAX_EARLY_S
 
-    @property
-    def is_quick(self) -> bool:
-        """Whether the last one of this session was, with all programs compiled."""
-        return self._taken_in is not None and self._taken_in < MAX_STOPPING_S
+    def _programs(self, policy_version: int) -> tuple[int, bool]:
+        """What decides which programs a refresh runs: the phase that it is for, and whether it has a probe."""
+        phase = self._schedule.at(self._config.adopted_at(policy_version))
+        return phase.number, self._has_probe(policy_version)
+
+    def _has_probe(self, policy_version: int) -> bool:
+        return self._log.has_probe(policy_version // self._config.refresh_every)
 
     def curate(self, num_updates: int, *, update_seconds: float) -> None:
         """Before update `num_updates`: asks for a refresh and adopts one. update_seconds: of the update before."""
@@ -151,8 +159,7 @@ class Refreshes:
             self._reporter.phase("curating")
         with self._clock.role("curate"):
             # Of the buffer that is in use now: what this refresh replaces.
-            has_probe = self._log.has_probe(policy_version // self._config.refresh_every)
-            probe = self._trainer.probe(self._log.probe_levels) if has_probe else None
+            probe = self._trainer.probe(self._log.probe_levels) if self._has_probe(policy_version) else None
             self._curator.request(weights, policy_version, probe, given)
 
     def _adopt_if_due(self, num_updates: int, update_seconds: float) -> None:
@@ -172,7 +179,7 @@ class Refreshes:
         began = time.monotonic()
         with self._section("curate"), self._clock.role("curate"), self._may_stop():
             refresh = self._curator.take(patience_s=patience_s, meanwhile=self._trainer.check)
-        self._taken_in = time.monotonic() - began
+        self._taken_in[self._programs(version)] = time.monotonic() - began
         if refresh is None:
             self._note_late(version, num_updates)
             return
