@@ -19,9 +19,9 @@ from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_d
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level import sets
-from kinetix_dist.level.generator_config import GeneratorConfig, generator
+from kinetix_dist.level.generator_config import LOCOMOTION_KINDS, GeneratorConfig, generator
 from kinetix_dist.phases import PhaseConfig
-from kinetix_dist.recipes import recipe
+from kinetix_dist.recipes import TASK_WEIGHTS, recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -267,11 +267,12 @@ def test_phases_of_a_file_go_with_fields_of_the_command_line(tmp_path):
     assert parse([*MIXED, "--phases", str(tmp_path / "phases.json")]).config == config
 
 
-@pytest.mark.parametrize(("name", "share"), [("pretrain_l", 0.4), ("pretrain_all", 0.4), ("pretrain_m", 0.0)])
+@pytest.mark.parametrize(("name", "share"), [("pretrain_l", 0.45), ("pretrain_all", 0.45), ("pretrain_m", 0.0)])
 def test_recipes_that_draw_kinds_of_levels(name, share):
     generator = recipe(name).curriculum.generator
     assert generator.locomotion_share == share
     assert (generator.varied_share > 0) == ("snake" in generator.locomotion_kinds) == (share > 0)
+    assert generator.weight_of_kind == (TASK_WEIGHTS if share else dict.fromkeys(LOCOMOTION_KINDS, 1.0))
     assert parse(["--recipe", name, "--curriculum.generator", "default"]).config.curriculum.generator == (
         GeneratorConfig()
     )
@@ -430,7 +431,7 @@ def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
 @pytest.mark.parametrize(
     ("options", "size", "kinds"),
     [
-        (("--curriculum.generator", "runner"), "s", "unicycle, arm, or"),
+        (("--curriculum.generator", "runner"), "s", "unicycle, arm, turner, or"),
         (("--env.size", "m", "--curriculum.generator", "runner"), "m", "snake, cartpole"),
         (("--env.size", "l", "--curriculum.generator", "car", "--curriculum.sizes", "s", "1", "l", "1"), "s", "arm"),
     ],
