@@ -528,7 +528,6 @@ def build_thrower(draws: Draws, capacity: Capacity) -> Thing:
         Part(position=middle_of_arm, angle=jnp.where(is_upright, 0.5 * math.pi, 0.0), half=half),
         Part(position=jnp.where(is_upright, on_tip, on_arm), radius=ball, role=Role.GREEN),
     ]
-    # As far to the side as there is room for, whatever the pivot; what lies lower is reached by a slower arm, too.
     away = draws.between(0.9, 2.5)
     x = draws.between(WALL_MARGIN_M + end, WORLD_SIZE_M - WALL_MARGIN_M - away - goal_radius)
     y = draws.between(FLOOR_TOP_M + 0.4, 3.2)

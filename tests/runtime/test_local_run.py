@@ -340,19 +340,43 @@ def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_p
     assert any(not np.array_equal(lagged[name], direct[name]) for name in direct)
 
 
-def test_a_resumed_split_run_plays_the_batch_that_was_in_flight_again(tmp_path):
-    def run(num_updates, path, *, resume=False):
-        config = tiny_config(num_updates=num_updates, placement="split", num_rollout_actors=2)
-        backend, placement = LocalBackend(), plan(config, num_gpus=0)
-        directory = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
-        directory.write_json(directory.config_path, {})
-        curator = CuratorClient(config, backend, placement.of("curator"))
-        controller = Controller(config, directory, SplitTrainer(config, backend, placement), curator, QuietReporter())
+def _run_split(num_updates, path, *, resume=False, trainer_of=SplitTrainer, stop=None, **run):
+    config = tiny_config(num_updates=num_updates, placement="split", num_rollout_actors=2, **run)
+    config = dataclasses.replace(config, curriculum_log=CurriculumLogConfig(probe_levels=0))
+    backend, placement = LocalBackend(), plan(config, num_gpus=0)
+    directory = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
+    directory.write_json(directory.config_path, {})
+    curator = CuratorClient(config, backend, placement.of("curator"))
+    trainer = trainer_of(config, backend, placement)
+    controller = Controller(config, directory, trainer, curator, QuietReporter(), stop=stop)
+    try:
         controller.restore(resume=resume)
         controller.train()
+    finally:
+        controller.close()
         directory.close()
 
-    run(5, tmp_path / "run")
-    run(9, tmp_path / "run", resume=True)
-    run(9, tmp_path / "unbroken")
-    assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(tmp_path / "unbroken"))
+
+def test_a_resumed_split_run_plays_the_batch_that_was_in_flight_again(tmp_path, monkeypatch):
+    """Also where the buffer of the batch after it was adopted right before a signal, or right after a checkpoint."""
+    monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)
+    stop = StopSignals()
+
+    class Signalled(SplitTrainer):
+        def adopt(self, parts):
+            super().adopt(parts)
+            if self.has_adopted:
+                stop.requested = "SIGTERM"
+            self.has_adopted = True
+
+        has_adopted = False
+
+    _run_split(5, tmp_path / "run")
+    with pytest.raises(StoppedError, match="stopped by SIGTERM after update 5, which is saved"):
+        _run_split(9, tmp_path / "signalled", trainer_of=Signalled, stop=stop)  # adopted before update 4
+    _run_split(6, tmp_path / "killed", checkpoint_every=4)
+    shutil.rmtree(list_checkpoints(tmp_path / "killed" / "checkpoints")[-1])
+    _run_split(9, tmp_path / "unbroken")
+    for name in ("run", "signalled", "killed"):
+        _run_split(9, tmp_path / name, resume=True)
+        assert_same_bits(final_arrays(tmp_path / name), final_arrays(tmp_path / "unbroken"))

@@ -108,7 +108,6 @@ class Controller:
         self._resizing = resizing
         self._lost: list[Loss] = []  # since the last new result
         self._update_seconds = 0.0  # of the last update
-        self._curated_for = -1  # the update before which the curriculum was seen to last
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
         self._topology: dict[str, Any] = {}
         self._lineage: Sequence[Mapping[str, Any]] = ()
@@ -235,8 +234,9 @@ class Controller:
     def _one_update(self) -> None:
         self._losses.update = self.num_updates
         self._begin_phase()
-        self._curate()
-        self.stop.raise_if_requested()  # the update may compile for minutes
+        self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
+        if not self.trainer.policy_lag:  # else a batch drawn ahead is drawn again by a run that goes on
+            self.stop.raise_if_requested()  # the update may compile for minutes
         began = time.monotonic()
         with self._section("update"):
             metrics, seconds, episodes = self.trainer.run_update(self.num_updates)
@@ -266,15 +266,10 @@ class Controller:
             self._save()
 
     def _curate_early(self) -> None:
-        """Before a checkpoint: so that a run that is resumed there need not do it before its first update."""
+        """Before a checkpoint what the curriculum does before the next update, so that a run that is resumed there need
+        not do it before its first one."""
         if self._refreshes.may_be_early and not self._is_over():
-            self._curate()
-
-    def _curate(self) -> None:
-        """What the curriculum does before the next update, once."""
-        if self._curated_for != self.num_updates:
             self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
-            self._curated_for = self.num_updates
 
     def _begin_phase(self) -> None:
         """Where this update, or the batch that is played meanwhile, is the first of a phase: programs are compiled."""
@@ -366,7 +361,6 @@ class Controller:
                 "env_steps": self.env_steps,
                 "training_seconds": self.training_seconds,
                 "warmup_seconds": self.warmup_seconds,
-                "is_curated": self._curated_for == self.num_updates,
                 **self._refreshes.description(),
                 **self._evaluations.description(),
                 **self._data.description(),
@@ -420,7 +414,7 @@ class Controller:
 
     def _start_from(self, checkpoint: Checkpoint | None) -> None:
         if checkpoint is None:
-            self.num_updates, self._curated_for = 0, -1
+            self.num_updates = 0
             start = starting_point(self.config)
             self._lineage = start.lineage
             self.trainer.start(0, start.arrays)
@@ -432,8 +426,6 @@ class Controller:
             return
         description = checkpoint.description
         self.num_updates = self._saver.saved_at = description["num_updates"]
-        is_curated = description.get("is_curated", False)  # earlier versions never did it early
-        self._curated_for = self.num_updates if is_curated else -1
         self._lineage = description.get(LINEAGE, ())
         self.trainer.start(self.num_updates, checkpoint.arrays)
         self._topology = self.trainer.topology()
@@ -441,7 +433,7 @@ class Controller:
         self.run.event("resumed", update=self.num_updates, differs=differs)
         if differs:
             self.reporter.note(f"resumed with {', '.join(differs)}: works, but is not bit for bit the unbroken run")
-        self._data.start(description, checkpoint.arrays, num_updates=self.num_updates, is_curated=is_curated)
+        self._data.start(description, checkpoint.arrays, num_updates=self.num_updates)
         self._refreshes.start(description, checkpoint.arrays)
         self._evaluations.start(description, checkpoint.arrays)
 

@@ -64,12 +64,14 @@ class Refreshes:
         self._pending: tuple[int, Any, Any] | None = None
         self._is_stale = False
         self._scoring_seconds: float | None = None  # of the buffer in use
+        self._curated_for = -1  # the update before which all was done last
         # s that refreshes were waited for, the last ones since the processes started, by the programs that they run
         self._taken_in: dict[tuple[int, bool], float] = {}
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """As a checkpoint has it; afresh where both are empty. What was in flight is asked for again."""
         self._pending, self._taken_in = None, {}
+        self._curated_for = description.get("curated_for", -1)
         self._is_stale = description.get("buffer_is_stale", False)
         self._scoring_seconds = description.get("scoring_seconds")
         version = description.get("refresh_in_flight")
@@ -91,8 +93,9 @@ class Refreshes:
     @property
     def may_be_early(self) -> bool:
         """Whether what is to be done before the next update may as well be done before a checkpoint: nothing is worked
-        out beside training, and a refresh that would have to be waited for has all programs compiled and is quick."""
-        if self._curator is None or self._curator.works_beside or self._has_input:
+        out beside training, no batch is drawn ahead, and a refresh that would have to be waited for has all programs
+        compiled and is quick."""
+        if self._curator is None or self._curator.works_beside or self._trainer.policy_lag or self._has_input:
             return False
         return self._pending is None or self._taken_in.get(self._programs(self._pending[0]), math.inf) < MAX_EARLY_S
 
@@ -105,8 +108,9 @@ class Refreshes:
         return self._log.has_probe(policy_version // self._config.refresh_every)
 
     def curate(self, num_updates: int, *, update_seconds: float) -> None:
-        """Before update `num_updates`: asks for a refresh and adopts one. update_seconds: of the update before."""
-        if self._curator is None:
+        """Before update `num_updates`, once: asks for a refresh and adopts one. update_seconds: of the update
+        before."""
+        if self._curator is None or self._curated_for == num_updates:
             return
         self._curator.watch()
         is_asked_for = self._pending is not None and self._pending[0] == num_updates
@@ -116,6 +120,7 @@ class Refreshes:
             given = self._trainer.refresh_input() if self._has_input and num_updates else None
             self._request(num_updates, self._trainer.weights(), given)
             self._adopt_if_due(num_updates, update_seconds)
+        self._curated_for = num_updates
 
     def end(self, num_updates: int) -> None:
         """Training is over after so many. A late buffer was not used, and must not be where this is computed again."""
@@ -128,6 +133,7 @@ class Refreshes:
     def description(self) -> dict[str, Any]:
         """For a checkpoint."""
         return {
+            "curated_for": self._curated_for,
             "refresh_in_flight": self._pending[0] if self._pending is not None else None,
             "buffer_is_stale": self._is_stale,
             "scoring_seconds": self._scoring_seconds,
@@ -179,12 +185,12 @@ class Refreshes:
         began = time.monotonic()
         with self._section("curate"), self._clock.role("curate"), self._may_stop():
             refresh = self._curator.take(patience_s=patience_s, meanwhile=self._trainer.check)
-        self._taken_in[self._programs(version)] = time.monotonic() - began
         if refresh is None:
             self._note_late(version, num_updates)
             return
-        if self._curator.works_beside:
-            self._stop.raise_if_requested()  # it stays in flight: batches drawn ahead are not from this buffer
+        self._taken_in[self._programs(version)] = time.monotonic() - began
+        if self._trainer.policy_lag:
+            self._stop.raise_if_requested()  # it stays in flight: the batch drawn ahead is not from this buffer
         with self._section("curate"):
             self._trainer.adopt(refresh.parts)
         self._is_stale, self._pending = False, None

@@ -64,24 +64,17 @@ class RunData:
         # Updates done when this session, or the part of it since the last loss, began; -1: with nothing, evaluations
         # before training included.
         self._resume_at = -1
-        self._is_curated = False  # for the update after that, when it was saved
+        self._is_curated = False  # a refresh that the next update uses was adopted before that checkpoint
         self._has_evaluated = False
         self._processes_at = 0.0  # s of time.monotonic(), of the last line
         self._pids: set[tuple[str, int]] = set()  # in the last line
 
-    def start(
-        self,
-        description: Mapping[str, Any],
-        arrays: Mapping[str, np.ndarray],
-        *,
-        num_updates: int,
-        is_curated: bool = False,
-    ) -> None:
+    def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
         """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
-        is removed. is_curated: a refresh that the next update uses was adopted before the checkpoint."""
+        is removed."""
         self._close_sinks()
         self._resume_at = num_updates if num_updates or self._has_evaluated else -1
-        self._is_curated = is_curated
+        self._is_curated = description.get("curated_for") == num_updates
         for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
             if os.path.exists(path):  # what cannot be looked at fails, and is told, with the first row
                 self._sink(path, opens_at_once=True)
