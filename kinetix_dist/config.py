@@ -388,6 +388,7 @@ def check_finite(section: Any, field: str = "") -> None:
 
 # Fields that `numbers_of` leaves out while they are off, so that hashes are those of versions without them.
 _OFF = {
+    "env.failure_penalty": 1.0,
     "policy.read_out": "pooled",
     "policy.max_qk_norm": 0.0,
     "curriculum.sizes": [],

@@ -23,6 +23,7 @@ class EnvConfig:
     frame_skip: int = 2  # physics steps of 1/60 s in one environment step
     max_steps: int = 256  # environment steps after which an episode times out
     dense_reward_scale: float = 0.1  # kappa, reward for each metre that green comes closer to blue
+    failure_penalty: float = 1.0  # reward for touching red is minus this
     action_space: str = "multi_discrete"  # or "continuous" or "discrete", see `env.action_spaces`
     observation: str = "entity"  # or "flat" or "pixels", see `env.observations`
     effect_groups: int = 0  # groups of worlds with engines of their own, see `env.stepper`; 0: one full engine for all
@@ -43,8 +44,9 @@ class EnvConfig:
             )
         if whole_number("EnvConfig.effect_groups", self.effect_groups) < 0:
             raise ValueError(f"EnvConfig.effect_groups is {self.effect_groups}; it must be 0 or more")
-        if not (np.isfinite(self.dense_reward_scale) and self.dense_reward_scale >= 0):
-            raise ValueError(f"EnvConfig.dense_reward_scale is {self.dense_reward_scale}; it must be 0 or more")
+        for name in ("dense_reward_scale", "failure_penalty"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise ValueError(f"EnvConfig.{name} is {getattr(self, name)}; it must be 0 or more")
 
     @property
     def capacity(self) -> Capacity:

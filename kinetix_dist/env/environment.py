@@ -234,7 +234,13 @@ class Environment:
             is_last_step=num_steps >= self.config.max_steps,
         )
         distance = goal_distance(moving.position, prepared.roles)
-        reward = reward_of(outcome, env_state.distance, distance, dense_scale=self.config.dense_reward_scale)
+        reward = reward_of(
+            outcome,
+            env_state.distance,
+            distance,
+            dense_scale=self.config.dense_reward_scale,
+            failure_penalty=self.config.failure_penalty,
+        )
         episode_return = env_state.episode_return + reward
         info = _step_info(outcome, episode_return, num_steps, num_invalid, touching)
         next_state = EnvState(

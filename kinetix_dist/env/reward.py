@@ -1,7 +1,8 @@
 """Reward and the end of an episode: green shall touch blue and keep off red.
 
     touched blue                      +1 and the episode ends (solved)
-    touched red                       -1 and the episode ends (failed); red wins when both happen in one step
+    touched red                       -failure_penalty and the episode ends (failed); red wins when both happen in one
+                                      step. It is 1 in the paper
     each step                         kappa (d_t - d_{t+1}), d the distance of the centres of green and blue
     `max_steps` without either         the episode ends (timed out)
 
@@ -71,8 +72,10 @@ def judge(touching: Array, masks: RoleMasks, *, is_finite: Array, is_last_step: 
     return Outcome(solved=solved, failed=failed, timed_out=timed_out, unstable=~is_finite)
 
 
-def reward_of(outcome: Outcome, distance_before: Array, distance_after: Array, *, dense_scale: float) -> Array:
+def reward_of(
+    outcome: Outcome, distance_before: Array, distance_after: Array, *, dense_scale: float, failure_penalty: float
+) -> Array:
     """[W] float32. `distance_after` is that of the state the step led to, before any reset."""
-    sparse = outcome.solved.astype(jnp.float32) - outcome.failed
+    sparse = outcome.solved.astype(jnp.float32) - failure_penalty * outcome.failed
     dense = dense_scale * (distance_before - distance_after)
     return jnp.where(outcome.unstable, 0.0, sparse + dense)

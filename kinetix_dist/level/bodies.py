@@ -21,6 +21,7 @@ MAX_LEGS = 3  # of a walker
 MAX_LINKS = 4  # of an arm
 MAX_SNAKE_LINKS = 6
 MAX_BLOCKS = 3  # in the way of a flyer
+MAX_BARS = 3  # over a climber
 ROPE_LINKS = 3  # of what a lander carries
 GRAVITY_M_S2 = 9.81
 NEWTON = 0.1  # thruster power that gives one
@@ -110,6 +111,36 @@ def build_arm(draws: Draws, capacity: Capacity) -> Thing:
     count = draws.number(min(2, num_links), num_links)
     reach = draws.between(0.8, 1.4)
     towards = -0.5 * math.pi + draws.between(-1.0, 1.0)  # hangs, so that few fall onto their goal
+    parts, hinges = _links_on_a_disc(draws, num_links, count, reach, towards)
+    behind = _behind_the_links(draws, towards)
+    goal = jnp.maximum(0.6, draws.between(0.5, 0.9) * reach) * behind
+    middle = jnp.stack([draws.between(1.8, WORLD_SIZE_M - 1.8), draws.between(FLOOR_TOP_M + 1.7, 3.2)])
+    return Thing(parts=parts, hinges=hinges, middle=middle, goal=goal)
+
+
+def build_reacher(draws: Draws, capacity: Capacity) -> Thing:
+    """A longer arm, whose goal is half of the time where it must be about straight. In two fifths the last link is blue
+    and the goal green, and in half of these the first link is red."""
+    num_links = min(capacity.polygons - NUM_WALLS, capacity.joints, MAX_LINKS)
+    count = draws.number(2, num_links)
+    reach = draws.between(0.8, 1.8)
+    towards = -0.5 * math.pi + draws.between(-1.0, 1.0)
+    goal_is_green = draws.chance(0.4)
+    first_is_red = goal_is_green & draws.chance(0.5)
+    parts, hinges = _links_on_a_disc(draws, num_links, count, reach, towards)
+    parts[1] = dataclasses.replace(parts[1], role=jnp.where(first_is_red, Role.RED, parts[1].role))
+    share = jnp.where(draws.chance(0.5), draws.between(0.85, 1.0), draws.between(0.4, 0.85))
+    goal = jnp.maximum(0.6, share * reach) * _behind_the_links(draws, towards)
+    room = reach + 0.3  # from the middle to the walls: for the links, and for the goal at its largest
+    x = draws.between(room, WORLD_SIZE_M - room)
+    y = draws.between(FLOOR_TOP_M + room, jnp.minimum(3.2, WORLD_SIZE_M - room))
+    return Thing(parts=parts, hinges=hinges, middle=jnp.stack([x, y]), goal=goal, goal_is_green=goal_is_green)
+
+
+def _links_on_a_disc(
+    draws: Draws, num_links: int, count: Array, reach: Array, towards: Array
+) -> tuple[list[Part], list[Hinge]]:
+    """The fixed disc and `count` links within 0.6 rad of one direction (rad), the last one green."""
     parts = [Part(position=jnp.zeros(2), radius=draws.between(0.1, 0.18), is_fixed=True)]
     hinges, at = [], jnp.zeros(2)
     length = reach / count
@@ -123,12 +154,13 @@ def build_arm(draws: Draws, capacity: Capacity) -> Thing:
         parts.append(Part(position=at + 0.5 * length * along, angle=angle, half=half, role=role, active=active))
         hinges.append(Hinge(a=link, b=link + 1, at=at, active=active))
         at = at + length * along
-    # Links keep within 0.6 rad of one direction: what is more than 1.9 rad from it is behind all of them.
-    goal_angle = towards + math.pi + draws.between(-1.0, 1.0)
-    distance = jnp.maximum(0.6, draws.between(0.5, 0.9) * reach)
-    goal = distance * jnp.stack([jnp.cos(goal_angle), jnp.sin(goal_angle)])
-    middle = jnp.stack([draws.between(1.8, WORLD_SIZE_M - 1.8), draws.between(FLOOR_TOP_M + 1.7, 3.2)])
-    return Thing(parts=parts, hinges=hinges, middle=middle, goal=goal)
+    return parts, hinges
+
+
+def _behind_the_links(draws: Draws, towards: Array) -> Array:
+    """[2] a direction. Links keep within 0.6 rad of `towards`; what is more than 1.9 rad from it is behind them all."""
+    angle = towards + math.pi + draws.between(-1.0, 1.0)
+    return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
 def build_runner(draws: Draws, capacity: Capacity) -> Thing:
@@ -207,7 +239,7 @@ def build_sprinter(draws: Draws, capacity: Capacity) -> Thing:
         has_bump=False,
         has_full_motors=draws.chance(0.7),
         colours_in_turn=draws.chance(0.8),
-        floor_is_red=draws.chance(0.3) & ~is_swimmer,
+        floor_is_red=draws.chance(0.45) & ~is_swimmer,
     )
 
 
@@ -288,6 +320,24 @@ def build_cartpole(draws: Draws, capacity: Capacity) -> Thing:
 def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
     """A green box or disc with two jets that carry it, in the air, and a gap or blocks on the way. The jets push up
     and to the side, or both tilted."""
+    parts, jets, half = _flying(draws, capacity)
+    return Thing(
+        parts=parts,
+        hinges=[],
+        jets=jets,
+        is_handed=True,
+        height=draws.between(0.6, 2.6),
+        goal_height=draws.between(0.8, 4.6),
+        has_bump=False,
+        gap=jnp.max(half) + draws.between(0.25, 0.8),
+        num_blocks=MAX_BLOCKS,
+        floor_is_red=draws.chance(0.6),
+    )
+
+
+def _flying(draws: Draws, capacity: Capacity) -> tuple[list[Part], list[Jet], Array]:
+    """A green box and, where there is room, a green disc, one of them active; its two jets, and its half extents ([2]
+    m)."""
     is_disc = draws.chance(0.5) if capacity.circles >= 2 else jnp.array(False)
     box = jnp.stack([draws.between(0.13, 0.25), draws.between(0.09, 0.18)])
     radius = draws.between(0.13, 0.27)
@@ -306,19 +356,46 @@ def build_flyer(draws: Draws, capacity: Capacity) -> Thing:
         at = jnp.where(is_pair, half * jnp.array([0.7 * side, 0.0]), behind)
         jets.append(Jet(of=is_disc.astype(jnp.int32), at=at, angle=angle, power=power, colour=colour))
     discs = [Part(position=jnp.zeros(2), radius=radius, role=Role.GREEN, active=is_disc)]
+    parts = [Part(position=jnp.zeros(2), half=box, role=Role.GREEN, active=~is_disc)]
+    return parts + (discs if capacity.circles >= 2 else []), jets, half
+
+
+def build_climber(draws: Draws, capacity: Capacity) -> Thing:
+    """What flies, below one bar or up to three that reach over it from the wall on its side, mostly red. The goal is
+    above them at the other side."""
+    parts, jets, half = _flying(draws, capacity)
+    size = jnp.max(half)
+    side = jnp.where(draws.chance(0.5), 1.0, -1.0)  # of the goal
+
+    def in_world(x: Array, y: Array) -> Array:
+        """[2] m, x from the wall on its side."""
+        return jnp.stack([jnp.where(side > 0.0, x, WORLD_SIZE_M - x), y])
+
+    start_x, start_y = draws.between(0.5, 1.5), FLOOR_TOP_M + size + draws.between(0.1, 0.7)
+    number, thickness = draws.number(1, MAX_BARS), draws.between(0.05, 0.12)  # half of it
+    apart = 2.0 * (size + thickness) + draws.between(0.2, 0.5)  # from one bar to the next
+    y = start_y + size + thickness + draws.between(0.15, 0.5)
+    middle, flip, bars = in_world(start_x, start_y), jnp.stack([side, jnp.ones(())]), []
+    for bar in range(MAX_BARS):
+        beyond = start_x + size * draws.between(0.0, 1.0)  # it is over half of what flies at least
+        begin, end = draws.between(0.02, 0.4), draws.between(beyond, WORLD_SIZE_M - 2.0 * size - 0.8)
+        role = jnp.where(draws.chance(0.75), Role.RED, Role.NONE)
+        at, bar_half = in_world(0.5 * (begin + end), y + bar * apart), jnp.stack([0.5 * (end - begin), thickness])
+        bars.append(Part(position=at - middle, half=bar_half, role=role, is_fixed=True, active=bar < number))
+    radius = draws.between(0.12, 0.28)
+    lowest = y + (number - 1) * apart + thickness + radius + CLEARANCE_M
+    goal_y = draws.between(lowest, jnp.maximum(lowest, WORLD_SIZE_M - WALL_MARGIN_M - radius))
+    goal_x = draws.between(0.6 * WORLD_SIZE_M, WORLD_SIZE_M - WALL_MARGIN_M - radius)
     return Thing(
-        parts=[
-            Part(position=jnp.zeros(2), half=box, role=Role.GREEN, active=~is_disc),
-            *(discs if capacity.circles >= 2 else []),
-        ],
+        parts=[*parts, *bars],
         hinges=[],
-        jets=jets,
-        is_handed=True,
-        height=draws.between(0.6, 2.6),
-        goal_height=draws.between(0.8, 4.6),
-        has_bump=False,
-        gap=jnp.max(half) + draws.between(0.25, 0.8),
-        num_blocks=MAX_BLOCKS,
+        jets=[
+            dataclasses.replace(jet, at=jet.at * flip, angle=jnp.where(side > 0.0, jet.angle, math.pi - jet.angle))
+            for jet in jets
+        ],
+        middle=middle,
+        goal=in_world(goal_x, goal_y) - middle,
+        goal_radius=radius,
         floor_is_red=draws.chance(0.6),
     )
 
@@ -511,26 +588,31 @@ def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_thrower(draws: Draws, capacity: Capacity) -> Thing:
-    """An arm that turns about a fixed disc, and a green disc on it that nothing holds: on the far end of a level arm,
-    which throws it over the pivot, or on the tip of an upright one. The goal is some way off."""
+    """An arm that turns about a fixed disc, and a green disc that nothing holds: on the far end of a level arm, which
+    throws it over the pivot, or on the tip of an upright one; in two fifths it falls onto it first. The goal is some
+    way off."""
     half = jnp.stack([draws.between(0.3, 0.6), draws.between(0.03, 0.06)])
-    ball, pivot, goal_radius = draws.between(0.08, 0.16), draws.between(0.06, 0.1), draws.between(0.12, 0.45)
+    ball, pivot, goal_radius = draws.between(0.08, 0.16), draws.between(0.06, 0.1), draws.between(0.12, 0.55)
     is_upright, side = draws.chance(0.3), jnp.where(draws.chance(0.5), 1.0, -1.0)
-    out = draws.between(0.5, 0.9) * half[0]  # from the pivot to the middle of the arm
+    is_seesaw = draws.chance(0.2)  # the pivot is about in the middle; then the arm is long enough for pivot and disc
+    half = half.at[0].max(jnp.where(is_seesaw, 0.45, 0.0))
+    out = jnp.where(is_seesaw, draws.between(0.0, 0.3), draws.between(0.5, 0.9)) * half[0]  # from pivot to middle
     inset = draws.between(0.6, 1.4) * ball
+    gap = jnp.where(draws.chance(0.4), draws.between(0.05, 0.5), CLEARANCE_M)  # between the disc and the arm
     zero = jnp.zeros(())
     middle_of_arm = jnp.where(is_upright, jnp.stack([zero, out]), jnp.stack([-side * out, zero]))
     end = out + half[0]
-    on_tip = jnp.stack([zero, end + ball + CLEARANCE_M])
-    on_arm = jnp.stack([-side * (end - inset), half[1] + ball + CLEARANCE_M])
+    on_tip = jnp.stack([zero, end + ball + gap])
+    on_arm = jnp.stack([-side * (end - inset), half[1] + ball + gap])
     parts = [
         Part(position=jnp.zeros(2), radius=pivot, is_fixed=True),
         Part(position=middle_of_arm, angle=jnp.where(is_upright, 0.5 * math.pi, 0.0), half=half),
         Part(position=jnp.where(is_upright, on_tip, on_arm), radius=ball, role=Role.GREEN),
     ]
-    away = draws.between(0.9, 2.5)
+    away = draws.between(jnp.maximum(0.9, half[0] - out + goal_radius + 0.1), 2.5)
     x = draws.between(WALL_MARGIN_M + end, WORLD_SIZE_M - WALL_MARGIN_M - away - goal_radius)
-    y = draws.between(FLOOR_TOP_M + 0.4, 3.2)
+    low = FLOOR_TOP_M + jnp.maximum(0.4, half[0] - out + 0.05)
+    y = draws.between(low, jnp.minimum(3.2, WORLD_SIZE_M - WALL_MARGIN_M - end - gap - 2.0 * ball))
     lowest = FLOOR_TOP_M + CLEARANCE_M + goal_radius
     goal_y = jnp.where(draws.chance(0.5), lowest, draws.between(lowest, jnp.maximum(lowest, y + 0.6)))
     return Thing(

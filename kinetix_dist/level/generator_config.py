@@ -31,6 +31,8 @@ ALL_KINDS = (
     "turner",
     "flipper",
     "grasper",
+    "reacher",
+    "climber",
 )
 _CHANCES = (
     "locomotion_share", "varied_share",

@@ -56,14 +56,18 @@ def test_the_last_step_times_out_unless_something_else_ends_the_episode() -> Non
 def test_numbers_that_are_not_finite_end_an_episode_without_reward() -> None:
     outcome = outcome_of_touches((GREEN, BLUE), is_finite=False, is_last_step=True)
     assert names(outcome) == ["unstable"]
-    assert float(reward_of(outcome, jnp.array([1.0]), jnp.array([jnp.nan]), dense_scale=0.1)[0]) == 0.0
+    assert (
+        float(reward_of(outcome, jnp.array([1.0]), jnp.array([jnp.nan]), dense_scale=0.1, failure_penalty=1.0)[0])
+        == 0.0
+    )
 
 
-def test_reward_is_the_sparse_one_plus_kappa_times_the_way_gained() -> None:
+@pytest.mark.parametrize("penalty", [1.0, 0.25, 0.0])
+def test_reward_is_the_sparse_one_plus_kappa_times_the_way_gained(penalty: float) -> None:
     before, after = jnp.array([2.0]), jnp.array([1.5])
-    cases = {(): 0.05, ((GREEN, BLUE),): 1.05, ((GREEN, RED),): -0.95}
+    cases = {(): 0.05, ((GREEN, BLUE),): 1.05, ((GREEN, RED),): 0.05 - penalty}
     for pairs, expected in cases.items():
-        reward = reward_of(outcome_of_touches(*pairs), before, after, dense_scale=0.1)
+        reward = reward_of(outcome_of_touches(*pairs), before, after, dense_scale=0.1, failure_penalty=penalty)
         assert float(reward[0]) == pytest.approx(expected)
 
 

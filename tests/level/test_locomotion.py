@@ -12,7 +12,7 @@ import pytest
 from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level import locomotion
 from kinetix_dist.level.generator import generate_level, generate_levels
-from kinetix_dist.level.generator_config import ALL_KINDS, LOCOMOTION_KINDS, GeneratorConfig, generator
+from kinetix_dist.level.generator_config import ALL_KINDS, GeneratorConfig, generator
 from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.overlap import world_corners
@@ -23,9 +23,10 @@ from kinetix_dist.level.walls import FLOOR_TOP_M
 from tests.level.valid import assert_valid
 
 NUM_LEVELS = 512
+ONLY_AT_L = ("runner", "sprinter", "carrier", "jumper", "grasper", "climber")
 KINDS_OF = {
     "s": ("unicycle", "arm", "turner"),
-    "m": (*LOCOMOTION_KINDS, "snake", "cartpole", "flyer", "pusher", "beam", "lander", "thrower", "turner", "flipper"),
+    "m": tuple(kind for kind in ALL_KINDS if kind not in ONLY_AT_L),
     "l": ALL_KINDS,
 }
 WITH_GREEN_GOAL = ("turner", "flipper")  # blue and red are of one thing
@@ -47,15 +48,20 @@ def bottoms_of(levels: Level) -> np.ndarray:
 @pytest.mark.parametrize(("size", "kind"), [(size, kind) for size, kinds in KINDS_OF.items() for kind in kinds])
 def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kind: str) -> None:
     levels = levels_of(size, kind)
-    assert_valid(levels, SIZES[size], max_red=4 if kind == "flyer" else 1)  # blocks and the floor
+    # Blocks and the floor; a link and the floor.
+    assert_valid(levels, SIZES[size], max_red={"flyer": 4, "climber": 4, "reacher": 2}.get(kind, 1))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(levels) if leaf.dtype.kind == "f")
     overlap = overlaps(levels)
     assert not (overlap & levels.scene.shapes.can_touch).any()
     # Walls: an obstacle may stand on the floor, and nothing else touches them.
     depth = overlap[:, :NUM_WALLS, NUM_WALLS:]
     assert not depth[levels.scene.shapes.inverse_mass[:, None, NUM_WALLS:].repeat(NUM_WALLS, 1) > 0].any()
-    of_thing = levels.shape_role == (Role.BLUE if kind in WITH_GREEN_GOAL else Role.GREEN)
-    assert (levels.scene.shapes.inverse_mass[of_thing & levels.scene.shapes.active] > 0).all()
+    moves = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass > 0)
+    if kind == "reacher":  # green or blue is at the end of the arm, and the other one is fixed
+        assert ((moves & np.isin(levels.shape_role, (Role.GREEN, Role.BLUE))).sum(axis=1) == 1).all()
+    else:
+        of_thing = levels.shape_role == (Role.BLUE if kind in WITH_GREEN_GOAL else Role.GREEN)
+        assert moves[of_thing & levels.scene.shapes.active].all()
     joints, jets = levels.scene.joints, levels.scene.thrusters.active
     has_motor = joints.active & joints.motor_on
     assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
@@ -216,9 +222,8 @@ def test_sprinters_are_hoppers_walkers_cheetahs_and_swimmers() -> None:
     )
     to_wall = np.where(x > green_x, WORLD_SIZE_M - x, x) - reach
     assert 0.25 < (to_wall < 0.1001).mean() < 0.42
-    assert (levels.shape_role[lies, 0] == Role.NONE).all() and 0.2 < (
-        levels.shape_role[~lies, 0] == Role.RED
-    ).mean() < 0.4
+    floor_is_red = levels.shape_role[:, 0] == Role.RED
+    assert not floor_is_red[lies].any() and 0.36 < floor_is_red[~lies].mean() < 0.54
 
 
 def test_two_motors_are_of_one_colour_half_of_the_time_and_else_each_of_any() -> None:
@@ -360,12 +365,17 @@ def test_a_disc_lies_on_the_arm_that_throws_it_and_the_goal_is_beyond_the_pivot(
     is_upright = np.abs(angle) > 1.0
     assert 0.2 < is_upright.mean() < 0.4
     np.testing.assert_allclose(np.abs(angle), np.where(is_upright, 0.5 * np.pi, 0.0), atol=1e-6)
-    # Its lowest point is 1 cm above the arm, and on it: nothing holds it.
+    # Its lowest point is 1 cm above the arm, or it falls onto it first: nothing holds it.
     half = np.abs(shapes.vertices[:, :, 0])[is_arm[:, :polygons]]
     rise = np.where(is_upright, half[:, 0], half[:, 1])
     reach = np.where(is_upright, half[:, 1], half[:, 0])
     radius = shapes.radius[is_green[:, polygons:]]
-    np.testing.assert_allclose(disc[:, 1] - radius - arm[:, 1] - rise, 0.01, atol=1e-5)
+    gap = disc[:, 1] - radius - arm[:, 1] - rise
+    lies_on_it = np.abs(gap - 0.01) < 1e-5
+    assert 0.5 < lies_on_it.mean() < 0.7 and gap[~lies_on_it].min() > 0.0499 and gap.max() < 0.501
+    # From the pivot to the middle of the arm, as a share of half its length.
+    out = np.linalg.norm(arm - pivot, axis=1) / half[:, 0]
+    assert ((out < 0.301) | (out > 0.499)).all() and 0.12 < (out < 0.301).mean() < 0.28
     assert (np.abs(disc[:, 0] - arm[:, 0]) < reach).all()
     assert (levels.scene.joints.active.sum(axis=1) == 1).all()
     lies = ~is_upright
@@ -506,6 +516,64 @@ def test_an_arm_can_reach_its_goal_and_has_two_links_or_more_where_there_is_room
     lengths[:, :NUM_WALLS] = 0
     assert (distance < lengths.sum(axis=1)).all()
     assert set(joints.active.sum(axis=1)) == {2, 3, 4}
+
+
+@pytest.mark.parametrize("size", ["m", "l"])
+def test_a_reacher_can_reach_its_goal_and_may_carry_blue_to_green_past_its_own_red_link(size: str) -> None:
+    levels, polygons = levels_of(size, "reacher"), SIZES[size].polygons
+    shapes, joints, role = levels.scene.shapes, levels.scene.joints, levels.shape_role
+    is_fixed = shapes.active & (shapes.inverse_mass == 0)
+    is_fixed[:, :NUM_WALLS] = False
+    is_goal = is_fixed & np.isin(role, (Role.GREEN, Role.BLUE))
+    base, goal = levels.position[is_fixed & ~is_goal], levels.position[is_goal]
+    lengths = 2 * np.abs(shapes.vertices[:, :, 0, 0]) * shapes.active[:, :polygons]
+    lengths[:, :NUM_WALLS] = 0
+    # Half of the width of a link at each end is beyond its joints.
+    widths = np.abs(shapes.vertices[:, NUM_WALLS:, 0, 1]) * shapes.active[:, NUM_WALLS:polygons]
+    width = widths.max(axis=1)
+    reach = lengths.sum(axis=1) - width * joints.active.sum(axis=1)
+    distance = np.linalg.norm(goal - base, axis=1)
+    assert (distance < reach + 1e-4).all() and 0.35 < (distance > 0.84 * reach).mean() < 0.65
+    radius = np.where(is_goal[:, polygons:], shapes.radius, 0.0).max(axis=1)[:, None]
+    assert (goal - radius > [0.0, FLOOR_TOP_M]).all() and (goal + radius < WORLD_SIZE_M).all()
+    is_green, is_red = (is_goal & (role == Role.GREEN)).any(axis=1), (role[:, NUM_WALLS:] == Role.RED).any(axis=1)
+    assert 0.3 < is_green.mean() < 0.5 and 0.1 < is_red.mean() < 0.3 and not (is_red & ~is_green).any()
+    # Red is the link on the disc, and never the only one.
+    disc = np.argmax(is_fixed & ~is_goal, axis=1)[:, None]
+    holds = joints.active & ((joints.a == disc) | (joints.b == disc))
+    first = np.where(joints.a == disc, joints.b, joints.a)[holds]
+    assert (holds.sum(axis=1) == 1).all() and (joints.active.sum(axis=1) >= 2).all()
+    assert ((role[np.arange(NUM_LEVELS), first] == Role.RED) == is_red).all()
+
+
+def test_bars_reach_over_a_climber_which_has_room_to_go_round_them() -> None:
+    levels, polygons = levels_of("l", "climber"), SIZES["l"].polygons
+    shapes, role = levels.scene.shapes, levels.shape_role
+    half = np.abs(shapes.vertices[:, :, 0])
+    is_bar = shapes.active & (shapes.inverse_mass == 0) & (role != Role.BLUE)
+    is_bar[:, :NUM_WALLS] = False
+    assert set(is_bar.sum(axis=1)) == {1, 2, 3}
+    number = 0
+    for row in range(NUM_LEVELS):
+        start, goal = levels.position[row][role[row] == Role.GREEN][0], levels.position[row][role[row] == Role.BLUE][0]
+        (green,) = np.flatnonzero(role[row] == Role.GREEN)
+        size = half[row, green].max() if green < polygons else shapes.radius[row, green - polygons]
+        bars = np.flatnonzero(is_bar[row])
+        low, high = levels.position[row, bars] - half[row, bars], levels.position[row, bars] + half[row, bars]
+        side = np.sign(goal[0] - start[0])
+        ends = high[:, 0] if side > 0 else WORLD_SIZE_M - low[:, 0]
+        at = start[0] if side > 0 else WORLD_SIZE_M - start[0]
+        assert (ends > at - 1e-4).all() and (ends < WORLD_SIZE_M - 2 * size - 0.79).all()
+        assert (low[:, 1] > start[1] + size + 0.149).all() and goal[1] > high[:, 1].max()
+        order = np.argsort(low[:, 1])
+        assert (low[order[1:], 1] - high[order[:-1], 1] > 2 * size + 0.199).all()
+        # The jet that pushes to the side pushes towards the goal.
+        angles = levels.scene.thrusters.angle[row, :2]
+        if np.abs(np.sin(angles)).min() < 0.1:
+            number += 1
+            assert np.sign(np.cos(angles)[np.argmin(np.abs(np.sin(angles)))]) == side
+    assert 0.3 < number / NUM_LEVELS < 0.5
+    assert 0.6 < (role[is_bar] == Role.RED).mean() < 0.9
 
 
 @pytest.mark.parametrize(
