@@ -308,8 +308,9 @@ class TrainConfig:
         generator = self.curriculum.generator
         for size in sizes_drawn(self.curriculum.sizes) or [self.env.size]:
             if generator.locomotion_share and not fitting_kinds(generator.locomotion_kinds, SIZES[size]):
+                named = ", ".join(generator.locomotion_kinds) or "()"
                 raise ConfigError(
-                    f"curriculum.generator.locomotion_kinds {', '.join(generator.locomotion_kinds)}: levels of size "
+                    f"curriculum.generator.locomotion_kinds {named}: levels of size "
                     f"{size!r} have room for none; add one of {', '.join(fitting_kinds(ALL_KINDS, SIZES[size]))}, or "
                     "use a larger size"
                 )

@@ -516,7 +516,8 @@ def build_lander(draws: Draws, capacity: Capacity) -> Thing:
 
 def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
     """A car with a green box or disc on it that nothing holds, between low walls: it is carried to the goal. Where the
-    goal is a slab on the floor there is no wall in front, and the load has to come off there."""
+    goal is a slab on the floor there is no wall in front, and the load has to come off there; in two fifths of these it
+    falls onto the car first."""
     radius, along = draws.between(0.12, 0.2), draws.between(0.35, 0.6)
     half = jnp.stack([along + draws.between(0.0, 0.2), draws.between(0.04, 0.08)])
     top = 2.0 * radius + CLEARANCE_M  # no wheel stands out above the chassis
@@ -537,6 +538,8 @@ def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
     room = half[0] - 2.0 * wall[0] - size - CLEARANCE_M
     at = jnp.stack([room * draws.between(-1.0, 0.5), top + size + CLEARANCE_M])
     is_disc = draws.chance(0.6)
+    falls = goal_is_slab & draws.chance(0.4)
+    at = at.at[1].add(jnp.where(falls, draws.between(0.05, 0.3), 0.0))
     parts.append(Part(position=at, half=jnp.stack([size, size]), role=Role.GREEN, active=~is_disc))
     parts.append(Part(position=at, radius=size, role=Role.GREEN, active=is_disc))
     return Thing(

@@ -317,8 +317,15 @@ def test_what_is_carried_lies_on_the_car_and_comes_off_where_the_goal_is_on_the_
     assert (shapes.inverse_mass[is_blue] == 0)[~is_slab].all()  # it hangs: one that fell would be behind the wall
     goal_bottom = blue[:, 1] - (shapes.radius * is_blue[:, polygons:]).sum(axis=1)
     assert (goal_bottom < green[:, 1] + size)[~is_slab].all() and (goal_bottom > green[:, 1] - size)[~is_slab].all()
-    # Nothing at the start is below the load but the car: it is within its length.
+    # It is 1 cm above the car, or falls onto it where it has to come off again.
     is_car = shapes.active & (shapes.inverse_mass > 0) & ~is_green & ~is_blue
+    wide = np.where(is_car[:, :polygons], np.abs(shapes.vertices[:, :, 0, 0]), 0.0).argmax(axis=1)
+    chassis = np.arange(NUM_LEVELS), wide
+    gap = green[:, 1] - size - levels.position[chassis][:, 1] - np.abs(shapes.vertices[chassis][:, 0, 1])
+    falls = gap > 0.02
+    np.testing.assert_allclose(gap[~falls], 0.01, atol=1e-5)
+    assert not falls[~is_slab].any() and 0.25 < falls[is_slab].mean() < 0.55 and gap.max() < 0.32
+    # Nothing at the start is below the load but the car: it is within its length.
     highest = np.where(is_car, levels.position[..., 0], -np.inf).max(axis=1)
     lowest = np.where(is_car, levels.position[..., 0], np.inf).min(axis=1)
     assert (green[:, 0] > lowest).all() and (green[:, 0] < highest).all()
