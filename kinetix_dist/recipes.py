@@ -175,8 +175,11 @@ def _pretrain(size: str) -> TrainConfig:
     # What hand-made levels have and random ones lack (docs/results/2026-11-25-tasks.md); shown in arrays of L alone.
     weights = tuple(TASK_WEIGHTS[kind] for kind in ALL_KINDS)
     tasks = dataclasses.replace(generator("tasks"), locomotion_share=0.45, locomotion_weights=weights, varied_share=0.3)
+    # Where failing costs as much as solving gives, it stands still on a red floor (docs/training.md).
+    env = dataclasses.replace(paper.env, failure_penalty=0.0) if size == "l" else paper.env
     return dataclasses.replace(
         paper,
+        env=env,
         policy=PolicyConfig(
             network=network, dtype="bfloat16", read_out="colour", kernels="auto", max_qk_norm=MAX_QK_NORM
         ),

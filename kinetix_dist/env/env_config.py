@@ -45,8 +45,8 @@ class EnvConfig:
         if whole_number("EnvConfig.effect_groups", self.effect_groups) < 0:
             raise ValueError(f"EnvConfig.effect_groups is {self.effect_groups}; it must be 0 or more")
         for name in ("dense_reward_scale", "failure_penalty"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"EnvConfig.{name} is {getattr(self, name)}; it must be 0 or more")
+            if not 0 <= getattr(self, name) <= float(np.finfo(np.float32).max):
+                raise ValueError(f"EnvConfig.{name} is {getattr(self, name)}; it must be 0 or more, and a float32")
 
     @property
     def capacity(self) -> Capacity:

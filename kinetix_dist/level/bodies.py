@@ -371,10 +371,13 @@ def build_climber(draws: Draws, capacity: Capacity) -> Thing:
         """[2] m, x from the wall on its side."""
         return jnp.stack([jnp.where(side > 0.0, x, WORLD_SIZE_M - x), y])
 
-    start_x, start_y = draws.between(0.5, 1.5), FLOOR_TOP_M + size + draws.between(0.1, 0.7)
+    start_x, start_y = draws.between(0.5, 1.5), FLOOR_TOP_M + size + draws.between(0.2, 0.8)
     number, thickness = draws.number(1, MAX_BARS), draws.between(0.05, 0.12)  # half of it
     apart = 2.0 * (size + thickness) + draws.between(0.2, 0.5)  # from one bar to the next
     y = start_y + size + thickness + draws.between(0.15, 0.5)
+    radius = draws.between(0.12, 0.28)
+    above = thickness + 2.0 * jnp.maximum(radius, size) + WALL_MARGIN_M  # from the last bar to the ceiling, at least
+    number = jnp.minimum(number, 1 + jnp.floor((WORLD_SIZE_M - above - y) / apart).astype(jnp.int32))
     middle, flip, bars = in_world(start_x, start_y), jnp.stack([side, jnp.ones(())]), []
     for bar in range(MAX_BARS):
         beyond = start_x + size * draws.between(0.0, 1.0)  # it is over half of what flies at least
@@ -382,9 +385,8 @@ def build_climber(draws: Draws, capacity: Capacity) -> Thing:
         role = jnp.where(draws.chance(0.75), Role.RED, Role.NONE)
         at, bar_half = in_world(0.5 * (begin + end), y + bar * apart), jnp.stack([0.5 * (end - begin), thickness])
         bars.append(Part(position=at - middle, half=bar_half, role=role, is_fixed=True, active=bar < number))
-    radius = draws.between(0.12, 0.28)
     lowest = y + (number - 1) * apart + thickness + radius + CLEARANCE_M
-    goal_y = draws.between(lowest, jnp.maximum(lowest, WORLD_SIZE_M - WALL_MARGIN_M - radius))
+    goal_y = draws.between(lowest, WORLD_SIZE_M - CLEARANCE_M - radius)
     goal_x = draws.between(0.6 * WORLD_SIZE_M, WORLD_SIZE_M - WALL_MARGIN_M - radius)
     return Thing(
         parts=[*parts, *bars],

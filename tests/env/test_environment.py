@@ -204,6 +204,7 @@ def test_levels_with_what_the_engine_was_made_without_are_refused(env: Environme
         ("max_steps", -1, "EnvConfig.max_steps is -1"),
         ("dense_reward_scale", float("nan"), "EnvConfig.dense_reward_scale is nan"),
         ("failure_penalty", -0.5, "EnvConfig.failure_penalty is -0.5; it must be 0 or more"),
+        ("failure_penalty", 1e39, "EnvConfig.failure_penalty is 1e\\+39; it must be 0 or more, and a float32"),
     ],
 )
 def test_bad_config_values_are_refused(field: str, value: object, message: str) -> None:

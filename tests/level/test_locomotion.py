@@ -572,6 +572,9 @@ def test_bars_reach_over_a_climber_which_has_room_to_go_round_them() -> None:
         at = start[0] if side > 0 else WORLD_SIZE_M - start[0]
         assert (ends > at - 1e-4).all() and (ends < WORLD_SIZE_M - 2 * size - 0.79).all()
         assert (low[:, 1] > start[1] + size + 0.149).all() and goal[1] > high[:, 1].max()
+        assert high[:, 1].max() + 2 * size + 0.099 < WORLD_SIZE_M  # it fits between the last one and the ceiling
+        radius = shapes.radius[row][role[row, polygons:] == Role.BLUE].item()
+        assert goal[1] + radius < WORLD_SIZE_M and goal[0] - radius > 0 and goal[0] + radius < WORLD_SIZE_M
         order = np.argsort(low[:, 1])
         assert (low[order[1:], 1] - high[order[:-1], 1] > 2 * size + 0.199).all()
         # The jet that pushes to the side pushes towards the goal.
