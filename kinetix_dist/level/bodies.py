@@ -12,7 +12,7 @@ from jax2d.fields import Array
 from jax2d.scene import Capacity
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
 from kinetix_dist.level.roles import Role
-from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent, moved
+from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent, mirrored_jets, moved
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 WALL_MARGIN_M = 0.1  # from a wall to what begins beside it
@@ -378,7 +378,7 @@ def build_climber(draws: Draws, capacity: Capacity) -> Thing:
     radius = draws.between(0.12, 0.28)
     above = thickness + 2.0 * jnp.maximum(radius, size) + WALL_MARGIN_M  # from the last bar to the ceiling, at least
     number = jnp.minimum(number, 1 + jnp.floor((WORLD_SIZE_M - above - y) / apart).astype(jnp.int32))
-    middle, flip, bars = in_world(start_x, start_y), jnp.stack([side, jnp.ones(())]), []
+    middle, bars = in_world(start_x, start_y), []
     for bar in range(MAX_BARS):
         beyond = start_x + size * draws.between(0.0, 1.0)  # it is over half of what flies at least
         begin, end = draws.between(0.02, 0.4), draws.between(beyond, WORLD_SIZE_M - 2.0 * size - 0.8)
@@ -391,10 +391,7 @@ def build_climber(draws: Draws, capacity: Capacity) -> Thing:
     return Thing(
         parts=[*parts, *bars],
         hinges=[],
-        jets=[
-            dataclasses.replace(jet, at=jet.at * flip, angle=jnp.where(side > 0.0, jet.angle, math.pi - jet.angle))
-            for jet in jets
-        ],
+        jets=[mirrored_jets(jet, side < 0.0) for jet in jets],
         middle=middle,
         goal=in_world(goal_x, goal_y) - middle,
         goal_radius=radius,

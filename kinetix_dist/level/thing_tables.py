@@ -11,7 +11,6 @@ from __future__ import annotations
 import collections
 import dataclasses
 import functools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,6 +31,7 @@ from kinetix_dist.level.things import (
     Thing,
     between,
     extent_of,
+    mirrored_jets,
     number_between,
     reach_of_boxes,
     reach_of_circles,
@@ -157,11 +157,9 @@ class Table:
         images."""
         sign = jnp.where(is_wanted, -1.0, 1.0)
         flip = jnp.stack([sign, jnp.ones(())])
-        jets = self.jets
-        angle = jnp.where(is_wanted, math.pi - jets.angle, jets.angle)
         return dataclasses.replace(
             self._with_places(lambda place: place * flip, lambda angle: angle * sign),
-            jets=dataclasses.replace(jets, at=jets.at * flip, angle=angle),
+            jets=mirrored_jets(self.jets, is_wanted),
         )
 
     def _with_places(

@@ -7,7 +7,9 @@ when it is traced, which of them there are is not: each has its own slot and say
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -132,6 +134,13 @@ def moved(thing: Thing, by: Array) -> Thing:
     parts = [dataclasses.replace(part, position=part.position + by) for part in thing.parts]
     hinges = [dataclasses.replace(hinge, at=hinge.at + by) for hinge in thing.hinges]
     return dataclasses.replace(thing, parts=parts, hinges=hinges)
+
+
+def mirrored_jets(jets: Any, is_wanted: Array) -> Any:
+    """A `Jet`, or a table of them, with left and right exchanged about the origin of what it pushes, where that is
+    wanted."""
+    flip = jnp.stack([jnp.where(is_wanted, -1.0, 1.0), jnp.ones(())])
+    return dataclasses.replace(jets, at=jets.at * flip, angle=jnp.where(is_wanted, math.pi - jets.angle, jets.angle))
 
 
 def extent(parts: list[Part]) -> tuple[Array, Array]:

@@ -56,10 +56,8 @@ def test_the_last_step_times_out_unless_something_else_ends_the_episode() -> Non
 def test_numbers_that_are_not_finite_end_an_episode_without_reward() -> None:
     outcome = outcome_of_touches((GREEN, BLUE), is_finite=False, is_last_step=True)
     assert names(outcome) == ["unstable"]
-    assert (
-        float(reward_of(outcome, jnp.array([1.0]), jnp.array([jnp.nan]), dense_scale=0.1, failure_penalty=1.0)[0])
-        == 0.0
-    )
+    reward = reward_of(outcome, jnp.array([1.0]), jnp.array([jnp.nan]), dense_scale=0.1, failure_penalty=1.0)
+    assert float(reward[0]) == 0.0
 
 
 @pytest.mark.parametrize("penalty", [1.0, 0.25, 0.0])
