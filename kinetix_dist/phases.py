@@ -29,6 +29,7 @@ CHANGES = {
     "clip": "ppo.clip",
     "entropy_coefficient": "ppo.entropy_coefficient",
     "dense_reward_scale": "env.dense_reward_scale",
+    "failure_penalty": "env.failure_penalty",
     "sizes": "curriculum.sizes",
 }
 
@@ -45,6 +46,7 @@ class PhaseConfig:
     clip: float | None = None
     entropy_coefficient: float | None = None
     dense_reward_scale: float | None = None
+    failure_penalty: float | None = None
     sizes: tuple[tuple[str, float], ...] | None = None
 
     @property

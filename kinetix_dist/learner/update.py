@@ -43,6 +43,9 @@ from kinetix_dist.models.stored import stored
 
 METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "learning_rate")
 
+# How what an update takes lies on a mesh: learner state, static, trajectory, last value.
+IN_SPECS = PartitionSpec(), PartitionSpec(DATA_AXIS), PartitionSpec(None, DATA_AXIS), PartitionSpec(DATA_AXIS)
+
 Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
 
 
@@ -95,13 +98,8 @@ def make_update(
     ) -> tuple[LearnerState, dict[str, Array]]:
         return _update(program, state, static, trajectory, last_value)
 
-    replicated, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
-    on_mesh = on_devices(  # gradients are summed by hand, all leaves in one psum
-        local_update,
-        mesh,
-        in_specs=(replicated, worlds, PartitionSpec(None, DATA_AXIS), worlds),
-        out_specs=(replicated, replicated),
-    )
+    # Gradients are summed by hand, all leaves in one psum.
+    on_mesh = on_devices(local_update, mesh, in_specs=IN_SPECS, out_specs=(PartitionSpec(), PartitionSpec()))
 
     def update(
         state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array

@@ -21,7 +21,14 @@ from kinetix_dist.play.session import PERSON_SPACE, Actor
 from kinetix_dist.play.wire import BAD_REQUEST, NOT_FOUND, RequestError
 
 KEYS, RANDOM, NOOP = "keys", "random", "noop"
-ENV_FIELDS = ("frame_skip", "max_steps", "preset", "dense_reward_scale")  # of a request, besides "run"
+# Of a request, besides "run": numbers by their types, and a preset of the solver.
+NUMBERS = {
+    "frame_skip": int,
+    "max_steps": int,
+    "dense_reward_scale": (int, float),
+    "failure_penalty": (int, float),
+}
+ENV_FIELDS = (*NUMBERS, "preset")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -91,7 +98,7 @@ def env_of(given: Any, size: str, trained: Trained | None = None) -> EnvConfig:
     with user_errors(ValueError, TypeError, prefix="env: "):
         if "preset" in changes:
             changes["physics"] = preset(changes.pop("preset"))
-        for name, kind in (("frame_skip", int), ("max_steps", int), ("dense_reward_scale", (int, float))):
+        for name, kind in NUMBERS.items():
             if name in changes and (not isinstance(changes[name], kind) or isinstance(changes[name], bool)):
                 raise ValueError(f"{name} is {changes[name]!r}; give a number")
         return dataclasses.replace(base, **changes)

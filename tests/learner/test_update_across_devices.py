@@ -92,10 +92,12 @@ def test_all_gpus_make_the_update_of_one(tmp_path):
     _assert_same(several, one)
 
 
-def test_two_processes_make_the_update_of_one(one_device, tmp_path):
+@pytest.mark.parametrize("variables", [{}, {"EXPORTED_UPDATE": "1"}], ids=["traced", "exported"])
+def test_two_processes_make_the_update_of_one(one_device, tmp_path, variables):
     address = f"127.0.0.1:{_free_port()}"
     outs = [tmp_path / f"rank_{rank}.npz" for rank in range(2)]
-    runs = [(_start(out, address, "2", str(rank)), out) for rank, out in enumerate(outs)]
+    variables = environment_of_cpus(1) | variables
+    runs = [(_start_with(out, address, "2", str(rank), **variables), out) for rank, out in enumerate(outs)]
     first, second = _results(*runs)
     assert first["devices"] == second["devices"] == 2
     _assert_same(first, one_device)

@@ -2,6 +2,7 @@
 
     python tests/learner/update_program.py OUT.npz [COORDINATOR_ADDRESS NUM_PROCESSES PROCESS_ID]
     python tests/learner/update_program.py OUT.npz recurrent       # a policy with a memory, minibatches of whole worlds
+    EXPORTED_UPDATE=1 python ...                                   # by the program that a compile cache would keep
 
 The second update contains a sample that is not a number. Saved: all parameters and metrics after each update.
 """
@@ -9,6 +10,7 @@ The second update contains a sample that is not a number. Saved: all parameters 
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
 
 import jax
@@ -20,6 +22,7 @@ from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_ob
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
+from kinetix_dist.learner.exported_update import exported_update
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, spread_worlds
 from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import Update, make_update
@@ -78,6 +81,8 @@ def main() -> None:
         jax.distributed.initialize(address, int(num_processes), int(process_id), cluster_detection_method="deactivate")
     mesh = data_mesh()
     update, state, arguments = make_problem(mesh, config, policy_config)
+    if os.environ.get("EXPORTED_UPDATE"):
+        update = exported_update(update, repr((config, policy_config)), mesh)
     saved: dict[str, np.ndarray] = {"devices": np.asarray(mesh.devices.size)}
     for number, batch in enumerate((arguments, poisoned(arguments))):
         state, metrics = update(state, *place(batch, mesh, config))

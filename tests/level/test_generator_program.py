@@ -17,6 +17,7 @@ from kinetix_dist.level.generator import generate_levels, level_keys
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.generator_program import draw_levels
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.telemetry import exported_program
 
 CONFIG = GeneratorConfig(locomotion_share=0.5, locomotion_kinds=("arm",), varied_share=0.5)
 CAPACITY = SIZES["s"]
@@ -82,7 +83,7 @@ def test_another_generator_and_other_modules_are_another_program(cache: Path, mo
     draw_levels(keys, CAPACITY, dataclasses.replace(GeneratorConfig(), triangle_chance=0.5))
     assert len(list(cache.iterdir())) == 2
     generator_program._program.cache_clear()
-    monkeypatch.setattr(generator_program, "_SOURCES", "of a module that was changed")
+    monkeypatch.setattr(exported_program, "_SOURCES", "of a module that was changed")
     draw_levels(keys, CAPACITY, GeneratorConfig())
     assert len(list(cache.iterdir())) == 3
 

@@ -23,7 +23,7 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return f"{name} {source} {headers} {macros}\nof two lines\n"
 
     monkeypatch.setattr(nvrtc, "compile_ptx", compile_ptx)
-    monkeypatch.setattr(nvrtc, "_compiler", lambda: (13, 1, 100))
+    monkeypatch.setattr(nvrtc, "compiler_version", lambda: (13, 1, 100))
     return asked
 
 
@@ -59,7 +59,7 @@ def test_other_input_is_another_text(other: dict, compiled: list[str], cache: Pa
 
 def test_another_compiler_compiles_again(compiled: list[str], cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nvrtc.cached_ptx(**SOURCE)
-    monkeypatch.setattr(nvrtc, "_compiler", lambda: (13, 1, 101))
+    monkeypatch.setattr(nvrtc, "compiler_version", lambda: (13, 1, 101))
     nvrtc.cached_ptx(**SOURCE)
     assert len(compiled) == 2
 

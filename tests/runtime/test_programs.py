@@ -13,6 +13,7 @@ import pytest
 from jax.sharding import PartitionSpec
 
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh, on_devices
+from kinetix_dist.learner.update import make_update
 from kinetix_dist.runtime.cores.worker import Worker
 from tests.runtime.runs import tiny_config
 
@@ -48,7 +49,10 @@ def test_of_playing_and_of_learning(recurrent):
     playing = (learner.params, jax.eval_shape(worker._state._curriculum.init), jnp.uint32(0))
     assert faults_of(play, *playing) == []
     batch, _, _ = jax.eval_shape(play, *playing)
-    assert faults_of(learner._update, learner.state, *batch) == []
+    env = learner._env  # traced: an exported program hides what it was made from
+    parts = learner._policy, env.observation, env.action_distribution
+    update = make_update(*parts, config.ppo, learner._mesh, division=learner.division)
+    assert faults_of(update, learner.state, *batch) == []
 
 
 def test_inputs_that_are_empty_or_not_used_stay_what_they_were():

@@ -49,7 +49,8 @@ def check_compiler() -> None:
 
 def cached_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
     """As `compile_ptx`, from JAX's compile cache where it is on and another process has written it there."""
-    asked_for = (source, name, sorted(headers.items()), sorted(macros.items()), OPTIONS, PTX_VERSION, _compiler())
+    given = source, name, sorted(headers.items()), sorted(macros.items())
+    asked_for = (*given, OPTIONS, PTX_VERSION, compiler_version())
     make = functools.partial(compile_ptx, source, name, headers=headers, macros=macros)
     return cached(CACHE, repr(asked_for), lambda: make().encode()).decode()
 
@@ -79,7 +80,7 @@ def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: M
     return re.sub(r"(?m)^\.version .*$", f".version {PTX_VERSION}", ptx, count=1)
 
 
-def _compiler() -> tuple[int, ...]:
+def compiler_version() -> tuple[int, ...]:
     """What tells compilers apart: version, and bytes of the library where it is a file of a package."""
     major, minor = ctypes.c_int(), ctypes.c_int()
     _check(library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor)))

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 
 import jax
 
-from kinetix_dist.models.kernels.nvrtc import NvrtcError, check_compiler
+from kinetix_dist.models.kernels.nvrtc import NvrtcError, check_compiler, compiler_version
 
 KERNELS = ("auto", "xla", "mosaic")
 WIDTH = 128  # of tokens
@@ -114,6 +114,13 @@ def why_no_device() -> str:
     except NvrtcError as error:
         return str(error)
     return ""
+
+
+def traced_for() -> tuple[object, ...]:
+    """What else decides how a network is traced, beside its configuration: the device, and what compiles kernels."""
+    device = _target.get() or jax.local_devices()[0]
+    why_not = why_no_device()
+    return device.platform, device.device_kind, why_not, () if why_not else compiler_version()
 
 
 def uses_mosaic(kernels: str, layer: LayerShape) -> bool:

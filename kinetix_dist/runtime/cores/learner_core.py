@@ -18,6 +18,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
+from kinetix_dist.learner.exported_update import exported_update
 from kinetix_dist.learner.sharding import local_values, replicate
 from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import make_update
@@ -26,6 +27,7 @@ from kinetix_dist.runtime.cores.agents import some_observation
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
 from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START
 from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
+from kinetix_dist.telemetry.exported_program import are_of_this_project
 
 
 class LearnerCore:
@@ -61,9 +63,11 @@ class LearnerCore:
         if ppo == self._ppo:
             return
         self._ppo = ppo
-        self._update = make_update(
-            self._policy, self._env.observation, self._env.action_distribution, ppo, self._mesh, division=self.division
-        )
+        parts = self._policy, self._env.observation, self._env.action_distribution
+        self._update = make_update(*parts, ppo, self._mesh, division=self.division)
+        if not self._config.run.plugins and are_of_this_project(*parts):
+            made_from = repr((self._policy, self._config.policy, self._config.env, ppo, self.division))
+            self._update = exported_update(self._update, made_from, self._mesh)
 
     @property
     def params(self) -> Any:

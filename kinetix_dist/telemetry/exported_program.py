@@ -1,0 +1,95 @@
+"""Programs that are traced once and then read from the compile cache, see `exported`.
+
+JAX asks its compile cache for a program that is traced and lowered already, which takes seconds of Python in every
+process. An exported program needs neither: what calls it is lowered in a tenth of a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import hashlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jax
+import jaxlib
+from jax import export
+
+import jax2d
+import kinetix_dist
+from jax2d.scene import Array
+from kinetix_dist.telemetry.cached_files import cached
+
+# Settings of JAX that change what a traced program computes, by their context managers.
+_SETTINGS: dict[str, Callable[[Any], Any]] = {
+    "jax_enable_x64": jax.enable_x64,
+    "jax_threefry_partitionable": jax.threefry_partitionable,
+    "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
+    "jax_default_matmul_precision": jax.default_matmul_precision,
+}
+_PACKAGES = jax2d, kinetix_dist
+Settings = tuple[tuple[str, Any], ...]
+
+
+def current_settings() -> Settings:
+    """(name, value) of what changes a traced program, as this thread has it; hashable."""
+    return tuple((name, getattr(jax.config, name)) for name in _SETTINGS)
+
+
+def exported(
+    kind: str,
+    made_from: str,
+    function: Callable[..., Sequence[Array]],
+    arguments: Sequence[jax.ShapeDtypeStruct],
+    settings: Settings,
+    *,
+    custom_calls: Sequence[str] = (),
+) -> export.Exported:
+    """`function` of `arguments`, from the compile cache where it is on and another process has written it there.
+
+    kind: folder of the cache. made_from: all that the program depends on beside the arguments, the modules of this
+    project, the version of JAX, the backend and `settings` (`current_settings`). function: of arrays, gives arrays;
+    it is traced if there is no such file. arguments: with the shardings they come with, where these matter.
+    custom_calls: targets that the program may call beside those that JAX keeps stable.
+    """
+
+    def make() -> bytes:
+        with contextlib.ExitStack() as stack:  # a thread begins with those of the process
+            for name, value in settings:
+                stack.enter_context(_SETTINGS[name](value))
+            allowed = [export.DisabledSafetyCheck.custom_call(target) for target in custom_calls]
+            program = export.export(jax.jit(function), disabled_checks=allowed)(*arguments)
+            return bytes(program.serialize())
+
+    versions = jax.__version__, jaxlib.__version__
+    shapes = [(str(x.shape), str(x.dtype), str(x.sharding)) for x in arguments]
+    asked_for = repr((_SOURCES, versions, jax.default_backend(), made_from, shapes, settings))
+    # In a thread of its own: what is being traced here, and on which mesh, is not part of it.
+    with ThreadPoolExecutor(1) as thread:
+        content = thread.submit(contextvars.copy_context().run, cached, kind, asked_for, make).result()
+    return export.deserialize(bytearray(content))
+
+
+def are_of_this_project(*parts: object) -> bool:
+    """Whether the classes of all of them are, so that `exported` sees it when their code changes."""
+    own = {package.__name__ for package in _PACKAGES}
+    return all(type(part).__module__.partition(".")[0] in own for part in parts)
+
+
+def _sources() -> str:
+    """A checksum of all modules of this project."""
+    digest = hashlib.sha256()
+    for package in _PACKAGES:
+        folder = Path(package.__path__[0])
+        for file in sorted(folder.rglob("*.py")):
+            content = file.read_bytes()
+            digest.update(f"{file.relative_to(folder)} {len(content)}\n".encode())
+            digest.update(content)
+    return digest.hexdigest()
+
+
+# Of the modules as this process has them: a file may change while it runs.
+_SOURCES = _sources()
