@@ -10,27 +10,51 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
+import flax
 import jax
+import optax
+from flax import linen as nn
 from jax.sharding import Mesh, NamedSharding
 
 from jax2d.scene import Array
+from kinetix_dist.env.action_spaces import ActionDistribution
+from kinetix_dist.env.observations import Observation
+from kinetix_dist.learner.config import PpoConfig
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.state import LearnerState
-from kinetix_dist.learner.update import IN_SPECS, METRICS, Update
+from kinetix_dist.learner.update import IN_SPECS, METRICS, Update, make_update
 from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.kernels.cuda_kernel import TARGET
 from kinetix_dist.models.kernels.support import traced_for
-from kinetix_dist.telemetry.exported_program import current_settings, exported
+from kinetix_dist.telemetry.exported_program import are_of_this_project, current_settings, exported
 
 KIND = "updates"  # folder in the compile cache
 
 
 @functools.lru_cache(maxsize=8)
-def exported_update(update: Update, made_from: str, mesh: Mesh) -> Update:
-    """`update`, a compiled one of this mesh, which is traced where no process has done that for arrays like those that
-    it is called with.
+def exported_update(
+    policy: nn.Module,
+    observation: Observation,
+    distribution: ActionDistribution,
+    config: PpoConfig,
+    mesh: Mesh,
+    *,
+    division: Division | None = None,
+) -> Update:
+    """As `make_update`, traced where no process has done that for equal arguments and arrays.
 
-    made_from: all that the update depends on beside the modules of this project: the configuration of all its parts.
+    Where a part is of a class from outside of this project it is traced in every process: that code may change.
     """
+    parts = policy, observation, distribution
+    update = make_update(*parts, config, mesh, division=division)
+    if not are_of_this_project(*parts):
+        return update
+    made_from = (
+        (flax.__version__, optax.__version__),
+        *((type(part).__module__, type(part).__qualname__, vars(part)) for part in (observation, distribution)),
+        (type(policy).__module__, policy),
+        (config, division),
+    )
 
     def call(
         state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array
@@ -40,11 +64,11 @@ def exported_update(update: Update, made_from: str, mesh: Mesh) -> Update:
         results = jax.tree.structure((state, dict.fromkeys(METRICS, 0)))
 
         def of_leaves(*leaves: Array) -> Sequence[Array]:
-            found, given = jax.tree.flatten(update(*jax.tree.unflatten(structure, leaves)))[::-1]
+            given, found = jax.tree.flatten(update(*jax.tree.unflatten(structure, leaves)))
             assert found == results, f"an update gives {found} and not {results}"
             return given
 
-        made = repr((made_from, str(structure), traced_for()))
+        made = made_from, str(structure), traced_for()
         program = exported(KIND, made, of_leaves, _shapes(inputs, mesh), current_settings(), custom_calls=[TARGET])
         return jax.tree.unflatten(results, program.call(*jax.tree.leaves(inputs)))
 

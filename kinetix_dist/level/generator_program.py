@@ -51,4 +51,4 @@ def _program(
     del backend  # for which it is exported
     (number,) = export.symbolic_shape("n")
     keys = jax.ShapeDtypeStruct((number, *key_shape), jnp.uint32)
-    return exported(KIND, repr((key_impl, capacity, config)), jax.vmap(one), [keys], settings)
+    return exported(KIND, (key_impl, capacity, config), jax.vmap(one), [keys], settings)

@@ -16,6 +16,7 @@ from typing import Any
 
 import jax
 import jaxlib
+import numpy as np
 from jax import export
 
 import jax2d
@@ -23,13 +24,21 @@ import kinetix_dist
 from jax2d.scene import Array
 from kinetix_dist.telemetry.cached_files import cached
 
-# Settings of JAX that change what a traced program computes, by their context managers.
+# Settings of JAX that change what a traced program computes, by their context managers, and those of whole processes.
 _SETTINGS: dict[str, Callable[[Any], Any]] = {
     "jax_enable_x64": jax.enable_x64,
     "jax_threefry_partitionable": jax.threefry_partitionable,
     "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
     "jax_default_matmul_precision": jax.default_matmul_precision,
+    "jax_default_prng_impl": jax.default_prng_impl,
 }
+_OF_PROCESSES = (
+    "jax_random_seed_offset",
+    "jax_softmax_custom_jvp",
+    "jax_use_direct_linearize",
+    "jax_use_shardy_partitioner",
+)
+_SOURCE_FILES = (".py", ".cu", ".cuh")
 _PACKAGES = jax2d, kinetix_dist
 Settings = tuple[tuple[str, Any], ...]
 
@@ -41,7 +50,7 @@ def current_settings() -> Settings:
 
 def exported(
     kind: str,
-    made_from: str,
+    made_from: object,
     function: Callable[..., Sequence[Array]],
     arguments: Sequence[jax.ShapeDtypeStruct],
     settings: Settings,
@@ -50,10 +59,10 @@ def exported(
 ) -> export.Exported:
     """`function` of `arguments`, from the compile cache where it is on and another process has written it there.
 
-    kind: folder of the cache. made_from: all that the program depends on beside the arguments, the modules of this
-    project, the version of JAX, the backend and `settings` (`current_settings`). function: of arrays, gives arrays;
-    it is traced if there is no such file. arguments: with the shardings they come with, where these matter.
-    custom_calls: targets that the program may call beside those that JAX keeps stable.
+    kind: folder of the cache. made_from: all that the program depends on beside the arguments, the sources of this
+    project, the versions of JAX and numpy, the backend and `settings` (`current_settings`); its repr is part of the
+    key. function: of arrays, gives arrays; it is traced if there is no such file. arguments: with the shardings they
+    come with, where these matter. custom_calls: targets that the program may call beside those that JAX keeps stable.
     """
 
     def make() -> bytes:
@@ -64,9 +73,10 @@ def exported(
             program = export.export(jax.jit(function), disabled_checks=allowed)(*arguments)
             return bytes(program.serialize())
 
-    versions = jax.__version__, jaxlib.__version__
+    versions = jax.__version__, jaxlib.__version__, np.__version__
     shapes = [(str(x.shape), str(x.dtype), str(x.sharding)) for x in arguments]
-    asked_for = repr((_SOURCES, versions, jax.default_backend(), made_from, shapes, settings))
+    of_process = [(name, getattr(jax.config, name)) for name in _OF_PROCESSES]
+    asked_for = repr((_SOURCES, versions, jax.default_backend(), made_from, shapes, settings, of_process))
     # In a thread of its own: what is being traced here, and on which mesh, is not part of it.
     with ThreadPoolExecutor(1) as thread:
         content = thread.submit(contextvars.copy_context().run, cached, kind, asked_for, make).result()
@@ -80,11 +90,11 @@ def are_of_this_project(*parts: object) -> bool:
 
 
 def _sources() -> str:
-    """A checksum of all modules of this project."""
+    """A checksum of all modules and kernels of this project."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
         folder = Path(package.__path__[0])
-        for file in sorted(folder.rglob("*.py")):
+        for file in sorted(path for path in folder.rglob("*") if path.suffix in _SOURCE_FILES):
             content = file.read_bytes()
             digest.update(f"{file.relative_to(folder)} {len(content)}\n".encode())
             digest.update(content)

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import flax
 import jax
 import numpy as np
+import optax
 import pytest
 from jax.sharding import Mesh
 
+import kinetix_dist
+from kinetix_dist.env.action_spaces.categorical import Categorical
+from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.learner import exported_update as module
 from kinetix_dist.learner.exported_update import KIND, exported_update
 from kinetix_dist.learner.sharding import data_mesh, local_values
+from kinetix_dist.learner.update import Update, make_update
 from kinetix_dist.telemetry import exported_program
-from tests.learner.update_program import make_problem, place, poisoned
+from tests.learner.update_program import PPO, make_problem, place, poisoned
 
 
 @pytest.fixture
@@ -32,8 +40,23 @@ def mesh() -> Mesh:
     return data_mesh(jax.devices()[:1])
 
 
-def files(cache: Path) -> list[Path]:
-    return sorted(cache.iterdir()) if cache.is_dir() else []
+@pytest.fixture
+def traced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """One element for each time that an update is traced."""
+    found: list[int] = []
+
+    def counting(*arguments: Any, **named: Any) -> Update:
+        update = make_update(*arguments, **named)
+        return lambda *given: found.append(0) or update(*given)
+
+    monkeypatch.setattr(module, "make_update", counting)
+    return found
+
+
+def as_another_process(mesh: Mesh, *, make: Callable[..., Update] = exported_update, **given: Any) -> Any:
+    exported_update.cache_clear()
+    update, state, arguments = make_problem(mesh, make=make, **given)
+    return update(state, *place(arguments, mesh))
 
 
 def assert_same_bits(found: Any, expected: Any) -> None:
@@ -45,63 +68,89 @@ def assert_same_bits(found: Any, expected: Any) -> None:
 
 def test_two_updates_are_those_of_the_traced_program_bit_for_bit(cache: Path, mesh: Mesh) -> None:
     update, state, arguments = make_problem(mesh)
-    program = exported_update(update, "", mesh)
-    own = state
+    program, own, _ = make_problem(mesh, make=exported_update)
     for batch in (arguments, poisoned(arguments)):
         worlds = place(batch, mesh)
         state, expected = update(state, *worlds)
         own, metrics = program(own, *worlds)
         assert_same_bits((own, metrics), (state, expected))
-    assert len(files(cache)) == 1
+    assert len(list(cache.iterdir())) == 1
 
 
-def test_it_is_traced_once_and_read_by_the_next_process(cache: Path, mesh: Mesh) -> None:
-    update, state, arguments = make_problem(mesh)
-    traced = []
-
-    def counted(*given: Any) -> Any:
-        traced.append(0)
-        return update(*given)
-
-    def program() -> Any:
-        exported_update.cache_clear()  # as another process
-        return exported_update(counted, "", mesh)(state, *place(arguments, mesh))
-
-    first = program()
-    (file,) = files(cache)
+def test_it_is_traced_once_and_read_by_the_next_process(cache: Path, mesh: Mesh, traced: list[int]) -> None:
+    first = as_another_process(mesh)
+    (file,) = cache.iterdir()
     content = file.read_bytes()
-    assert_same_bits(program(), first)
+    assert_same_bits(as_another_process(mesh), first)
     assert len(traced) == 1
     file.write_bytes(content[:-1])
-    assert_same_bits(program(), first)
+    assert_same_bits(as_another_process(mesh), first)
     assert len(traced) == 2
     assert file.read_bytes() == content
 
 
-def test_other_settings_shapes_and_modules_are_other_programs(
-    cache: Path, mesh: Mesh, monkeypatch: pytest.MonkeyPatch
+def test_what_changes_an_update_makes_another_program(
+    cache: Path, mesh: Mesh, traced: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def run(made_from: str, steps: int | None = None) -> int:
-        update, state, arguments = make_problem(mesh)
-        static, trajectory, last_value = arguments
-        trajectory = jax.tree.map(lambda x: x[:steps], trajectory)
-        exported_update(update, made_from, mesh)(state, *place((static, trajectory, last_value), mesh))
-        return len(files(cache))
+    def is_another(**given: Any) -> bool:
+        before = len(traced)
+        as_another_process(mesh, **given)
+        return len(traced) > before
 
-    assert run("one") == 1
-    assert run("another") == 2
-    assert run("one", steps=3) == 3
-    assert run("one") == 3
-    exported_update.cache_clear()
-    monkeypatch.setattr(exported_program, "_SOURCES", "of a module that was changed")
-    assert run("one") == 4
+    assert is_another()
+    assert not is_another()
+    assert is_another(config=dataclasses.replace(PPO, clip=0.1))
+    with jax.default_prng_impl("rbg"):
+        assert is_another()
+    for target, name in ((flax, "__version__"), (optax, "__version__"), (exported_program, "_SOURCES")):
+        with monkeypatch.context() as patch:
+            patch.setattr(target, name, "0.0.1")
+            assert is_another(), (target, name)
+    jax.config.update("jax_random_seed_offset", 1)
+    try:
+        assert is_another()
+    finally:
+        jax.config.update("jax_random_seed_offset", 0)
+    assert not is_another()
 
 
-def test_a_program_that_gives_something_else_than_an_update_is_refused(mesh: Mesh) -> None:
-    update, state, arguments = make_problem(mesh)
+def test_other_parts_of_the_same_class_make_another_program(cache: Path, mesh: Mesh, traced: list[int]) -> None:
+    """A space that a user's program registers may have the name of one that it registered before."""
 
-    def without_metrics(*given: Any) -> Any:
-        return update(*given)[0], {}
+    def make(policy: Any, observation: Any, distribution: Categorical, *others: Any, **named: Any) -> Update:
+        distribution = dataclasses.replace(distribution, head_sizes=(9, *distribution.head_sizes[1:]))
+        return exported_update(policy, observation, distribution, *others, **named)
 
+    as_another_process(mesh)
+    as_another_process(mesh, make=make)
+    assert len(traced) == 2
+
+
+def test_a_part_of_a_user_is_traced_in_every_process(cache: Path, mesh: Mesh) -> None:
+    class Own(type(OBSERVATIONS["entity"])):  # type: ignore[misc]
+        """Its code may change, and no file of the cache would be another."""
+
+    def make(policy: Any, observation: Any, *others: Any, **named: Any) -> Update:
+        return exported_update(policy, Own(), *others, **named)
+
+    assert_same_bits(as_another_process(mesh, make=make), as_another_process(mesh, make=make_update))
+    assert not cache.exists()
+
+
+def test_kernels_are_sources_too() -> None:
+    kernel = Path(kinetix_dist.__path__[0]) / "models" / "kernels" / "cuda" / "attention.cu"
+    assert kernel.suffix in exported_program._SOURCE_FILES
+    assert {file.suffix for file in kernel.parent.iterdir() if file.is_file()} <= set(exported_program._SOURCE_FILES)
+
+
+def test_a_program_that_gives_something_else_than_an_update_is_refused(
+    mesh: Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without_metrics(*arguments: Any, **named: Any) -> Any:
+        update = make_update(*arguments, **named)
+        return lambda *given: (update(*given)[0], {})
+
+    monkeypatch.setattr(module, "make_update", without_metrics)
     with pytest.raises(AssertionError, match="an update gives"):
-        exported_update(without_metrics, "", mesh)(state, *place(arguments, mesh))
+        as_another_process(mesh)
+    exported_update.cache_clear()

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
+from collections.abc import Callable
 
 import jax
 import numpy as np
@@ -38,7 +39,11 @@ RECURRENT_PPO = dataclasses.replace(PPO, minibatches=2, virtual_shards=4)
 
 
 def make_problem(
-    mesh: jax.sharding.Mesh, config: PpoConfig = PPO, policy_config: PolicyConfig = POLICY
+    mesh: jax.sharding.Mesh,
+    config: PpoConfig = PPO,
+    policy_config: PolicyConfig = POLICY,
+    *,
+    make: Callable[..., Update] = make_update,
 ) -> tuple[Update, LearnerState, tuple]:
     """(update, first state, its numpy arguments for all worlds)."""
     static = StaticInput(obs=synthetic_static_obs(WORLDS, CAPACITY))
@@ -49,7 +54,7 @@ def make_problem(
     obs = observation.join(static.obs, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
     params = init_params(policy, obs, jax.random.key(0))
     state = replicate(config.initial_state(params, jax.random.key(7)), mesh)
-    return make_update(policy, observation, ACTIONS, config, mesh), state, (static, trajectory, last_value)
+    return make(policy, observation, ACTIONS, config, mesh), state, (static, trajectory, last_value)
 
 
 def place(arguments: tuple, mesh: jax.sharding.Mesh, config: PpoConfig = PPO) -> tuple:
@@ -80,9 +85,8 @@ def main() -> None:
         address, num_processes, process_id = sys.argv[2:]
         jax.distributed.initialize(address, int(num_processes), int(process_id), cluster_detection_method="deactivate")
     mesh = data_mesh()
-    update, state, arguments = make_problem(mesh, config, policy_config)
-    if os.environ.get("EXPORTED_UPDATE"):
-        update = exported_update(update, repr((config, policy_config)), mesh)
+    make = exported_update if os.environ.get("EXPORTED_UPDATE") else make_update
+    update, state, arguments = make_problem(mesh, config, policy_config, make=make)
     saved: dict[str, np.ndarray] = {"devices": np.asarray(mesh.devices.size)}
     for number, batch in enumerate((arguments, poisoned(arguments))):
         state, metrics = update(state, *place(batch, mesh, config))

@@ -6,7 +6,6 @@ there are cores enough. Where there are two, three programs at a time took longe
 
 from __future__ import annotations
 
-import concurrent.futures
 import contextvars
 import os
 import threading
@@ -45,11 +44,6 @@ class Ahead:
                 future.set_result(None)
 
         threading.Thread(target=run, name=THREAD, daemon=True).start()
-
-    def settle(self) -> None:
-        """Until all are done, failed ones too; also from a thread, and beside `wait`."""
-        while unfinished := [job for job in [*self._jobs] if not job.done()]:
-            concurrent.futures.wait(unfinished)  # one that these began is there by now
 
     def wait(self) -> None:
         """Until all are done; raises what one of them raised. Cheap where none was begun."""

@@ -27,7 +27,6 @@ from kinetix_dist.runtime.cores.agents import some_observation
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
 from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START
 from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
-from kinetix_dist.telemetry.exported_program import are_of_this_project
 
 
 class LearnerCore:
@@ -64,10 +63,8 @@ class LearnerCore:
             return
         self._ppo = ppo
         parts = self._policy, self._env.observation, self._env.action_distribution
-        self._update = make_update(*parts, ppo, self._mesh, division=self.division)
-        if not self._config.run.plugins and are_of_this_project(*parts):
-            made_from = repr((self._policy, self._config.policy, self._config.env, ppo, self.division))
-            self._update = exported_update(self._update, made_from, self._mesh)
+        make = make_update if self._config.run.plugins else exported_update  # their code may change
+        self._update = make(*parts, ppo, self._mesh, division=self.division)
 
     @property
     def params(self) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -143,10 +143,12 @@ class Worker(LearnerWorker):
         super().__init__(config, mesh)
         self._update_programs, self._refresh_programs = ahead.Ahead(), ahead.Ahead()
         self._evaluation_programs = ahead.Ahead()
+        self._after_update: Callable[[], None] | None = None  # begun in a thread after the next one
 
     def start(self, arrays: Mapping[str, np.ndarray] | None, ahead_of: int | None = None) -> None:
-        """ahead_of: programs of that update, and of the next refresh by workers, are compiled in threads from now on,
-        while the process does what comes before it; where it has cores enough."""
+        """ahead_of: programs of that update are compiled in threads from now on, while the process does what comes
+        before it, and those of the next refresh by workers too, after that update where it is not the first; where the
+        process has cores enough."""
         super().start(arrays)
         if ahead_of is not None and ahead.has_cores():
             rollout, released = self._playing.rollout(self._enter_phase_of(ahead_of)), self.released()
@@ -159,11 +161,12 @@ class Worker(LearnerWorker):
                 version = self._config.curriculum.next_refresh(ahead_of)
 
                 def compile_refresh() -> None:
-                    if not is_new:  # it makes an update first, and threads that trace take turns
-                        self._update_programs.settle()
                     self._curator.compile_ahead(released, version)
 
-                self._refresh_programs.begin(compile_refresh)
+                if is_new:
+                    self._refresh_programs.begin(compile_refresh)
+                else:  # it makes an update first, and threads that trace take turns with those that launch programs
+                    self._after_update = compile_refresh
 
     def _compile_update(self, rollout: RolloutCore) -> None:
         program, batch = rollout.traced(self._learner.params, self._state.shapes)
@@ -187,6 +190,7 @@ class Worker(LearnerWorker):
     ) -> tuple[dict[str, Any], Any]:
         """As a curator does it, see `CuratorCore.refresh`, on the devices of this process alone."""
         self._refresh_programs.wait()
+        self._after_update = None  # compiled by what follows
         return self._curator.refresh(params, policy_version, part, num_parts, probe, given)
 
     def prepare_refresh(self, policy_version: int) -> None:
@@ -206,5 +210,8 @@ class Worker(LearnerWorker):
             self._state.observe(*seen, division=rollout.division)
             jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
         learned = time.monotonic()
+        if self._after_update is not None:
+            self._refresh_programs.begin(self._after_update)
+            self._after_update = None
         metrics = self._metrics(num_updates, sums, learner_metrics)
         return metrics, {"rollout": played - began, "learn": learned - played}, sums[EPISODES]
