@@ -75,7 +75,7 @@ def exported(
 
     versions = jax.__version__, jaxlib.__version__, np.__version__
     shapes = [(str(x.shape), str(x.dtype), str(x.sharding)) for x in arguments]
-    of_process = [(name, getattr(jax.config, name)) for name in _OF_PROCESSES]
+    of_process = [(name, getattr(jax.config, name, None)) for name in _OF_PROCESSES]  # None: not in this version
     asked_for = repr((_SOURCES, versions, jax.default_backend(), made_from, shapes, settings, of_process))
     # In a thread of its own: what is being traced here, and on which mesh, is not part of it.
     with ThreadPoolExecutor(1) as thread:
