@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -21,6 +23,19 @@ def environment_of_cpus(number: int) -> dict[str, str]:
     """The environment of a test's own process in which JAX has so many devices, all of them this CPU."""
     devices = {"JAX_PLATFORMS": "cpu", "JAX_NUM_CPU_DEVICES": str(number)}
     return os.environ | {"PYTHONPATH": python_path()} | devices
+
+
+@contextlib.contextmanager
+def compile_cache(directory: Path) -> Iterator[None]:
+    """Meanwhile JAX keeps compiled programs there."""
+    import jax  # not for whoever needs paths alone
+
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(directory))
+    try:
+        yield
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
 
 
 def public_levels_directory() -> Path | None:

@@ -22,16 +22,15 @@ from kinetix_dist.learner.exported_update import KIND, exported_update
 from kinetix_dist.learner.sharding import data_mesh, local_values
 from kinetix_dist.learner.update import Update, make_update
 from kinetix_dist.telemetry import exported_program
+from tests.helpers import compile_cache
 from tests.learner.update_program import PPO, make_problem, place, poisoned
 
 
 @pytest.fixture
 def cache(tmp_path: Path) -> Iterator[Path]:
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     exported_update.cache_clear()
-    yield tmp_path / KIND
-    jax.config.update("jax_compilation_cache_dir", before)
+    with compile_cache(tmp_path):
+        yield tmp_path / KIND
     exported_update.cache_clear()
 
 

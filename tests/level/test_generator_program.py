@@ -18,6 +18,7 @@ from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.generator_program import draw_levels
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.telemetry import exported_program
+from tests.helpers import compile_cache
 
 CONFIG = GeneratorConfig(locomotion_share=0.5, locomotion_kinds=("arm",), varied_share=0.5)
 CAPACITY = SIZES["s"]
@@ -26,11 +27,9 @@ KEY = jax.random.key(7)
 
 @pytest.fixture
 def cache(tmp_path: Path) -> Iterator[Path]:
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     generator_program._program.cache_clear()
-    yield tmp_path / generator_program.KIND
-    jax.config.update("jax_compilation_cache_dir", before)
+    with compile_cache(tmp_path):
+        yield tmp_path / generator_program.KIND
     generator_program._program.cache_clear()
 
 

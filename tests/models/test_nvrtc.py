@@ -9,6 +9,7 @@ import jax
 import pytest
 
 from kinetix_dist.models.kernels import nvrtc
+from tests.helpers import compile_cache
 
 SOURCE = {"source": "kernel", "name": "kernel.cu", "headers": {"tile.cuh": "tile"}, "macros": {"TOKENS": 7}}
 
@@ -29,10 +30,8 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.fixture
 def cache(tmp_path: Path) -> Iterator[Path]:
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    yield tmp_path
-    jax.config.update("jax_compilation_cache_dir", before)
+    with compile_cache(tmp_path):
+        yield tmp_path
 
 
 def test_the_second_process_finds_what_the_first_one_compiled(compiled: list[str], cache: Path) -> None:
