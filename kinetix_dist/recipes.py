@@ -132,14 +132,19 @@ TASK_WEIGHTS = {
     "beam": 0.5,
     "lander": 3.0,
     "carrier": 2.0,
-    "jumper": 1.0,
-    "sprinter": 8.0,
+    "jumper": 2.0,
+    "sprinter": 12.0,
     "thrower": 3.0,
     "turner": 2.0,
     "flipper": 1.0,
     "grasper": 2.0,
     "reacher": 2.0,
     "climber": 2.0,
+    "pendulum": 2.0,
+    "ramp": 2.0,
+    "gripper": 3.0,
+    "tower": 2.0,
+    "pinball": 2.0,
 }
 
 # The curricula of `sfl_s` and its like: the paper's hyperparameters for each size of levels.

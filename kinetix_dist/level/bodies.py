@@ -20,6 +20,7 @@ CLEARANCE_M = 0.01  # above what carries it, so that nothing touches it at the s
 MAX_LEGS = 3  # of a walker
 MAX_LINKS = 4  # of an arm
 MAX_SNAKE_LINKS = 6
+MAX_PENDULUM_LINKS = 3
 MAX_BLOCKS = 3  # in the way of a flyer
 MAX_BARS = 3  # over a climber
 ROPE_LINKS = 3  # of what a lander carries
@@ -91,16 +92,28 @@ def _add_link(
     active: Array,
     lean: Array | None = None,
     motion: Literal["motor", "free", "welded"] = "motor",
+    bend: Array | float = 0.0,
+    is_stiff: Array | bool = False,
 ) -> Array:
-    """Hangs a box with its upper end at a point of part `of`, at an angle (rad, None: any); where its other end is."""
+    """Hangs a box with its upper end at a point of part `of`, at an angle (rad, None: any); where its other end is.
+    bend: the middle of what a motor turns it by, from -1 to 1 times half of that. is_stiff: it is welded instead."""
     angle = draws.between(-0.45, 0.45) if lean is None else lean
     down = jnp.stack([jnp.sin(angle), -jnp.cos(angle)])
     inside = 0.85 * half[1]
     parts.append(Part(position=at + inside * down, angle=angle, half=half, active=active))
-    has_motor, is_weld = motion == "motor", motion == "welded"
+    has_motor = motion == "motor"
     limit = draws.between(0.5, 1.2) if has_motor else None
     hinges.append(
-        Hinge(a=of, b=len(parts) - 1, at=at, limit=limit, has_motor=has_motor, is_weld=is_weld, active=active)
+        Hinge(
+            a=of,
+            b=len(parts) - 1,
+            at=at,
+            limit=limit,
+            bend=0.0 if limit is None else bend * limit,
+            has_motor=has_motor,
+            is_weld=is_stiff if has_motor else motion == "welded",
+            active=active,
+        )
     )
     return at + 2.0 * inside * down
 
@@ -199,21 +212,25 @@ def build_runner(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_sprinter(draws: Draws, capacity: Capacity) -> Thing:
-    """What MuJoCo's tasks run with, mostly with motors at their limits: a hopper, a walker whose two legs have one hip,
-    a cheetah, or a swimmer on the floor. The goal is at any distance, in three tenths at the far wall, and often a tall
-    box."""
-    form = draws.number(0, 3)  # 0: a hopper
-    is_walker, is_cheetah, is_swimmer = form == 1, form == 2, form == 3
+    """What MuJoCo's tasks run with, with motors at their limits, weak ones or any: a hopper, a walker whose two legs
+    have one hip, a cheetah, or a swimmer on the floor. Knees bend to both sides or to one, a fifth of all legs are
+    stiff, and a few have no feet. The goal is at any distance, near in a third of the levels and at the far wall in
+    another, and often a tall box."""
+    form = draws.number(0, 6)  # 0 and 1: a hopper
+    is_walker, is_cheetah, is_swimmer = (form == 2) | (form == 3), (form == 4) | (form == 5), form == 6
     width = draws.between(0.045, 0.075)
-    upright = jnp.stack([width, draws.between(0.14, 0.3)])
-    level = jnp.stack([draws.between(0.35, 0.6), draws.between(0.05, 0.1)])
-    thigh, shin = (jnp.stack([width, draws.between(0.13, 0.24)]) for _ in range(2))
+    upright = jnp.stack([width * draws.between(1.0, 2.2), draws.between(0.14, 0.32)])
+    level = jnp.stack([draws.between(0.35, 0.7), draws.between(0.05, 0.1)])
+    thigh, shin = (jnp.stack([width, draws.between(0.13, 0.28)]) for _ in range(2))
     torso_half = jnp.where(is_cheetah, level, jnp.where(is_swimmer, thigh[::-1], upright))
     parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
     hinges: list[Hinge] = []
     foot = jnp.stack([draws.between(0.08, 0.2), draws.between(0.045, 0.075)])
     is_stiff, legs_are_spread = draws.chance(0.4) | is_cheetah, draws.chance(0.5)
     has_two = is_walker | is_cheetah | (is_swimmer & draws.chance(0.4))
+    has_feet, has_knees = ~is_swimmer & draws.chance(0.85), is_swimmer | is_cheetah | draws.chance(0.8)
+    bends_one_way, way = draws.chance(0.4) & ~is_swimmer, jnp.where(draws.chance(0.5), 0.75, -0.75)
+    knee_bend = jnp.where(bends_one_way, way, 0.0)
     for leg, side in enumerate((1.0, -1.0)):
         active = has_two if leg else jnp.array(True)
         # Of a cheetah each knee is before or behind its hip, of the others hardly.
@@ -225,19 +242,24 @@ def build_sprinter(draws: Draws, capacity: Capacity) -> Thing:
         # A swimmer's links lie in a row.
         leans = [jnp.where(is_swimmer, 0.5 * math.pi * side, lean), jnp.where(is_swimmer, 0.5 * math.pi * side, -lean)]
         knee = _add_link(draws, parts, hinges, 0, hip, thigh, active, lean=leans[0])
-        ankle = _add_link(draws, parts, hinges, len(parts) - 1, knee, shin, active, lean=leans[1])
-        parts.append(Part(position=ankle + jnp.stack([0.4 * foot[0], 0.0]), half=foot, active=active & ~is_swimmer))
+        of = len(parts) - 1
+        ankle = _add_link(
+            draws, parts, hinges, of, knee, shin, active, lean=leans[1], bend=knee_bend, is_stiff=~has_knees
+        )
+        parts.append(Part(position=ankle + jnp.stack([0.4 * foot[0], 0.0]), half=foot, active=active & has_feet))
         limit, of = draws.between(0.4, 0.9), len(parts) - 2
-        hinges.append(Hinge(a=of, b=of + 1, at=ankle, limit=limit, is_weld=is_stiff, active=active & ~is_swimmer))
+        hinges.append(Hinge(a=of, b=of + 1, at=ankle, limit=limit, is_weld=is_stiff, active=active & has_feet))
+    strength, distance = draws.between(0.0, 1.0), draws.between(0.0, 1.0)
     return Thing(
         parts=parts,
         hinges=hinges,
         is_handed=True,
-        slab=jnp.stack([draws.between(0.12, 0.25), draws.between(0.25, 0.65)]),
+        slab=jnp.stack([draws.between(0.12, 0.25), draws.between(0.25, 0.8)]),
         goal_is_slab=draws.chance(0.6),
-        goal_nearness=jnp.where(draws.chance(0.3), 0, 1),
+        goal_nearness=jnp.where(distance < 0.3, 0, jnp.where(distance < 0.65, 1, 3)),
         has_bump=False,
-        has_full_motors=draws.chance(0.7),
+        has_full_motors=strength < 0.45,
+        has_weak_motors=strength > 0.7,
         colours_in_turn=draws.chance(0.8),
         floor_is_red=draws.chance(0.45) & ~is_swimmer,
     )
@@ -362,7 +384,7 @@ def _flying(draws: Draws, capacity: Capacity) -> tuple[list[Part], list[Jet], Ar
 
 def build_climber(draws: Draws, capacity: Capacity) -> Thing:
     """What flies, below one bar or up to three that reach over it from the wall on its side, mostly red. The goal is
-    above them at the other side."""
+    above them at the other side. In a quarter it is above a shelf instead, mostly not red."""
     parts, jets, half = _flying(draws, capacity)
     size = jnp.max(half)
     side = jnp.where(draws.chance(0.5), 1.0, -1.0)  # of the goal
@@ -378,16 +400,20 @@ def build_climber(draws: Draws, capacity: Capacity) -> Thing:
     radius = draws.between(0.12, 0.28)
     above = thickness + 2.0 * jnp.maximum(radius, size) + WALL_MARGIN_M  # from the last bar to the ceiling, at least
     number = jnp.minimum(number, 1 + jnp.floor((WORLD_SIZE_M - above - y) / apart).astype(jnp.int32))
+    goal_x = draws.between(0.6 * WORLD_SIZE_M, WORLD_SIZE_M - WALL_MARGIN_M - radius)
+    is_shelf, shelf_reach = draws.chance(0.25), radius + draws.between(0.0, 0.6)  # to both sides of the goal
+    shelf_end = jnp.minimum(goal_x + shelf_reach, WORLD_SIZE_M - 2.0 * size - WALL_MARGIN_M)  # it passes on both sides
+    number = jnp.where(is_shelf, 1, number)
     middle, bars = in_world(start_x, start_y), []
     for bar in range(MAX_BARS):
         beyond = start_x + size * draws.between(0.0, 1.0)  # it is over half of what flies at least
         begin, end = draws.between(0.02, 0.4), draws.between(beyond, WORLD_SIZE_M - 2.0 * size - 0.8)
-        role = jnp.where(draws.chance(0.75), Role.RED, Role.NONE)
+        begin, end = jnp.where(is_shelf, goal_x - shelf_reach, begin), jnp.where(is_shelf, shelf_end, end)
+        role = jnp.where(draws.chance(0.75) ^ is_shelf, Role.RED, Role.NONE)
         at, bar_half = in_world(0.5 * (begin + end), y + bar * apart), jnp.stack([0.5 * (end - begin), thickness])
         bars.append(Part(position=at - middle, half=bar_half, role=role, is_fixed=True, active=bar < number))
     lowest = y + (number - 1) * apart + thickness + radius + CLEARANCE_M
     goal_y = draws.between(lowest, WORLD_SIZE_M - CLEARANCE_M - radius)
-    goal_x = draws.between(0.6 * WORLD_SIZE_M, WORLD_SIZE_M - WALL_MARGIN_M - radius)
     return Thing(
         parts=[*parts, *bars],
         hinges=[],
@@ -545,7 +571,7 @@ def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
         parts=parts,
         hinges=hinges,
         is_handed=True,
-        slab=jnp.stack([draws.between(0.3, 0.6), draws.between(0.02, 0.06)]),
+        slab=jnp.stack([draws.between(0.3, 0.9), draws.between(0.02, 0.06)]),
         goal_is_slab=goal_is_slab,
         goal_rise=(0.75, 0.98),  # mostly above the walls, and never above the load
         has_bump=False,
@@ -554,15 +580,26 @@ def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
-    """A small car on a platform, and the goal on another one beyond a gap, at most as high."""
+    """A small car on a platform, and the goal on another one beyond a gap, at most as high. In two fifths a green bar
+    stands on the car, on a motor: it reaches the goal over a wider gap."""
     car = _car(draws, draws.between(0.5, 0.8))
+    has_bar, bar_half = draws.chance(0.4), jnp.stack([draws.between(0.03, 0.06), draws.between(0.2, 0.4)])
+    chassis = dataclasses.replace(car.parts[0], role=jnp.where(has_bar, Role.NONE, Role.GREEN))
+    foot = chassis.position + jnp.stack([jnp.zeros(()), 0.5 * chassis.half[1]])
+    bar = Part(
+        position=foot + jnp.stack([jnp.zeros(()), 0.85 * bar_half[1]]), half=bar_half, role=Role.GREEN, active=has_bar
+    )
     lowest, highest = extent(car.parts)
     side = jnp.where(draws.chance(0.5), 1.0, -1.0)
     gap, drop = draws.between(0.1, 0.5), draws.between(0.0, 0.7)
+    gap = gap + jnp.where(has_bar, draws.between(0.0, 0.8), 0.0)
     # About the upper edge at the gap of the platform that the car is on.
     width = highest[0] - lowest[0]
     lengths = jnp.stack([width + draws.between(0.2, 1.0), draws.between(0.6, 1.1)])
-    thickness = draws.between(0.04, 0.1)  # half of it
+    thickness = draws.between(0.04, 0.14)  # half of it
+    car = dataclasses.replace(
+        car, parts=[chassis, *car.parts[1:], bar], hinges=[*car.hinges, Hinge(a=0, b=3, at=foot, active=has_bar)]
+    )
     start = draws.between(0.05, 0.15) - lengths[0] - lowest[0]
     car = moved(
         car, jnp.stack([side * start + jnp.where(side > 0.0, 0.0, -(lowest[0] + highest[0])), CLEARANCE_M - lowest[1]])
@@ -585,6 +622,7 @@ def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
         middle=jnp.stack([x, draws.between(FLOOR_TOP_M + 1.1, 3.2)]),
         goal=jnp.stack([side * goal_x, goal_radius + CLEARANCE_M - drop]),
         goal_radius=goal_radius,
+        colours_in_turn=has_bar & draws.chance(0.8),
         floor_is_red=draws.chance(0.7),
     )
 
@@ -758,4 +796,262 @@ def build_grasper(draws: Draws, capacity: Capacity) -> Thing:
         slab=slab,
         has_bump=False,
         floor_is_red=draws.chance(0.5),
+    )
+
+
+def build_pendulum(draws: Draws, capacity: Capacity) -> Thing:
+    """A chain of up to three links that hangs from a fixed disc, with weak motors in some of its hinges; the last link
+    is green, or a box at its end. The goal is beside or above: it has to be swung up."""
+    has_room = capacity.polygons - NUM_WALLS >= 3 and capacity.joints >= 3
+    num_links = min(capacity.polygons - NUM_WALLS - has_room, capacity.joints - has_room, MAX_PENDULUM_LINKS)
+    count, reach = draws.number(1, num_links), draws.between(0.7, 1.6)
+    has_bob = draws.chance(0.4) if has_room else jnp.array(False)
+    length, width = reach / count, draws.between(0.04, 0.07)
+    driven = draws.number(0, num_links - 1) % count  # one at least
+    parts, hinges = [Part(position=jnp.zeros(2), radius=draws.between(0.08, 0.16), is_fixed=True)], []
+    zero = jnp.zeros(())
+    for link in range(num_links):
+        role = jnp.where((link == count - 1) & ~has_bob, Role.GREEN, Role.NONE)
+        top = jnp.stack([zero, -link * length])
+        half = jnp.stack([width, 0.5 * length + width])
+        parts.append(Part(position=top - 0.5 * jnp.stack([zero, length]), half=half, role=role, active=link < count))
+        has_motor = (driven == link) | draws.chance(0.4)
+        hinges.append(Hinge(a=link, b=link + 1, at=top, has_motor=has_motor, active=link < count))
+    size = draws.between(0.09, 0.2)
+    if has_room:
+        end = jnp.stack([zero, -reach])
+        parts.append(Part(position=end, half=jnp.stack([size, size]), role=Role.GREEN, active=has_bob))
+        # The last link that there is holds it.
+        hinges += [
+            Hinge(a=1 + link, b=len(parts) - 1, at=end, is_weld=True, active=has_bob & (link == count - 1))
+            for link in range(num_links)
+        ]
+    # Away from where it hangs, and not so far that the end of it, straight, is short of the goal.
+    goal_radius, side = draws.between(0.12, 0.3), jnp.where(draws.chance(0.5), 1.0, -1.0)
+    angle = side * draws.between(0.3 * math.pi, math.pi)  # from straight down
+    goal = draws.between(0.75, 1.05) * reach * jnp.stack([jnp.sin(angle), -jnp.cos(angle)])
+    room = reach + goal_radius + WALL_MARGIN_M + 0.1
+    x = draws.between(jnp.minimum(room, 0.5 * WORLD_SIZE_M), WORLD_SIZE_M - jnp.minimum(room, 0.5 * WORLD_SIZE_M))
+    low = FLOOR_TOP_M + reach + 2.0 * size + WALL_MARGIN_M
+    y = draws.between(low, jnp.maximum(low, WORLD_SIZE_M - room))
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        middle=jnp.stack([x, y]),
+        goal=goal,
+        goal_radius=goal_radius,
+        has_weak_motors=draws.chance(0.8),
+        floor_is_red=draws.chance(0.2),
+    )
+
+
+def build_ramp(draws: Draws, capacity: Capacity) -> Thing:
+    """A small car on the floor before a steep ramp, a red slab behind it, and the goal beyond: fast enough, it flies
+    over. Green is the chassis or the wheel in front."""
+    car = _car(draws, draws.between(0.5, 0.75))
+    lowest, highest = extent(car.parts)
+    wheel_is_green, side = draws.chance(0.4), jnp.where(draws.chance(0.5), 1.0, -1.0)
+    front = side > 0.0
+    roles = [
+        jnp.where(wheel_is_green, Role.NONE, Role.GREEN),
+        jnp.where(wheel_is_green & ~front, Role.GREEN, Role.NONE),
+        jnp.where(wheel_is_green & front, Role.GREEN, Role.NONE),
+    ]
+    parts = [dataclasses.replace(part, role=role) for part, role in zip(car.parts, roles, strict=True)]
+    # From the end of the car on, all to one side: ramp, slab, goal.
+    half, slope = jnp.stack([draws.between(0.15, 0.36), jnp.full((), 0.05)]), draws.between(0.2, 0.8)
+    cos, sin = jnp.cos(slope), jnp.sin(slope)
+    ramp_x = draws.between(0.1, 0.7) + half[0] * cos + half[1] * sin
+    ramp_y = half[0] * sin - 0.5 * half[1]  # its lower end is in the floor
+    red = jnp.stack([draws.between(0.15, 0.4), draws.between(0.02, 0.05)])
+    red_x = ramp_x + half[0] * cos + half[1] + red[0]
+    radius, is_slab = draws.between(0.12, 0.25), draws.chance(0.5)
+    slab = jnp.stack([draws.between(0.12, 0.22), draws.between(0.15, 0.4)])
+    goal_half = jnp.where(is_slab, slab, radius)
+    goal_x = red_x + red[0] + 0.05 + goal_half[0] + draws.between(0.0, 0.4)
+    floor = FLOOR_TOP_M + CLEARANCE_M
+    length = goal_x + goal_half[0]
+    begin = jnp.where(front, highest[0], -lowest[0])  # from the origin of the car to its end
+    width = highest[0] - lowest[0]
+    x = WALL_MARGIN_M + width + draws.between(0.0, 1.0) * (WORLD_SIZE_M - 2.0 * WALL_MARGIN_M - width - length)
+    middle = jnp.stack([jnp.where(front, x, WORLD_SIZE_M - x) - side * begin, floor - lowest[1]])
+
+    def beside(x: Array, y: Array) -> Array:
+        """[2] m, from the origin of the car: x from its end, y from the floor."""
+        return jnp.stack([side * (begin + x), FLOOR_TOP_M + y - middle[1]])
+
+    parts += [
+        Part(position=beside(ramp_x, ramp_y), angle=side * slope, half=half, is_fixed=True),
+        Part(position=beside(red_x, red[1]), half=red, role=Role.RED, is_fixed=True),
+    ]
+    return Thing(
+        parts=parts,
+        hinges=car.hinges,
+        middle=middle,
+        goal=beside(goal_x, CLEARANCE_M + goal_half[1]),
+        goal_radius=radius,
+        slab=slab,
+        goal_is_slab=is_slab,
+        has_bump=False,
+        has_full_motors=draws.chance(0.8),
+        floor_is_red=jnp.array(False),
+    )
+
+
+def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
+    """An arm of two links on a fixed disc, and an open hand of two fingers of two links that close towards each other.
+    A green box falls between them, or stands on a disc on the floor; the goal is on the floor."""
+    side = jnp.where(draws.chance(0.5), 1.0, -1.0)
+    upper, fore, palm, tip = (draws.between(*ends) for ends in ((0.55, 1.0), (0.5, 1.0), (0.2, 0.36), (0.2, 0.36)))
+    width, finger_width = draws.between(0.04, 0.09), draws.between(0.03, 0.06)
+    lean, spread, size = draws.between(-0.2, 0.2), draws.between(0.2, 0.9), draws.between(0.06, 0.12)
+    falls, pedestal = draws.chance(0.5), draws.between(0.12, 0.22)
+    limit = draws.between(0.4, 0.6)
+
+    def mirrored(x: Array, y: Array) -> Array:
+        return jnp.stack([side * x, y])
+
+    def link(start: Array, angle: Array, length: Array, half_width: Array) -> tuple[Part, Array]:
+        """A box from `start` on, and its end. angle: of the side that the hand is to."""
+        way = mirrored(jnp.cos(angle), jnp.sin(angle))
+        half = jnp.stack([0.5 * length + 0.5 * half_width, half_width])
+        return Part(position=start + 0.5 * length * way, angle=side * angle, half=half), start + length * way
+
+    upper_arm, elbow = link(jnp.zeros(2), lean - 0.5 * math.pi, upper, width)
+    forearm, wrist = link(elbow, jnp.zeros(()), fore, width)
+    fingers, hinges = [], [Hinge(a=0, b=1, at=jnp.zeros(2), turn=0), Hinge(a=1, b=2, at=elbow, turn=1)]
+    for number, way in enumerate((1.0, -1.0)):  # the upper one, the lower one
+        knuckle = wrist + jnp.stack([jnp.zeros(()), way * 0.3 * palm])
+        inner, joint = link(knuckle, jnp.asarray(way * 0.5 * math.pi), palm, finger_width)
+        outer, _ = link(joint, way * spread, tip, finger_width)
+        fingers += [inner, outer]
+        closing, first = -way * side * limit, 3 + 2 * number
+        hinges += [
+            Hinge(a=of, b=first + place, at=at, limit=limit, bend=closing, turn=2 + number)
+            for place, (of, at) in enumerate(((2, knuckle), (first, joint)))
+        ]
+    reach = upper * jnp.cos(lean) + 1.3 * palm + tip  # below the disc, at most
+    above = jnp.where(falls, 0.1, 2.0 * (pedestal + size) + 0.1)
+    y = FLOOR_TOP_M + reach + above + draws.between(0.0, 0.4)
+    room = fore + jnp.abs(jnp.sin(lean)) * upper + tip + 2.0 * size + 0.3
+    x = draws.between(room, WORLD_SIZE_M - 0.9)
+    middle = jnp.stack([jnp.where(side < 0.0, x, WORLD_SIZE_M - x), y])
+    within = wrist + mirrored(finger_width + size + draws.between(0.03, 0.15), draws.between(-0.2, 0.6) * palm)
+    disc_x = wrist[0] + side * draws.between(-0.4, 0.25)
+    on_disc = jnp.stack([disc_x, FLOOR_TOP_M + 2.0 * pedestal + size + CLEARANCE_M - y])
+    parts = [
+        Part(position=jnp.zeros(2), radius=draws.between(0.1, 0.25), is_fixed=True),
+        upper_arm,
+        forearm,
+        *fingers,
+        Part(position=jnp.where(falls, within, on_disc), half=jnp.stack([size, size]), role=Role.GREEN),
+        Part(position=jnp.stack([disc_x, FLOOR_TOP_M + pedestal - y]), radius=pedestal, is_fixed=True, active=~falls),
+    ]
+    slab = jnp.stack([draws.between(0.2, 0.45), draws.between(0.03, 0.14)])
+    # On the floor of the other side, or nearer, where no load falls onto it.
+    goal_x = middle[0] - side * draws.between(-0.1, 1.2)
+    goal_x = jnp.clip(goal_x, WALL_MARGIN_M + slab[0], WORLD_SIZE_M - WALL_MARGIN_M - slab[0])
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        middle=middle,
+        goal=jnp.stack([goal_x, FLOOR_TOP_M + CLEARANCE_M + slab[1]]) - middle,
+        slab=slab,
+        has_bump=False,
+        colours_in_turn=True,
+        floor_is_red=draws.chance(0.5),
+    )
+
+
+def build_tower(draws: Draws, capacity: Capacity) -> Thing:
+    """An arm that throws a disc, and a green bar on two posts that stand on a thin slab, the goal: they have to be
+    knocked over."""
+    half = jnp.stack([draws.between(0.4, 0.75), draws.between(0.03, 0.06)])
+    ball, pivot = draws.between(0.1, 0.22), draws.between(0.06, 0.2)
+    side, has_limit = jnp.where(draws.chance(0.5), 1.0, -1.0), draws.chance(0.6)
+    out = draws.between(0.6, 0.98) * half[0]  # from pivot to the middle of the arm
+    end, zero = out + half[0], jnp.zeros(())
+    # It turns upwards only, or all round.
+    limit = jnp.where(has_limit, draws.between(0.6, 1.2), 3.0)
+    hinge = Hinge(a=0, b=1, at=jnp.zeros(2), limit=limit, bend=jnp.where(has_limit, -side * limit, 0.0))
+    post = jnp.stack([draws.between(0.03, 0.06), draws.between(0.18, 0.42)])
+    apart, bar = draws.between(0.14, 0.32), draws.between(0.04, 0.07)  # of the posts, half of it
+    slab = jnp.stack([apart + draws.between(0.15, 0.6), draws.between(0.015, 0.03)])
+    away = draws.between(0.15, 1.4) + half[0] - out + slab[0]
+    room = WORLD_SIZE_M - WALL_MARGIN_M - away - slab[0]
+    x = draws.between(WALL_MARGIN_M + end, jnp.maximum(room, WALL_MARGIN_M + end))
+    y = FLOOR_TOP_M + jnp.maximum(0.3, half[0] - out + 0.1) + draws.between(0.0, 0.8)
+    floor = FLOOR_TOP_M + CLEARANCE_M - y
+    foot = floor + 2.0 * slab[1] + CLEARANCE_M
+    top = foot + 2.0 * post[1] + CLEARANCE_M
+    posts = [Part(position=jnp.stack([side * away + way * apart, foot + post[1]]), half=post) for way in (-1.0, 1.0)]
+    return Thing(
+        parts=[
+            Part(position=jnp.zeros(2), radius=pivot, is_fixed=True),
+            Part(position=jnp.stack([-side * out, zero]), half=half),
+            Part(position=jnp.stack([-side * (end - ball), half[1] + ball + CLEARANCE_M]), radius=ball),
+            *posts,
+            Part(
+                position=jnp.stack([side * away, top + bar]),
+                half=jnp.stack([apart + draws.between(0.05, 0.12), bar]),
+                role=Role.GREEN,
+            ),
+        ],
+        hinges=[hinge],
+        middle=jnp.stack([jnp.where(side > 0.0, x, WORLD_SIZE_M - x), y]),
+        goal=jnp.stack([side * away, floor + slab[1]]),
+        slab=slab,
+        has_bump=False,
+        has_full_motors=draws.chance(0.5),
+        floor_is_red=jnp.array(False),
+    )
+
+
+def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
+    """Two flippers that guides from the walls lead to, a green disc that falls onto one of them, and up to two fixed
+    discs in its way. The goal is above the other one."""
+    gap, length, width = draws.between(0.08, 0.3), draws.between(0.8, 1.4), draws.between(0.05, 0.09)
+    slope, side = draws.between(0.3, 0.8), jnp.where(draws.chance(0.5), 1.0, -1.0)
+    run = 0.5 * WORLD_SIZE_M - gap - length  # of a guide, level
+    limit = draws.between(0.5, 0.9)
+    parts, hinges = [], []
+    for number, way in enumerate((-1.0, 1.0)):
+        pivot = jnp.stack([way * (gap + length), jnp.zeros(())])
+        rise = 0.5 * run * jnp.tan(slope)
+        parts.append(
+            Part(
+                position=pivot + jnp.stack([0.5 * way * run, rise]),
+                angle=way * slope,
+                half=jnp.stack([0.5 * run / jnp.cos(slope), width]),
+                is_fixed=True,
+            )
+        )
+        parts.append(
+            Part(
+                position=pivot - jnp.stack([0.5 * way * length, jnp.zeros(())]),
+                half=jnp.stack([0.5 * length + 0.5 * width, width]),
+            )
+        )
+        hinges.append(Hinge(a=2 * number, b=2 * number + 1, at=pivot, limit=limit))
+    ball, radius, y = draws.between(0.1, 0.18), draws.between(0.15, 0.35), FLOOR_TOP_M + draws.between(0.7, 1.4)
+    ceiling = WORLD_SIZE_M - WALL_MARGIN_M - y
+    parts.append(
+        Part(
+            position=jnp.stack([-side * draws.between(0.62, 1.3), draws.between(width + ball + 0.05, 2.0)]),
+            radius=ball,
+            role=Role.GREEN,
+        )
+    )
+    # One in the middle and one beside the wall, where the disc does not begin.
+    for low, high, largest in ((-0.08, 0.08, 0.35), (1.75, 2.1, 0.22)):
+        at = jnp.stack([-side * draws.between(low, high), draws.between(1.0, ceiling - 0.4)])
+        parts.append(Part(position=at, radius=draws.between(0.1, largest), is_fixed=True, active=draws.chance(0.6)))
+    return Thing(
+        parts=parts,
+        hinges=hinges,
+        middle=jnp.stack([jnp.full((), 0.5 * WORLD_SIZE_M), y]),
+        goal=jnp.stack([side * draws.between(0.8, 1.9), draws.between(0.9, ceiling - radius)]),
+        goal_radius=radius,
+        colours_in_turn=draws.chance(0.6),
+        floor_is_red=draws.chance(0.7),
     )

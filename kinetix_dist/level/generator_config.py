@@ -33,6 +33,11 @@ ALL_KINDS = (
     "grasper",
     "reacher",
     "climber",
+    "pendulum",
+    "ramp",
+    "gripper",
+    "tower",
+    "pinball",
 )
 _CHANCES = (
     "locomotion_share", "varied_share",

@@ -37,7 +37,7 @@ from kinetix_dist.level.walls import FLOOR_TOP_M
 GOAL_GAP_M = 0.3  # from the thing to the goal, at least
 # Numbers that are drawn after those that a thing is built of, in this order
 _NUM_BESIDE_DRAWS = 9  # the radius of the goal, where it is and whether there is an obstacle
-_NUM_PILLAR_DRAWS, _NUM_BLOCK_DRAWS = 7, 8  # where there is a gap
+_NUM_PILLAR_DRAWS, _NUM_BLOCK_DRAWS = 11, 8  # where there is a gap
 _NUM_LAST_DRAWS = 4  # besides three for each hinge
 
 
@@ -78,7 +78,7 @@ def fitting_kinds(kinds: Sequence[str], capacity: Capacity) -> list[str]:
 
 
 def _tables(kinds: Sequence[_Kind], numbers: Array, capacity: Capacity) -> tuple[list[Table], int | None]:
-    """A table of each kind, built of the first of the numbers ([64]), and how many blocks those with a gap may have
+    """A table of each kind, built of the first of the numbers ([80]), and how many blocks those with a gap may have
     (None: none has a gap)."""
     each, things, num_draws = jax.lax.unstack(numbers), [], []
     for kind in kinds:
@@ -97,7 +97,7 @@ def _tables(kinds: Sequence[_Kind], numbers: Array, capacity: Capacity) -> tuple
 
 
 def _draft(table: Table, num_blocks: int | None, numbers: Array, capacity: Capacity, config: GeneratorConfig) -> Draft:
-    """The thing, its goal and what is between them, from the numbers ([64]) after those that it was built of."""
+    """The thing, its goal and what is between them, from the numbers ([80]) after those that it was built of."""
     padded = jnp.pad(numbers, (0, len(numbers)))  # what is beyond the last one is for kinds that do not use it
 
     def draws_after(num_before: Array | int, number: int) -> Draws:
@@ -168,7 +168,7 @@ def _beside_its_goal(
     between = jnp.sort(jnp.stack([middle_x + 0.5 * (ends[0] + ends[1]), goal_x]))
     within = between + np.array([1.0, -1.0]) * (jnp.maximum(radius, 0.5 * width) + CLEARANCE_M)
     pillars = _pillars(way, table.gap.value, obstacle_x, obstacle_ends, bump_half[0])
-    is_pillars = way.chance(0.5)
+    is_pillars = way.chance(0.65)
     blocks = [_block(way, within) for _ in range(num_blocks)]
     obstacles = _either(has_way, _either(is_pillars, pillars, blocks), [bump])
     return with_boxes(table, obstacles), goal
@@ -211,12 +211,12 @@ def _block(draws: Draws, within: Array) -> Part:
 def _pillars(draws: Draws, gap: Array, x: Array, ends: Array, half_width: Array) -> list[Part]:
     """One that stands and one that hangs, a gap (its half, m) between them; half of the time both are red.
 
-    In two fifths the second is at an x of its own between `ends` ([2] m). Where that leaves as much room, each may
-    reach beyond the other's end: the way is over the one and below the other.
+    In two thirds the second is at an x of its own between `ends` ([2] m). Where that leaves as much room, each may
+    reach beyond the other's end: the way is over the one and below the other. A third may stand or hang elsewhere.
     """
-    is_red, is_first_below = draws.chance(0.5), draws.chance(0.5)
+    is_red, is_first_below = draws.chance(0.6), draws.chance(0.5)
     gap_y = draws.between(FLOOR_TOP_M + gap + 0.1, WORLD_SIZE_M - gap - 0.1)
-    own_x = jnp.where(draws.chance(0.4), draws.between(ends[0], ends[1]), x)
+    own_x = jnp.where(draws.chance(0.67), draws.between(ends[0], ends[1]), x)
     has_room = jnp.abs(own_x - x) > 2.0 * (gap + half_width)
     beyond = gap * jnp.where(has_room, draws.between(1.0, 2.0), 0.0)
     below = FLOOR_TOP_M, jnp.minimum(gap_y - gap + beyond, WORLD_SIZE_M - 2.0 * gap)
@@ -228,7 +228,14 @@ def _pillars(draws: Draws, gap: Array, x: Array, ends: Array, half_width: Array)
         bottom, top = (jnp.where(is_below, *ends) for ends in zip(below, above, strict=True))
         position, half = jnp.stack([pillar_x, 0.5 * (bottom + top)]), jnp.stack([half_width, 0.5 * (top - bottom)])
         pillars.append(Part(position=position, half=half, role=role, is_fixed=True))
-    return pillars
+    third_x, third_is_below = draws.between(ends[0], ends[1]), draws.chance(0.5)
+    away = jnp.minimum(jnp.abs(third_x - x), jnp.abs(third_x - own_x))
+    length = draws.between(0.1, 0.7) * (WORLD_SIZE_M - FLOOR_TOP_M)
+    length = jnp.minimum(length, WORLD_SIZE_M - FLOOR_TOP_M - 2.0 * gap)
+    middle = jnp.where(third_is_below, FLOOR_TOP_M + 0.5 * length, WORLD_SIZE_M - 0.5 * length)
+    has_third = draws.chance(0.5) & (away > 2.0 * (gap + half_width))
+    position, half = jnp.stack([third_x, middle]), jnp.stack([half_width, 0.5 * length])
+    return [*pillars, Part(position=position, half=half, role=role, is_fixed=True, active=has_third)]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -266,9 +273,14 @@ _KINDS = {
     "beam": _Kind(build=bodies.build_beam, polygons=1, circles=3, joints=1),
     "lander": _Kind(build=bodies.build_lander, polygons=2, circles=0, thrusters=2),
     "carrier": _Kind(build=bodies.build_carrier, polygons=5, circles=4, joints=4),
-    "jumper": _Kind(build=bodies.build_jumper, polygons=3, circles=3, joints=2),
+    "jumper": _Kind(build=bodies.build_jumper, polygons=4, circles=3, joints=3),
     "thrower": _Kind(build=bodies.build_thrower, polygons=1, circles=3, joints=1),
     "turner": _Kind(build=bodies.build_turner, polygons=1, circles=2, joints=1),
     "flipper": _Kind(build=bodies.build_flipper, polygons=2, circles=2, joints=2, thrusters=2),
     "grasper": _Kind(build=bodies.build_grasper, polygons=7, circles=1, joints=5),
+    "pendulum": _Kind(build=bodies.build_pendulum, polygons=2, circles=2, joints=2),
+    "ramp": _Kind(build=bodies.build_ramp, polygons=4, circles=3, joints=2),
+    "gripper": _Kind(build=bodies.build_gripper, polygons=8, circles=3, joints=6),
+    "tower": _Kind(build=bodies.build_tower, polygons=5, circles=2, joints=1),
+    "pinball": _Kind(build=bodies.build_pinball, polygons=4, circles=4, joints=2),
 }

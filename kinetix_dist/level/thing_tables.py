@@ -37,6 +37,7 @@ from kinetix_dist.level.things import (
     reach_of_circles,
 )
 
+WEAK_SPEEDS, WEAK_POWERS = (0.5, 1.6), (0.2, 1.0)  # of motors, in units of a level
 _NUMBER, _POINT, _COUNT, _FLAG = np.float32(0.0), np.zeros(2, np.float32), np.int32(0), np.False_
 
 
@@ -76,6 +77,9 @@ class Hinges:
     at: Array  # [H, 2] m
     limit: Array  # [H] rad
     has_limit: Array  # [H] bool
+    bend: Array  # [H] rad
+    turn: Array  # [H] int32
+    has_turn: Array  # [H] bool
     has_motor: Array  # [H] bool
     is_weld: Array  # [H] bool
     active: Array  # [H] bool
@@ -137,6 +141,7 @@ class Table:
     gap: Given
     colours_in_turn: Array
     has_full_motors: Array
+    has_weak_motors: Array
     floor_is_red: Given
 
     def extent(self) -> tuple[Array, Array]:
@@ -170,7 +175,7 @@ class Table:
             dataclasses.replace(rows, position=place(rows.position), angle=angle(rows.angle))
             for rows in (self.boxes, self.circles)
         )
-        hinges = dataclasses.replace(self.hinges, at=place(self.hinges.at))
+        hinges = dataclasses.replace(self.hinges, at=place(self.hinges.at), bend=angle(self.hinges.bend))
         return dataclasses.replace(self, boxes=boxes, circles=circles, hinges=hinges)
 
 
@@ -192,7 +197,8 @@ def table_of(thing: Thing, num_draws: int, capacity: Capacity, num_hinges: int) 
         slots.append(next_slot[part.half is not None])
         next_slot[part.half is not None] += 1
     of_part = {"position": _POINT, "angle": _NUMBER, "role": _COUNT, "is_fixed": _FLAG, "active": _FLAG}
-    of_hinge = {"at": _POINT, "limit": _NUMBER, "has_motor": _FLAG, "is_weld": _FLAG, "active": _FLAG}
+    of_hinge = {"at": _POINT, "limit": _NUMBER, "bend": _NUMBER, "turn": _COUNT, "has_motor": _FLAG}
+    of_hinge |= {"is_weld": _FLAG, "active": _FLAG}
     of_jet = {"at": _POINT, "angle": _NUMBER, "power": _NUMBER, "colour": _COUNT, "active": _FLAG}
     low, high = thing.goal_rise
     return Table(
@@ -202,6 +208,7 @@ def table_of(thing: Thing, num_draws: int, capacity: Capacity, num_hinges: int) 
             a=_column([slots[hinge.a] for hinge in thing.hinges], num_hinges, _COUNT),
             b=_column([slots[hinge.b] for hinge in thing.hinges], num_hinges, _COUNT),
             has_limit=_column([hinge.limit is not None for hinge in thing.hinges], num_hinges, _FLAG),
+            has_turn=_column([hinge.turn is not None for hinge in thing.hinges], num_hinges, _FLAG),
             **_columns(thing.hinges, num_hinges, **of_hinge),
         ),
         jets=Jets(
@@ -229,6 +236,7 @@ def table_of(thing: Thing, num_draws: int, capacity: Capacity, num_hinges: int) 
         gap=_given(thing.gap, _NUMBER),
         colours_in_turn=_one(thing.colours_in_turn, _FLAG),
         has_full_motors=_one(thing.has_full_motors, _FLAG),
+        has_weak_motors=_one(thing.has_weak_motors, _FLAG),
         floor_is_red=_given(thing.floor_is_red, _FLAG),
     )
 
@@ -381,16 +389,15 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
     # Drawn in this order: levels of a key stay what they are.
     speed, power, colour = draws.rows(number, 3).T
     is_wheel = jnp.maximum(hinges.a, hinges.b) >= capacity.polygons
-    speed = between(speed, config.motor_speed_min, config.motor_speed_max)
-    power = jnp.where(
-        is_wheel,
-        between(power, config.motor_power_min, config.wheel_power_max),
-        between(power, config.motor_power_min, config.motor_power_max),
-    )
+    lowest = jnp.where(table.has_weak_motors, WEAK_SPEEDS[0], config.motor_speed_min)
+    speed = between(speed, lowest, jnp.where(table.has_weak_motors, WEAK_SPEEDS[1], config.motor_speed_max))
+    highest = jnp.where(is_wheel, config.wheel_power_max, config.motor_power_max)
+    lowest = jnp.where(table.has_weak_motors, WEAK_POWERS[0], config.motor_power_min)
+    power = between(power, lowest, jnp.where(table.has_weak_motors, WEAK_POWERS[1], highest))
     strongest = jnp.where(is_wheel, config.wheel_power_max, config.motor_power_max)
     colour = jnp.where(one_colour, first, number_between(colour, 0, NUM_MOTOR_COLOURS - 1))
     is_motor = jnp.asarray(hinges.active & ~hinges.is_weld)
-    turn = jnp.cumsum(is_motor) - is_motor  # motors before it
+    turn = jnp.where(hinges.has_turn, hinges.turn, jnp.cumsum(is_motor) - is_motor)  # or motors before it
     shapes, a, b = draft.shapes, hinges.a, hinges.b
     angle_a, angle_b = row_at(shapes.angle, a), row_at(shapes.angle, b)
     rows = hinge_or_weld(
@@ -404,8 +411,8 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
         motor_speed=jnp.where(table.has_full_motors, config.motor_speed_max, speed),
         motor_power=jnp.where(table.has_full_motors, strongest, power),
         has_limits=hinges.has_limit,
-        lower_limit=-hinges.limit,
-        upper_limit=hinges.limit,
+        lower_limit=hinges.bend - hinges.limit,
+        upper_limit=hinges.bend + hinges.limit,
         colour=jnp.where(table.colours_in_turn, (first + turn) % NUM_MOTOR_COLOURS, colour),
     )
     # The active ones in the first slots, in their order.

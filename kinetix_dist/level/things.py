@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax2d.fields import Array
 from kinetix_dist.level.roles import Role
 
-_NUM_DRAWS = 64
+_NUM_DRAWS = 80
 
 
 class Draws:
@@ -49,7 +49,7 @@ class Draws:
 
 
 def draw_numbers(key: Array) -> Array:
-    """[64] uniform, enough for any thing and its level. Consumes `key`."""
+    """[80] uniform, enough for any thing and its level. Consumes `key`."""
     return jax.random.uniform(key, (_NUM_DRAWS,))
 
 
@@ -78,13 +78,19 @@ class Part:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Hinge:
-    """A motor between two parts, by their places in the list of parts. limit: rad to both sides of the start."""
+    """A motor between two parts, by their places in the list of parts.
+
+    limit: rad to both sides of the start, or of the angle `bend` (rad) from it. turn: where colours come in turn, that
+    of its motor instead of the next one.
+    """
 
     a: int
     b: int
     at: Array  # [2] m
     limit: Array | None = None
-    has_motor: bool = True
+    bend: Array | float = 0.0
+    has_motor: bool | Array = True
+    turn: int | None = None
     is_weld: bool | Array = False  # instead: the two are one body
     active: bool | Array = True
 
@@ -126,6 +132,7 @@ class Thing:
     num_blocks: int = 0  # in the air on the way, at most, where there are no pillars
     colours_in_turn: bool | Array = False  # each motor has the colour after that of the one before, see `with_table`
     has_full_motors: bool | Array = False  # all at the highest speed and power
+    has_weak_motors: bool | Array = False  # all slow and weak: they hardly lift what they carry
     floor_is_red: Array | None = None  # None: as often as in all levels
 
 
