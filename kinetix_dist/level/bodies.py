@@ -402,13 +402,15 @@ def build_climber(draws: Draws, capacity: Capacity) -> Thing:
     number = jnp.minimum(number, 1 + jnp.floor((WORLD_SIZE_M - above - y) / apart).astype(jnp.int32))
     goal_x = draws.between(0.6 * WORLD_SIZE_M, WORLD_SIZE_M - WALL_MARGIN_M - radius)
     is_shelf, shelf_reach = draws.chance(0.25), radius + draws.between(0.0, 0.6)  # to both sides of the goal
-    shelf_end = jnp.minimum(goal_x + shelf_reach, WORLD_SIZE_M - 2.0 * size - WALL_MARGIN_M)  # it passes on both sides
+    # It passes on both sides.
+    shelf_x = jnp.minimum(goal_x, WORLD_SIZE_M - 2.0 * size - WALL_MARGIN_M - shelf_reach)
     number = jnp.where(is_shelf, 1, number)
     middle, bars = in_world(start_x, start_y), []
     for bar in range(MAX_BARS):
         beyond = start_x + size * draws.between(0.0, 1.0)  # it is over half of what flies at least
         begin, end = draws.between(0.02, 0.4), draws.between(beyond, WORLD_SIZE_M - 2.0 * size - 0.8)
-        begin, end = jnp.where(is_shelf, goal_x - shelf_reach, begin), jnp.where(is_shelf, shelf_end, end)
+        begin = jnp.where(is_shelf, shelf_x - shelf_reach, begin)
+        end = jnp.where(is_shelf, shelf_x + shelf_reach, end)
         role = jnp.where(draws.chance(0.75) ^ is_shelf, Role.RED, Role.NONE)
         at, bar_half = in_world(0.5 * (begin + end), y + bar * apart), jnp.stack([0.5 * (end - begin), thickness])
         bars.append(Part(position=at - middle, half=bar_half, role=role, is_fixed=True, active=bar < number))
@@ -1035,13 +1037,10 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
         hinges.append(Hinge(a=2 * number, b=2 * number + 1, at=pivot, limit=limit))
     ball, radius, y = draws.between(0.1, 0.18), draws.between(0.15, 0.35), FLOOR_TOP_M + draws.between(0.7, 1.4)
     ceiling = WORLD_SIZE_M - WALL_MARGIN_M - y
-    parts.append(
-        Part(
-            position=jnp.stack([-side * draws.between(0.62, 1.3), draws.between(width + ball + 0.05, 2.0)]),
-            radius=ball,
-            role=Role.GREEN,
-        )
-    )
+    ball_x = draws.between(0.62, 1.3)
+    beyond = jnp.maximum(ball_x - gap - length, 0.0)  # the pivot, above a guide
+    ball_y = draws.between((width + ball) / jnp.cos(slope) + beyond * jnp.tan(slope) + 0.05, 2.0)
+    parts.append(Part(position=jnp.stack([-side * ball_x, ball_y]), radius=ball, role=Role.GREEN))
     # One in the middle and one beside the wall, where the disc does not begin.
     for low, high, largest in ((-0.08, 0.08, 0.35), (1.75, 2.1, 0.22)):
         at = jnp.stack([-side * draws.between(low, high), draws.between(1.0, ceiling - 0.4)])
