@@ -18,7 +18,7 @@ from kinetix_dist.config import (
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.config import AnnealConfig, PpoConfig
-from kinetix_dist.level.generator_config import ALL_KINDS, GeneratorConfig, generator
+from kinetix_dist.level.generator_config import ALL_KINDS, GeneratorConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.phases import PhaseConfig
@@ -119,6 +119,7 @@ def tiny() -> TrainConfig:
 MAX_QK_NORM = 4.0
 
 # How often `pretrain_l` draws each kind of thing: those that a policy is slow to learn more often (docs/training.md).
+# Of the others (pendulums, ramps, grippers, pinball) a policy has not been shown to get better at hand-made levels.
 TASK_WEIGHTS = {
     "car": 1.0,
     "unicycle": 2.0,
@@ -132,19 +133,14 @@ TASK_WEIGHTS = {
     "beam": 0.5,
     "lander": 3.0,
     "carrier": 2.0,
-    "jumper": 2.0,
-    "sprinter": 12.0,
+    "jumper": 1.0,
+    "sprinter": 8.0,
     "thrower": 3.0,
     "turner": 2.0,
     "flipper": 1.0,
     "grasper": 2.0,
     "reacher": 2.0,
     "climber": 2.0,
-    "pendulum": 2.0,
-    "ramp": 2.0,
-    "gripper": 3.0,
-    "tower": 2.0,
-    "pinball": 2.0,
 }
 
 # The curricula of `sfl_s` and its like: the paper's hyperparameters for each size of levels.
@@ -178,8 +174,9 @@ def _pretrain(size: str) -> TrainConfig:
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
     # What hand-made levels have and random ones lack (docs/results/2026-11-25-tasks.md); shown in arrays of L alone.
-    weights = tuple(TASK_WEIGHTS[kind] for kind in ALL_KINDS)
-    tasks = dataclasses.replace(generator("tasks"), locomotion_share=0.45, locomotion_weights=weights, varied_share=0.3)
+    kinds = tuple(kind for kind in ALL_KINDS if kind in TASK_WEIGHTS)
+    weights = tuple(TASK_WEIGHTS[kind] for kind in kinds)
+    tasks = GeneratorConfig(locomotion_share=0.45, locomotion_kinds=kinds, locomotion_weights=weights, varied_share=0.3)
     # Where failing costs as much as solving gives, it stands still on a red floor (docs/training.md).
     env = dataclasses.replace(paper.env, failure_penalty=0.0) if size == "l" else paper.env
     return dataclasses.replace(

@@ -26,6 +26,7 @@ MAX_BARS = 3  # over a climber
 ROPE_LINKS = 3  # of what a lander carries
 GRAVITY_M_S2 = 9.81
 NEWTON = 0.1  # thruster power that gives one
+MOTOR_TORQUE = 900.0  # of a motor of power 1, N m for each kg m2 of what it turns (`base_motor_power` of the engine)
 
 
 def build_unicycle(draws: Draws, capacity: Capacity) -> Thing:
@@ -802,8 +803,9 @@ def build_grasper(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_pendulum(draws: Draws, capacity: Capacity) -> Thing:
-    """A chain of up to three links that hangs from a fixed disc, with weak motors in some of its hinges; the last link
-    is green, or a box at its end. The goal is beside or above: it has to be swung up."""
+    """A chain of up to three links that hangs from a fixed disc, with motors in some of its hinges, in four fifths too
+    weak to hold it level; the last link is green, or a box at its end. The goal is beside or above: it has to be swung
+    up."""
     has_room = capacity.polygons - NUM_WALLS >= 3 and capacity.joints >= 3
     num_links = min(capacity.polygons - NUM_WALLS - has_room, capacity.joints - has_room, MAX_PENDULUM_LINKS)
     count, reach = draws.number(1, num_links), draws.between(0.7, 1.6)
@@ -828,6 +830,9 @@ def build_pendulum(draws: Draws, capacity: Capacity) -> Thing:
             Hinge(a=1 + link, b=len(parts) - 1, at=end, is_weld=True, active=has_bob & (link == count - 1))
             for link in range(num_links)
         ]
+    # The power that holds all links level from the disc, with a torque of m g reach / 2: a motor gives MOTOR_TORQUE
+    # times its power times the moment of inertia of the first link, m / count (reach / count)^2 / 12.
+    holding = 6.0 * GRAVITY_M_S2 * count**3 / (MOTOR_TORQUE * reach)
     # Away from where it hangs, and not so far that the end of it, straight, is short of the goal.
     goal_radius, side = draws.between(0.12, 0.3), jnp.where(draws.chance(0.5), 1.0, -1.0)
     angle = side * draws.between(0.3 * math.pi, math.pi)  # from straight down
@@ -842,7 +847,7 @@ def build_pendulum(draws: Draws, capacity: Capacity) -> Thing:
         middle=jnp.stack([x, y]),
         goal=goal,
         goal_radius=goal_radius,
-        has_weak_motors=draws.chance(0.8),
+        motor_power=jnp.where(draws.chance(0.8), draws.between(0.1, 0.9), 4.0) * holding,
         floor_is_red=draws.chance(0.2),
     )
 
@@ -962,50 +967,6 @@ def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
         has_bump=False,
         colours_in_turn=True,
         floor_is_red=draws.chance(0.5),
-    )
-
-
-def build_tower(draws: Draws, capacity: Capacity) -> Thing:
-    """An arm that throws a disc, and a green bar on two posts that stand on a thin slab, the goal: they have to be
-    knocked over."""
-    half = jnp.stack([draws.between(0.4, 0.75), draws.between(0.03, 0.06)])
-    ball, pivot = draws.between(0.1, 0.22), draws.between(0.06, 0.2)
-    side, has_limit = jnp.where(draws.chance(0.5), 1.0, -1.0), draws.chance(0.6)
-    out = draws.between(0.6, 0.98) * half[0]  # from pivot to the middle of the arm
-    end, zero = out + half[0], jnp.zeros(())
-    # It turns upwards only, or all round.
-    limit = jnp.where(has_limit, draws.between(0.6, 1.2), 3.0)
-    hinge = Hinge(a=0, b=1, at=jnp.zeros(2), limit=limit, bend=jnp.where(has_limit, -side * limit, 0.0))
-    post = jnp.stack([draws.between(0.03, 0.06), draws.between(0.18, 0.42)])
-    apart, bar = draws.between(0.14, 0.32), draws.between(0.04, 0.07)  # of the posts, half of it
-    slab = jnp.stack([apart + draws.between(0.15, 0.6), draws.between(0.015, 0.03)])
-    away = draws.between(0.15, 1.4) + half[0] - out + slab[0]
-    room = WORLD_SIZE_M - WALL_MARGIN_M - away - slab[0]
-    x = draws.between(WALL_MARGIN_M + end, jnp.maximum(room, WALL_MARGIN_M + end))
-    y = FLOOR_TOP_M + jnp.maximum(0.3, half[0] - out + 0.1) + draws.between(0.0, 0.8)
-    floor = FLOOR_TOP_M + CLEARANCE_M - y
-    foot = floor + 2.0 * slab[1] + CLEARANCE_M
-    top = foot + 2.0 * post[1] + CLEARANCE_M
-    posts = [Part(position=jnp.stack([side * away + way * apart, foot + post[1]]), half=post) for way in (-1.0, 1.0)]
-    return Thing(
-        parts=[
-            Part(position=jnp.zeros(2), radius=pivot, is_fixed=True),
-            Part(position=jnp.stack([-side * out, zero]), half=half),
-            Part(position=jnp.stack([-side * (end - ball), half[1] + ball + CLEARANCE_M]), radius=ball),
-            *posts,
-            Part(
-                position=jnp.stack([side * away, top + bar]),
-                half=jnp.stack([apart + draws.between(0.05, 0.12), bar]),
-                role=Role.GREEN,
-            ),
-        ],
-        hinges=[hinge],
-        middle=jnp.stack([jnp.where(side > 0.0, x, WORLD_SIZE_M - x), y]),
-        goal=jnp.stack([side * away, floor + slab[1]]),
-        slab=slab,
-        has_bump=False,
-        has_full_motors=draws.chance(0.5),
-        floor_is_red=jnp.array(False),
     )
 
 

@@ -36,7 +36,6 @@ ALL_KINDS = (
     "pendulum",
     "ramp",
     "gripper",
-    "tower",
     "pinball",
 )
 _CHANCES = (

@@ -278,9 +278,8 @@ _KINDS = {
     "turner": _Kind(build=bodies.build_turner, polygons=1, circles=2, joints=1),
     "flipper": _Kind(build=bodies.build_flipper, polygons=2, circles=2, joints=2, thrusters=2),
     "grasper": _Kind(build=bodies.build_grasper, polygons=7, circles=1, joints=5),
-    "pendulum": _Kind(build=bodies.build_pendulum, polygons=2, circles=2, joints=2),
+    "pendulum": _Kind(build=bodies.build_pendulum, polygons=1, circles=2, joints=1),
     "ramp": _Kind(build=bodies.build_ramp, polygons=4, circles=3, joints=2),
     "gripper": _Kind(build=bodies.build_gripper, polygons=8, circles=3, joints=6),
-    "tower": _Kind(build=bodies.build_tower, polygons=5, circles=2, joints=1),
     "pinball": _Kind(build=bodies.build_pinball, polygons=4, circles=4, joints=2),
 }

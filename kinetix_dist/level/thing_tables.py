@@ -142,6 +142,7 @@ class Table:
     colours_in_turn: Array
     has_full_motors: Array
     has_weak_motors: Array
+    motor_power: Given
     floor_is_red: Given
 
     def extent(self) -> tuple[Array, Array]:
@@ -237,6 +238,7 @@ def table_of(thing: Thing, num_draws: int, capacity: Capacity, num_hinges: int) 
         colours_in_turn=_one(thing.colours_in_turn, _FLAG),
         has_full_motors=_one(thing.has_full_motors, _FLAG),
         has_weak_motors=_one(thing.has_weak_motors, _FLAG),
+        motor_power=_given(thing.motor_power, _NUMBER),
         floor_is_red=_given(thing.floor_is_red, _FLAG),
     )
 
@@ -409,7 +411,7 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
         rest_angle=angle_b - angle_a,
         motor_on=hinges.has_motor,
         motor_speed=jnp.where(table.has_full_motors, config.motor_speed_max, speed),
-        motor_power=jnp.where(table.has_full_motors, strongest, power),
+        motor_power=table.motor_power.otherwise(jnp.where(table.has_full_motors, strongest, power)),
         has_limits=hinges.has_limit,
         lower_limit=hinges.bend - hinges.limit,
         upper_limit=hinges.bend + hinges.limit,

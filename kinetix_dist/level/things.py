@@ -133,6 +133,7 @@ class Thing:
     colours_in_turn: bool | Array = False  # each motor has the colour after that of the one before, see `with_table`
     has_full_motors: bool | Array = False  # all at the highest speed and power
     has_weak_motors: bool | Array = False  # all slow and weak: they hardly lift what they carry
+    motor_power: Array | None = None  # of all motors, instead
     floor_is_red: Array | None = None  # None: as often as in all levels
 
 
