@@ -214,9 +214,9 @@ def build_runner(draws: Draws, capacity: Capacity) -> Thing:
 
 def build_sprinter(draws: Draws, capacity: Capacity) -> Thing:
     """What MuJoCo's tasks run with, with motors at their limits, weak ones or any: a hopper, a walker whose two legs
-    have one hip, a cheetah, or a swimmer on the floor. Knees bend to both sides or to one, a fifth of all legs are
-    stiff, and a few have no feet. The goal is at any distance, near in a third of the levels and at the far wall in
-    another, and often a tall box."""
+    have one hip, a cheetah, or a swimmer on the floor. Knees bend to both sides or mostly to one; of hoppers and
+    walkers a fifth have stiff ones, and a few have no feet. The goal is at any distance, near in a third of the levels
+    and at the far wall in another, and often a tall box."""
     form = draws.number(0, 6)  # 0 and 1: a hopper
     is_walker, is_cheetah, is_swimmer = (form == 2) | (form == 3), (form == 4) | (form == 5), form == 6
     width = draws.between(0.045, 0.075)
@@ -385,7 +385,7 @@ def _flying(draws: Draws, capacity: Capacity) -> tuple[list[Part], list[Jet], Ar
 
 def build_climber(draws: Draws, capacity: Capacity) -> Thing:
     """What flies, below one bar or up to three that reach over it from the wall on its side, mostly red. The goal is
-    above them at the other side. In a quarter it is above a shelf instead, mostly not red."""
+    above them at the other side. In a quarter there is a shelf below the goal instead, mostly not red."""
     parts, jets, half = _flying(draws, capacity)
     size = jnp.max(half)
     side = jnp.where(draws.chance(0.5), 1.0, -1.0)  # of the goal
@@ -417,6 +417,9 @@ def build_climber(draws: Draws, capacity: Capacity) -> Thing:
         bars.append(Part(position=at - middle, half=bar_half, role=role, is_fixed=True, active=bar < number))
     lowest = y + (number - 1) * apart + thickness + radius + CLEARANCE_M
     goal_y = draws.between(lowest, WORLD_SIZE_M - CLEARANCE_M - radius)
+    goal_x = jnp.where(
+        is_shelf, jnp.clip(goal_x, shelf_x - shelf_reach + radius, shelf_x + shelf_reach - radius), goal_x
+    )
     return Thing(
         parts=[*parts, *bars],
         hinges=[],
@@ -955,8 +958,11 @@ def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
         Part(position=jnp.stack([disc_x, FLOOR_TOP_M + pedestal - y]), radius=pedestal, is_fixed=True, active=~falls),
     ]
     slab = jnp.stack([draws.between(0.2, 0.45), draws.between(0.03, 0.14)])
-    # On the floor of the other side, or nearer, where no load falls onto it.
+    # On the floor of the other side, or nearer, but not where a box that is knocked off its disc falls, where there is
+    # room.
     goal_x = middle[0] - side * draws.between(-0.1, 1.2)
+    clear = middle[0] + disc_x - side * (pedestal + slab[0] + draws.between(0.4, 0.8))
+    goal_x = jnp.where(falls, goal_x, side * jnp.minimum(side * goal_x, side * clear))
     goal_x = jnp.clip(goal_x, WALL_MARGIN_M + slab[0], WORLD_SIZE_M - WALL_MARGIN_M - slab[0])
     return Thing(
         parts=parts,
@@ -971,8 +977,8 @@ def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
 
 
 def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
-    """Two flippers that guides from the walls lead to, a green disc that falls onto one of them, and up to two fixed
-    discs in its way. The goal is above the other one."""
+    """Two flippers that guides from the walls lead to, a green disc that falls onto one of them or beside it, and up to
+    two fixed discs in its way. The goal is at the side of the other one, above it or its guide."""
     gap, length, width = draws.between(0.08, 0.3), draws.between(0.8, 1.4), draws.between(0.05, 0.09)
     slope, side = draws.between(0.3, 0.8), jnp.where(draws.chance(0.5), 1.0, -1.0)
     run = 0.5 * WORLD_SIZE_M - gap - length  # of a guide, level
@@ -1002,6 +1008,8 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
     beyond = jnp.maximum(ball_x - gap - length, 0.0)  # the pivot, above a guide
     ball_y = draws.between((width + ball) / jnp.cos(slope) + beyond * jnp.tan(slope) + 0.05, 2.0)
     parts.append(Part(position=jnp.stack([-side * ball_x, ball_y]), radius=ball, role=Role.GREEN))
+    goal_x = draws.between(0.8, 1.9)
+    above_guide = (width + radius) / jnp.cos(slope) + jnp.maximum(goal_x - gap - length, 0.0) * jnp.tan(slope)
     # One in the middle and one beside the wall, where the disc does not begin.
     for low, high, largest in ((-0.08, 0.08, 0.35), (1.75, 2.1, 0.22)):
         at = jnp.stack([-side * draws.between(low, high), draws.between(1.0, ceiling - 0.4)])
@@ -1010,7 +1018,7 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
         parts=parts,
         hinges=hinges,
         middle=jnp.stack([jnp.full((), 0.5 * WORLD_SIZE_M), y]),
-        goal=jnp.stack([side * draws.between(0.8, 1.9), draws.between(0.9, ceiling - radius)]),
+        goal=jnp.stack([side * goal_x, draws.between(jnp.maximum(0.9, above_guide), ceiling - radius)]),
         goal_radius=radius,
         colours_in_turn=draws.chance(0.6),
         floor_is_red=draws.chance(0.7),

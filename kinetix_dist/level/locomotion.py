@@ -209,7 +209,7 @@ def _block(draws: Draws, within: Array) -> Part:
 
 
 def _pillars(draws: Draws, gap: Array, x: Array, ends: Array, half_width: Array) -> list[Part]:
-    """One that stands and one that hangs, a gap (its half, m) between them; half of the time both are red.
+    """One that stands and one that hangs, a gap (its half, m) between them; in six tenths all are red.
 
     In two thirds the second is at an x of its own between `ends` ([2] m). Where that leaves as much room, each may
     reach beyond the other's end: the way is over the one and below the other. A third may stand or hang elsewhere.

@@ -598,6 +598,7 @@ def test_bars_reach_over_a_climber_which_has_room_to_go_round_them() -> None:
         begins = low[:, 0] if side > 0 else WORLD_SIZE_M - high[:, 0]
         is_shelf = len(bars) == 1 and begins[0] > 0.401
         num_shelves += is_shelf
+        assert not is_shelf or low[0, 0] < goal[0] < high[0, 0]
         assert (ends > at - 1e-4).all() and (ends < WORLD_SIZE_M - 2 * size - (0.09 if is_shelf else 0.79)).all()
         assert (low[:, 1] > start[1] + size + 0.149).all() and goal[1] > high[:, 1].max()
         assert high[:, 1].max() + 2 * size + 0.099 < WORLD_SIZE_M  # it fits between the last one and the ceiling
@@ -694,6 +695,12 @@ def test_the_disc_of_a_pinball_level_falls_onto_the_flipper_away_from_the_goal()
 )
 def test_few_of_them_solve_themselves(size: str) -> None:
     assert np.mean(noop_solved(levels_of(size))) < 0.05
+
+
+@pytest.mark.slow
+def test_few_of_each_new_kind_solve_themselves() -> None:
+    for kind, most in (("gripper", 0.1), ("ramp", 0.01), ("pendulum", 0.01), ("pinball", 0.01), ("jumper", 0.01)):
+        assert np.mean(noop_solved(levels_of("l", kind))) < most, kind
 
 
 def test_kinds_for_which_there_is_room_are_equally_likely() -> None:
