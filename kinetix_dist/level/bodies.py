@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
+from jax2d.settings import Settings
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
 from kinetix_dist.level.roles import Role
 from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, extent, mirrored_jets, moved
@@ -26,7 +27,7 @@ MAX_BARS = 3  # over a climber
 ROPE_LINKS = 3  # of what a lander carries
 GRAVITY_M_S2 = 9.81
 NEWTON = 0.1  # thruster power that gives one
-MOTOR_TORQUE = 900.0  # of a motor of power 1, N m for each kg m2 of what it turns (`base_motor_power` of the engine)
+MOTOR_RAD_S2 = Settings.base_motor_power  # that a motor of power 1 gives to its two bodies alone
 
 
 def build_unicycle(draws: Draws, capacity: Capacity) -> Thing:
@@ -833,9 +834,9 @@ def build_pendulum(draws: Draws, capacity: Capacity) -> Thing:
             Hinge(a=1 + link, b=len(parts) - 1, at=end, is_weld=True, active=has_bob & (link == count - 1))
             for link in range(num_links)
         ]
-    # The power that holds all links level from the disc, with a torque of m g reach / 2: a motor gives MOTOR_TORQUE
+    # The power that holds all links level from the disc, with a torque of m g reach / 2: a motor gives MOTOR_RAD_S2
     # times its power times the moment of inertia of the first link, m / count (reach / count)^2 / 12.
-    holding = 6.0 * GRAVITY_M_S2 * count**3 / (MOTOR_TORQUE * reach)
+    holding = 6.0 * GRAVITY_M_S2 * count**3 / (MOTOR_RAD_S2 * reach)
     # Away from where it hangs, and not so far that the end of it, straight, is short of the goal.
     goal_radius, side = draws.between(0.12, 0.3), jnp.where(draws.chance(0.5), 1.0, -1.0)
     angle = side * draws.between(0.3 * math.pi, math.pi)  # from straight down

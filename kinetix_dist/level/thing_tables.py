@@ -393,10 +393,9 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
     is_wheel = jnp.maximum(hinges.a, hinges.b) >= capacity.polygons
     lowest = jnp.where(table.has_weak_motors, WEAK_SPEEDS[0], config.motor_speed_min)
     speed = between(speed, lowest, jnp.where(table.has_weak_motors, WEAK_SPEEDS[1], config.motor_speed_max))
-    highest = jnp.where(is_wheel, config.wheel_power_max, config.motor_power_max)
-    lowest = jnp.where(table.has_weak_motors, WEAK_POWERS[0], config.motor_power_min)
-    power = between(power, lowest, jnp.where(table.has_weak_motors, WEAK_POWERS[1], highest))
     strongest = jnp.where(is_wheel, config.wheel_power_max, config.motor_power_max)
+    lowest = jnp.where(table.has_weak_motors, WEAK_POWERS[0], config.motor_power_min)
+    power = between(power, lowest, jnp.where(table.has_weak_motors, WEAK_POWERS[1], strongest))
     colour = jnp.where(one_colour, first, number_between(colour, 0, NUM_MOTOR_COLOURS - 1))
     is_motor = jnp.asarray(hinges.active & ~hinges.is_weld)
     turn = jnp.where(hinges.has_turn, hinges.turn, jnp.cumsum(is_motor) - is_motor)  # or motors before it
