@@ -431,7 +431,7 @@ def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
 @pytest.mark.parametrize(
     ("options", "size", "kinds"),
     [
-        (("--curriculum.generator", "runner"), "s", "unicycle, arm, turner, or"),
+        (("--curriculum.generator", "runner"), "s", "unicycle, arm, turner, pendulum, or"),
         (("--env.size", "m", "--curriculum.generator", "runner"), "m", "snake, cartpole"),
         (("--env.size", "l", "--curriculum.generator", "car", "--curriculum.sizes", "s", "1", "l", "1"), "s", "arm"),
     ],
