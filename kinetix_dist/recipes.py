@@ -119,7 +119,7 @@ def tiny() -> TrainConfig:
 MAX_QK_NORM = 4.0
 
 # How often `pretrain_l` draws each kind of thing: those that a policy is slow to learn more often (docs/training.md).
-# Of the others (pendulums, ramps, grippers, pinball) a policy has not been shown to get better at hand-made levels.
+# The others (pendulums, ramps, grippers, pinball) have not been shown to help at hand-made levels.
 TASK_WEIGHTS = {
     "car": 1.0,
     "unicycle": 2.0,

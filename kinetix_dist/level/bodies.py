@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Literal
 
@@ -750,6 +751,18 @@ def build_flipper(draws: Draws, capacity: Capacity) -> Thing:
     )
 
 
+def _link_to(
+    side: Array, start: Array, angle: Array, length: Array, half_width: Array | float, beyond: Array | float = 0.0
+) -> tuple[Part, Array]:
+    """A box of so much length ([] m) from `start` ([2] m) on, reaching beyond both ends, and its end.
+
+    angle: rad, as where `side` is 1; where it is -1 left and right are exchanged.
+    """
+    way = jnp.stack([side * jnp.cos(angle), jnp.sin(angle)])
+    half = jnp.stack([0.5 * length + beyond, jnp.asarray(half_width)])
+    return Part(position=start + 0.5 * length * way, angle=side * angle, half=half), start + length * way
+
+
 def build_grasper(draws: Draws, capacity: Capacity) -> Thing:
     """An arm of two links on a fixed disc, and a hand of two fingers; on the lower one lies a green box that nothing
     holds. The goal is a slab on the floor, mostly behind the arm."""
@@ -762,12 +775,7 @@ def build_grasper(draws: Draws, capacity: Capacity) -> Thing:
     def mirrored(x: Array, y: Array) -> Array:
         return jnp.stack([side * x, y])
 
-    def link(start: Array, angle: Array, length: Array, half_width: Array | float) -> tuple[Part, Array]:
-        """A box from `start` on, and its end. angle: of the side that the hand is to."""
-        way = mirrored(jnp.cos(angle), jnp.sin(angle))
-        half = jnp.stack([0.5 * length, jnp.asarray(half_width)])
-        return Part(position=start + 0.5 * length * way, angle=side * angle, half=half), start + length * way
-
+    link = functools.partial(_link_to, side)
     zero = jnp.zeros(())
     upper_arm, elbow = link(jnp.zeros(2), lean - 0.5 * math.pi, upper, width)
     forearm, wrist = link(elbow, zero, fore, width)
@@ -919,22 +927,14 @@ def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
     falls, pedestal = draws.chance(0.5), draws.between(0.12, 0.22)
     limit = draws.between(0.4, 0.6)
 
-    def mirrored(x: Array, y: Array) -> Array:
-        return jnp.stack([side * x, y])
-
-    def link(start: Array, angle: Array, length: Array, half_width: Array) -> tuple[Part, Array]:
-        """A box from `start` on, and its end. angle: of the side that the hand is to."""
-        way = mirrored(jnp.cos(angle), jnp.sin(angle))
-        half = jnp.stack([0.5 * length + 0.5 * half_width, half_width])
-        return Part(position=start + 0.5 * length * way, angle=side * angle, half=half), start + length * way
-
-    upper_arm, elbow = link(jnp.zeros(2), lean - 0.5 * math.pi, upper, width)
-    forearm, wrist = link(elbow, jnp.zeros(()), fore, width)
+    link = functools.partial(_link_to, side)
+    upper_arm, elbow = link(jnp.zeros(2), lean - 0.5 * math.pi, upper, width, beyond=0.5 * width)
+    forearm, wrist = link(elbow, jnp.zeros(()), fore, width, beyond=0.5 * width)
     fingers, hinges = [], [Hinge(a=0, b=1, at=jnp.zeros(2), turn=0), Hinge(a=1, b=2, at=elbow, turn=1)]
     for number, way in enumerate((1.0, -1.0)):  # the upper one, the lower one
         knuckle = wrist + jnp.stack([jnp.zeros(()), way * 0.3 * palm])
-        inner, joint = link(knuckle, jnp.asarray(way * 0.5 * math.pi), palm, finger_width)
-        outer, _ = link(joint, way * spread, tip, finger_width)
+        inner, joint = link(knuckle, jnp.asarray(way * 0.5 * math.pi), palm, finger_width, beyond=0.5 * finger_width)
+        outer, _ = link(joint, way * spread, tip, finger_width, beyond=0.5 * finger_width)
         fingers += [inner, outer]
         closing, first = -way * side * limit, 3 + 2 * number
         hinges += [
@@ -947,7 +947,8 @@ def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
     room = fore + jnp.abs(jnp.sin(lean)) * upper + tip + 2.0 * size + 0.3
     x = draws.between(room, WORLD_SIZE_M - 0.9)
     middle = jnp.stack([jnp.where(side < 0.0, x, WORLD_SIZE_M - x), y])
-    within = wrist + mirrored(finger_width + size + draws.between(0.03, 0.15), draws.between(-0.2, 0.6) * palm)
+    inside = finger_width + size + draws.between(0.03, 0.15)
+    within = wrist + jnp.stack([side * inside, draws.between(-0.2, 0.6) * palm])
     disc_x = wrist[0] + side * draws.between(-0.4, 0.25)
     on_disc = jnp.stack([disc_x, FLOOR_TOP_M + 2.0 * pedestal + size + CLEARANCE_M - y])
     parts = [
@@ -1005,12 +1006,15 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
         hinges.append(Hinge(a=2 * number, b=2 * number + 1, at=pivot, limit=limit))
     ball, radius, y = draws.between(0.1, 0.18), draws.between(0.15, 0.35), FLOOR_TOP_M + draws.between(0.7, 1.4)
     ceiling = WORLD_SIZE_M - WALL_MARGIN_M - y
+
+    def lowest(x: Array, disc: Array) -> Array:
+        """The y at which a disc of that radius touches a flipper or, beyond its pivot, the guide."""
+        return (width + disc) / jnp.cos(slope) + jnp.maximum(x - gap - length, 0.0) * jnp.tan(slope)
+
     ball_x = draws.between(0.62, 1.3)
-    beyond = jnp.maximum(ball_x - gap - length, 0.0)  # the pivot, above a guide
-    ball_y = draws.between((width + ball) / jnp.cos(slope) + beyond * jnp.tan(slope) + 0.05, 2.0)
+    ball_y = draws.between(lowest(ball_x, ball) + 0.05, 2.0)
     parts.append(Part(position=jnp.stack([-side * ball_x, ball_y]), radius=ball, role=Role.GREEN))
     goal_x = draws.between(0.8, 1.9)
-    above_guide = (width + radius) / jnp.cos(slope) + jnp.maximum(goal_x - gap - length, 0.0) * jnp.tan(slope)
     # One in the middle and one beside the wall, where the disc does not begin.
     for low, high, largest in ((-0.08, 0.08, 0.35), (1.75, 2.1, 0.22)):
         at = jnp.stack([-side * draws.between(low, high), draws.between(1.0, ceiling - 0.4)])
@@ -1019,7 +1023,7 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
         parts=parts,
         hinges=hinges,
         middle=jnp.stack([jnp.full((), 0.5 * WORLD_SIZE_M), y]),
-        goal=jnp.stack([side * goal_x, draws.between(jnp.maximum(0.9, above_guide), ceiling - radius)]),
+        goal=jnp.stack([side * goal_x, draws.between(jnp.maximum(0.9, lowest(goal_x, radius)), ceiling - radius)]),
         goal_radius=radius,
         colours_in_turn=draws.chance(0.6),
         floor_is_red=draws.chance(0.7),

@@ -132,10 +132,12 @@ def test_a_flyer_has_jets_that_carry_it() -> None:
         stands = [k for k in obstacles if abs(low[row, k, 1] - FLOOR_TOP_M) < 1e-4]
         hangs = [k for k in obstacles if abs(high[row, k, 1] - WORLD_SIZE_M) < 1e-4]
         if len(stands) + len(hangs) == 3:
-            begins, ends = np.sort(low[row, obstacles, 0]), np.sort(high[row, obstacles, 0])
-            apart = (begins[1:] - ends[:-1]) > 2.0 * (size[row] + 0.25) - 1e-4
+            begins, ends = low[row, obstacles, 0], high[row, obstacles, 0]
+            between = np.maximum(begins[:, None] - ends, begins - ends[:, None])
+            is_apart = (between > 2.0 * (size[row] + 0.25) - 1e-4) | np.eye(3, dtype=bool)
             num_threes += 1
-            assert apart.any() and (high[row, stands, 1] < WORLD_SIZE_M - 2.0 * (size[row] + 0.25) + 1e-4).all()
+            assert is_apart.all(axis=1).any()
+            assert (high[row, stands, 1] < WORLD_SIZE_M - 2.0 * (size[row] + 0.25) + 1e-4).all()
             assert (low[row, hangs, 1] > FLOOR_TOP_M + 2.0 * (size[row] + 0.25) - 1e-4).all()
         if len(obstacles) != 2 or len(stands) != 1 or len(hangs) != 1:
             continue
@@ -150,8 +152,7 @@ def test_a_flyer_has_jets_that_carry_it() -> None:
         assert max(between, apart) > 2.0 * (size[row] + 0.25) - 1e-4
         assert high[row, below, 1] < WORLD_SIZE_M - 2.0 * (size[row] + 0.25) + 1e-4
         assert low[row, above, 1] > FLOOR_TOP_M + 2.0 * (size[row] + 0.25) - 1e-4
-    assert 0.35 < num_pairs / NUM_LEVELS < 0.72, num_threes
-    assert num_threes > 0.02 * NUM_LEVELS
+    assert 0.35 < num_pairs / NUM_LEVELS < 0.72 and num_threes > 0.02 * NUM_LEVELS
     assert num_beyond > 0.02 * num_pairs and num_staggered > 0.4 * num_pairs
     # Whatever is in the way is to one side of it and of the goal to the other.
     is_green, is_blue = levels.shape_role == Role.GREEN, levels.shape_role == Role.BLUE
@@ -633,9 +634,8 @@ def test_a_pendulum_hangs_from_a_motor_and_its_goal_is_higher_than_its_end() -> 
         assert (has_motor.sum(axis=1) >= 1).all()
         # Held level it pulls with m g reach / 2; a motor gives 900 times its power times the inertia of what it turns.
         count = (joints.active & (joints.kind == JointKind.REVOLUTE)).sum(axis=1)
-        end = np.where(count, reach, 1.0)
         power = np.where(has_motor, joints.motor_power, 0.0).max(axis=1)
-        weak = power < 6.0 * 9.81 * count**3 / (900.0 * end)
+        weak = power < 6.0 * 9.81 * count**3 / (900.0 * reach)
         assert 0.7 < weak.mean() < 0.9
 
 
@@ -644,14 +644,13 @@ def test_a_ramp_is_before_a_red_slab_with_the_goal_beyond() -> None:
     shapes, role = levels.scene.shapes, levels.shape_role
     is_fixed = shapes.active & (shapes.inverse_mass == 0)
     is_fixed[:, :NUM_WALLS] = False
-    is_ramp = is_fixed & (role == Role.NONE)
-    red, ramp = (is_fixed & (role == Role.RED)), is_ramp
-    assert (red.sum(1) == 1).all() and (ramp.sum(1) == 1).all()
-    goal, slab, ramp_at = (levels.position[mask][:, 0] for mask in (role == Role.BLUE, red, ramp))
+    is_red, is_ramp = (is_fixed & (role == wanted) for wanted in (Role.RED, Role.NONE))
+    assert (is_red.sum(1) == 1).all() and (is_ramp.sum(1) == 1).all()
+    goal, slab, ramp = (levels.position[mask][:, 0] for mask in (role == Role.BLUE, is_red, is_ramp))
     side = np.sign(goal - slab)
     moves = shapes.active & (shapes.inverse_mass > 0) & (role != Role.BLUE)
     car = np.where(moves, levels.position[..., 0] * side[:, None], -np.inf).max(axis=1) * side
-    order = np.stack([car, ramp_at, slab, goal]) * side
+    order = np.stack([car, ramp, slab, goal]) * side
     assert (np.diff(order, axis=0) > 0.05).all() and 0.4 < (side > 0).mean() < 0.6
     assert (np.sign(levels.angle[is_ramp]) == side).all()  # it rises towards the goal
     lowest = bottoms_of(levels)
@@ -660,7 +659,7 @@ def test_a_ramp_is_before_a_red_slab_with_the_goal_beyond() -> None:
     assert 0.3 < wheel_is_green.mean() < 0.5
 
 
-def test_the_fingers_of_a_gripper_close_on_its_box() -> None:
+def test_the_fingers_of_a_gripper_close() -> None:
     levels, polygons = levels_of("l", "gripper"), SIZES["l"].polygons
     shapes, joints, role = levels.scene.shapes, levels.scene.joints, levels.shape_role
     assert (joints.active.sum(axis=1) == 6).all() and (joints.kind[joints.active] == JointKind.REVOLUTE).all()
@@ -676,6 +675,20 @@ def test_the_fingers_of_a_gripper_close_on_its_box() -> None:
     colours = np.sort(np.where(one_way, levels.motor_colour, 9), axis=1)
     assert (colours[:, 0] == colours[:, 1]).all() and (colours[:, 2] == colours[:, 3]).all()
     assert (colours[:, 1] != colours[:, 2]).all()
+    # Seen from the arm the upper one turns down and the lower one up: clockwise, where the hand is to the right, and
+    # counter-clockwise. Of a joint the part with fewer joints is further out.
+    for row in range(NUM_LEVELS):
+        a, b = (ends[row][joints.active[row]] for ends in (joints.a, joints.b))
+        num_joints = np.bincount(np.concatenate([a, b]), minlength=levels.position.shape[1])
+        forearm = np.argmax(num_joints == 3)
+        place = levels.position[row]
+        for joint in np.flatnonzero(one_way[row]):
+            a, b = joints.a[row, joint], joints.b[row, joint]
+            outer = a if num_joints[a] < num_joints[b] else b
+            turn = joints.lower_limit[row, joint] + joints.upper_limit[row, joint]  # of b from a
+            turn = turn if outer == b else -turn
+            side, above = np.sign(place[outer] - place[forearm])
+            assert np.sign(turn) == -side * above
 
 
 def test_the_disc_of_a_pinball_level_falls_onto_the_flipper_away_from_the_goal() -> None:
