@@ -73,10 +73,9 @@ def exported(
             program = export.export(jax.jit(function), disabled_checks=allowed)(*arguments)
             return bytes(program.serialize())
 
-    versions = jax.__version__, jaxlib.__version__, np.__version__
     shapes = [(str(x.shape), str(x.dtype), str(x.sharding)) for x in arguments]
     of_process = [(name, getattr(jax.config, name, None)) for name in _OF_PROCESSES]  # None: not in this version
-    asked_for = repr((_SOURCES, versions, jax.default_backend(), made_from, shapes, settings, of_process))
+    asked_for = repr((*sources_and_versions(), jax.default_backend(), made_from, shapes, settings, of_process))
     # In a thread of its own: what is being traced here, and on which mesh, is not part of it.
     with ThreadPoolExecutor(1) as thread:
         content = thread.submit(contextvars.copy_context().run, cached, kind, asked_for, make).result()
@@ -99,6 +98,11 @@ def _sources() -> str:
             digest.update(f"{file.relative_to(folder)} {len(content)}\n".encode())
             digest.update(content)
     return digest.hexdigest()
+
+
+def sources_and_versions() -> tuple[str, tuple[str, ...]]:
+    """What all that is kept in the compile cache depends on."""
+    return _SOURCES, (jax.__version__, jaxlib.__version__, np.__version__)
 
 
 # Of the modules as this process has them: a file may change while it runs.

@@ -7,8 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
-from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, select_arrays
+from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, select_arrays
 from kinetix_dist.config import TrainConfig, differences, from_dict, to_dict
+from kinetix_dist.models.added_layers import GATE_BIAS
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
@@ -209,3 +210,40 @@ def test_what_makes_another_policy_of_the_same_parameters_is_said(unbroken):
         "policy.max_qk_norm 2.0 instead of 0.0",
         "policy.num_heads 4 instead of 8",
     )
+
+
+@pytest.mark.parametrize("unbroken", ["local"], indirect=True)
+def test_a_run_with_more_layers_starts_from_a_policy_with_fewer(unbroken, tmp_path):
+    """What was learned is taken as it is, the layers that it lacks are added, and their number is said."""
+    config, path, _, _ = unbroken
+    parent = list_checkpoints(path / "checkpoints")[-1]
+    policy = dataclasses.replace(config.policy, num_layers=config.policy.num_layers + 1)
+    run = dataclasses.replace(config.run, start_from=str(parent), total_env_steps=STEPS)
+    child = dataclasses.replace(tiny_config(num_updates=1), policy=policy, run=run)
+    assert starting_point(child).differs == ("policy.num_layers 2 instead of 1",)
+    _train(child, tmp_path / "child", resume=False)
+    given = select_arrays(load_checkpoint(parent).arrays, "learner/average")
+    first = load_checkpoint(list_checkpoints(tmp_path / "child" / "checkpoints")[0])
+    learned = select_arrays(first.arrays, "learner/params")
+    added = learned.keys() - given.keys()
+    assert added and all("_1_" in name for name in added) and not given.keys() - learned.keys()
+    # A few steps of Adam at 1e-3 away from what was given, and from what was added.
+    assert all(np.abs(learned[name] - array).max() < 0.1 for name, array in given.items())
+    (bias,) = (array for name, array in learned.items() if name.endswith("attention_1_gate_bias"))
+    assert np.abs(bias - GATE_BIAS).max() < 0.1
+    shallower = dataclasses.replace(config, phases=(), run=dataclasses.replace(run, start_from=str(first.path)))
+    with pytest.raises(CheckpointError, match=r"array params/\S+_1_\S+ is not expected"):
+        starting_point(shallower)
+
+
+@pytest.mark.parametrize("unbroken", ["local"], indirect=True)
+def test_an_optimiser_of_fewer_layers_and_layers_for_another_network_are_refused(unbroken):
+    config, path, _, _ = unbroken
+    run = dataclasses.replace(config.run, start_from=str(list_checkpoints(path / "checkpoints")[-1]))
+    deeper = dataclasses.replace(config.policy, num_layers=2)
+    with_optimizer = dataclasses.replace(run, start_optimizer=True)
+    with pytest.raises(CheckpointError, match=r"policy.num_layers is 2 and the optimiser of .* is of 1; leave it out"):
+        starting_point(dataclasses.replace(config, phases=(), policy=deeper, run=with_optimizer))
+    other = dataclasses.replace(deeper, encoder_size=16)  # layers are added to nothing but the same network
+    with pytest.raises(CheckpointError, match=r"array params/\S+ is float32"):
+        starting_point(dataclasses.replace(config, phases=(), policy=other, run=run))

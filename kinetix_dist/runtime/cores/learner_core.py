@@ -7,13 +7,14 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import flax
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
 from jax2d.scene import Array
-from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
+from kinetix_dist.checkpoint import flatten_arrays, select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.config import PpoConfig
@@ -22,11 +23,14 @@ from kinetix_dist.learner.exported_update import exported_update
 from kinetix_dist.learner.sharding import local_values, replicate
 from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import make_update
+from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.agents import some_observation
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
 from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START
 from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
+from kinetix_dist.telemetry.exported_program import are_of_this_project
+from kinetix_dist.telemetry.kept_shapes import kept_shapes
 
 
 class LearnerCore:
@@ -46,11 +50,13 @@ class LearnerCore:
         """From a checkpoint's arrays, or afresh from the seed, or afresh with the parameters of another run."""
         given = select_arrays(arrays or {}, START)
         if arrays is not None and not given:
-            state = unflatten_arrays(jax.eval_shape(self._init), select_arrays(arrays, LEARNER))
+            shapes = _shapes_of_state(self._config, self._env, self._policy)
+            state = unflatten_arrays(shapes, select_arrays(arrays, LEARNER))
         else:
             state = local_values(self._init())
             if given:  # counters, key and what the guard has left are those of a new run
-                params = unflatten_arrays(state.params, select_arrays(given, PARAMS))
+                deep_enough = with_added_layers(select_arrays(given, PARAMS), flatten_arrays(state.params))
+                params = unflatten_arrays(state.params, deep_enough)
                 average = None if state.average is None else params
                 state = dataclasses.replace(state, params=params, average=average)
             if optimizer := select_arrays(given, OPTIMIZER):  # else all zeros, whatever the parameters
@@ -92,9 +98,27 @@ def _init_program(config: TrainConfig, env: Environment, policy: Any) -> Callabl
 
 
 def initial_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
-    """Parameters drawn from the seed; the observation of any level gives the shapes."""
-    key = stream(config.run.seed, INIT)
+    """Parameters drawn from the seed."""
+    return config.ppo.initial_state(_initial_params(config, env, policy), stream(config.run.seed, SHUFFLE))
+
+
+def _initial_params(config: TrainConfig, env: Environment, policy: Any) -> Any:
+    """The observation of any level gives the shapes."""
     obs = jax.eval_shape(lambda: some_observation(config, env))
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), obs)
-    params = init_params(policy, zeros, key)
-    return config.ppo.initial_state(params, stream(config.run.seed, SHUFFLE))
+    return init_params(policy, zeros, stream(config.run.seed, INIT))
+
+
+def _shapes_of_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
+    """Of `initial_state`; those of parameters from the compile cache, unless code from elsewhere makes them."""
+
+    def trace() -> Any:
+        return jax.eval_shape(lambda: _initial_params(config, env, policy))
+
+    if config.run.plugins or not are_of_this_project(policy, env.observation):
+        params = trace()
+    else:
+        observation = type(env.observation).__module__, type(env.observation).__qualname__, vars(env.observation)
+        params = kept_shapes((flax.__version__, type(policy).__module__, policy, observation, config.env), trace)
+    key = stream(config.run.seed, SHUFFLE)
+    return jax.eval_shape(lambda params: config.ppo.initial_state(params, key), params)

@@ -18,10 +18,11 @@ from kinetix_dist.config import TrainConfig, differing, from_dict_for_playing
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX, load_policy
+from kinetix_dist.models.policy import NETWORKS
 from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START, one_level
 
-# Of `policy`: parameters have the same shapes whatever these are.
-_FUNCTION = ("network", "num_heads", "max_qk_norm")
+# Of `policy`: parameters have the same shapes whatever these are, or are added (models/added_layers.py).
+_FUNCTION = ("network", "num_heads", "max_qk_norm", "num_layers")
 LINEAGE = "lineage"  # in the description of a checkpoint: where it comes from, the oldest first
 # Of a checkpoint's description, what its children keep of it.
 _KEPT = ("config_hash", "num_updates", "env_steps", "training_seconds")
@@ -37,8 +38,9 @@ class Start:
 
 
 def starting_point(config: TrainConfig) -> Start:
-    """Raises CheckpointError, one line, where there is no such checkpoint, where it is of another network or of other
-    settings of the engine, or where it holds no optimiser and that is asked for."""
+    """Raises CheckpointError, one line, where there is no such checkpoint, where it is of another network (but for
+    layers that this run has more of) or of other settings of the engine, or where it holds no optimiser, or one of
+    fewer layers, and that is asked for."""
     if not config.run.start_from:
         return Start()
     path = Path(config.run.start_from)
@@ -47,21 +49,29 @@ def starting_point(config: TrainConfig) -> Start:
     checkpoint = load_checkpoint(path)
     if not config.run.start_other_engine:
         _check_engine(checkpoint, config.env)
+    ours, theirs = config.policy, from_dict_for_playing(checkpoint.description["config"]).policy
+    is_deeper = NETWORKS[ours.network].has_attention and ours.num_layers > theirs.num_layers
     optimizer = select_arrays(checkpoint.arrays, f"{LEARNER}/{OPTIMIZER}")
     if config.run.start_optimizer and not optimizer:
         raise CheckpointError(
             f"run.start_optimizer: {checkpoint.path} holds the parameters of a policy and no optimiser; name a "
             "checkpoint of a run, or leave it out"
         )
+    if config.run.start_optimizer and is_deeper:
+        raise CheckpointError(
+            f"run.start_optimizer: policy.num_layers is {ours.num_layers} and the optimiser of {checkpoint.path} is of "
+            f"{theirs.num_layers}; leave it out where layers are added"
+        )
     env = Environment(dataclasses.replace(config.env, effect_groups=0))  # for shapes
+    # The learner adds layers that are missing: it has parameters as they are initialised.
+    policy = dataclasses.replace(ours, num_layers=theirs.num_layers) if is_deeper else ours
     try:
-        _, params = load_policy(checkpoint, config.policy, env, one_level(config))
+        _, params = load_policy(checkpoint, policy, env, one_level(config))
     except ValueError as error:
         raise CheckpointError(
             f"run.start_from: {checkpoint.path} does not fit policy.*, env.observation and env.action_space of this "
             f"run: {error}"
         ) from error
-    ours, theirs = config.policy, from_dict_for_playing(checkpoint.description["config"]).policy
     differs = differing(*({f"policy.{name}": getattr(policy, name) for name in _FUNCTION} for policy in (ours, theirs)))
     arrays = flatten_arrays({PARAMS: params})
     if config.run.start_optimizer:
