@@ -394,6 +394,8 @@ _OFF = {
     "policy.max_qk_norm": 0.0,
     "curriculum.sizes": [],
     "curriculum.generator.varied_share": 0.0,
+    "curriculum.generator.edited_share": 0.0,
+    "curriculum.generator.num_changes": 2,
     "curriculum.generator.locomotion_weights": [],
     "curriculum.learnable_only": False,
 }

@@ -67,9 +67,13 @@ def unroll(
     num_worlds = _num_worlds(worlds.obs)
     world_keys = _world_keys(key, jnp.arange(num_worlds) if numbers is None else numbers)
 
+    @jax.jit  # traced once for the steps and for the value behind the last one
+    def play(params: Any, obs: Any, memory: Array | None) -> tuple[Any, Array, Array | None]:
+        return act(policy, params, obs, memory)
+
     def step(carry: tuple, number: Array) -> tuple[tuple, Trajectory]:
         env_state, obs, memory, outcome = carry
-        outputs, value, memory = act(policy, params, env.observe(prepared, obs), memory)
+        outputs, value, memory = play(params, env.observe(prepared, obs), memory)
         uniforms = _uniforms(world_keys, number, distribution.num_uniforms)
         actions, log_prob = distribution.sample(outputs, uniforms, **counted)
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
@@ -88,7 +92,7 @@ def unroll(
     (env_state, obs, memory, outcome), trajectory = invariants.scan(
         step, carry, jnp.arange(num_steps, dtype=jnp.uint32)
     )
-    _, last_value, _ = act(policy, params, env.observe(prepared, obs), memory)
+    _, last_value, _ = play(params, env.observe(prepared, obs), memory)
     return Played(trajectory, env_state, obs, last_value, outcome)
 
 

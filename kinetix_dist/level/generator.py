@@ -33,6 +33,7 @@ from kinetix_dist.level.draft import (
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
 from kinetix_dist.level.locomotion import locomotion_draft
+from kinetix_dist.level.mutators import mutate
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose, shape_mass
 from kinetix_dist.level.roles import Role
@@ -44,15 +45,18 @@ _NUM_FIRST = 3  # green, blue, and the shape that a forced motor needs
 _NUM_THRUSTER_DRAWS = 9
 _LOCOMOTION_STREAM = 0x4C4F  # "LO": folded into a level's key
 _VARIETY_STREAM = 0x5641  # "VA"
+_EDITS_STREAM = 0x4544  # "ED"
 
 
 def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     """One random level. Exactly one green and one blue, at least one motor or thruster. Consumes `key`.
 
-    A share `config.locomotion_share` of the levels are those of `locomotion.py`; of all of them `config.varied_share`
-    are varied by `variety.py`.
+    A share `config.locomotion_share` of the levels are those of `locomotion.py`; of all of them `config.edited_share`
+    are changed by `mutators.py`, and `config.varied_share` are varied by `variety.py`.
     """
     level = _level(key, capacity, config)
+    if config.edited_share > 0.0:
+        level = _edited(jax.random.fold_in(key, _EDITS_STREAM), level, capacity, config)
     if config.varied_share == 0.0:
         return level
     return vary(jax.random.fold_in(key, _VARIETY_STREAM), level, config.varied_share)
@@ -61,6 +65,14 @@ def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> L
 def _level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     draft, order = _draft(key, capacity, config)
     return derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
+
+
+def _edited(key: Array, level: Level, capacity: Capacity, config: GeneratorConfig) -> Level:
+    """The level, or after `config.num_changes` changes."""
+    coin_key, changes_key = jax.random.split(key)
+    is_edited = jax.random.uniform(coin_key) < config.edited_share
+    after, _ = mutate(changes_key, level, capacity, config, config.num_changes)
+    return jax.tree.map(lambda new, old: jnp.where(is_edited, new, old), after, level)
 
 
 def _draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Draft, Array]:

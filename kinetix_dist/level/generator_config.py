@@ -39,7 +39,7 @@ ALL_KINDS = (
     "pinball",
 )
 _CHANCES = (
-    "locomotion_share", "varied_share",
+    "locomotion_share", "varied_share", "edited_share",
     "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",
     "motor_on_chance", "forced_motor_on_chance", "limits_chance", "fixed_joint_chance", "thruster_aligned_chance",
     "joined_shape_chance", "free_shape_chance", "thruster_chance", "floor_blue_chance", "floor_red_chance",
@@ -97,6 +97,9 @@ class GeneratorConfig:
     locomotion_weights: tuple[float, ...] = ()  # of the kinds, in their order; empty: all are equally likely
     # Levels, of all of these, with other powers, densities, frictions and so on, see `variety.py`
     varied_share: float = 0.0
+    # Levels, of all of these, after so many random changes, see `mutators.py`; before they are varied
+    edited_share: float = 0.0
+    num_changes: int = 2
 
     def __post_init__(self) -> None:
         for name in _CHANCES:
@@ -112,6 +115,8 @@ class GeneratorConfig:
         for name in ("num_proposals", "num_proposals_s"):
             if getattr(self, name) < 1:
                 raise ValueError(f"GeneratorConfig.{name} is {getattr(self, name)}; draw at least 1")
+        if self.num_changes < 1:
+            raise ValueError(f"GeneratorConfig.num_changes is {self.num_changes}; change 1 thing at least")
         if self.min_revolute_joints < 0:
             raise ValueError(f"GeneratorConfig.min_revolute_joints is {self.min_revolute_joints}; it must be 0 or more")
         if unknown := [name for name in self.published_details if name not in PUBLISHED_DETAILS]:

@@ -102,6 +102,48 @@ def test_effects_stay_in_the_loop(capfd):
     assert capfd.readouterr().out.count("a step") == 3
 
 
+@jax.jit
+def twice(x, known):
+    return 2.0 * x + known
+
+
+@jax.jit
+def with_more_inside(x, known):
+    return twice(x, known) * jnp.exp(known)
+
+
+@jax.jit
+def passed_on(x, known):
+    return 3.0 * x, known
+
+
+def test_a_function_in_which_nothing_is_known_before_stays_one_call_and_others_are_opened():
+    """So that it is lowered once: `twice` three times in the loop, two of them the same function."""
+
+    def run(known):
+        def step(x, _):
+            x = twice(twice(x, known), known)
+            x = with_more_inside(x, known)  # exp(known) comes before
+            x, same = passed_on(x, known)
+            return x, x + jnp.log(same)  # so does this
+
+        return invariants.scan(step, jnp.ones(3), jnp.arange(2))
+
+    known = jnp.array([2.0, 2.0, 2.0])
+    traced = jax.make_jaxpr(run)(known)
+    [loop] = [each for each in traced.jaxpr.eqns if each.primitive.name == "scan"]
+    operations = loop.params["jaxpr"].jaxpr.eqns
+    called = [each.params["jaxpr"] for each in operations if each.primitive.name in ("jit", "pjit")]
+    assert len(called) == 3 and called[0] is called[1] is called[2]
+    assert not {"exp", "log"} & primitives_in_loops(traced)
+    x, y, expected = 1.0, [], run(known)
+    for _ in range(2):
+        x = 3.0 * ((2.0 * (2.0 * (2.0 * x + 2.0) + 2.0) + 2.0) * np.exp(2.0))
+        y.append(x + np.log(2.0))
+    np.testing.assert_allclose(expected[0], x, rtol=1e-5)
+    np.testing.assert_allclose(expected[1][:, 0], y, rtol=1e-5)
+
+
 @pytest.mark.parametrize("by", [0, 1, 2])
 def test_a_gradient_is_refused(by):
     """It would lack the rule of `product`, without a word."""
