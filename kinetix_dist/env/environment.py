@@ -261,15 +261,19 @@ class Environment:
 
     def restart(self, prepared: PreparedLevels, done: Array, env_state: EnvState, obs: Any) -> tuple[EnvState, Any]:
         """First state and observation of a level where `done` [W], else those given."""
-        first_state, first_obs = self.reset(prepared)
+        return self.select(prepared, done, self.reset(prepared), (env_state, obs))
+
+    def select(
+        self, prepared: PreparedLevels, mask: Array, chosen: tuple[EnvState, Any], other: tuple[EnvState, Any]
+    ) -> tuple[EnvState, Any]:
+        """State and observation: `chosen` in worlds where mask [W], else `other`."""
+        (new, new_obs), (old, old_obs) = chosen, other
         return EnvState(
-            packed_state=self.stepper.select(
-                prepared.packed_scene, done, first_state.packed_state, env_state.packed_state
-            ),
-            distance=select_worlds_first(done, first_state.distance, env_state.distance),
-            num_steps=select_worlds_first(done, first_state.num_steps, env_state.num_steps),
-            episode_return=select_worlds_first(done, first_state.episode_return, env_state.episode_return),
-        ), select_worlds_first(done, first_obs, obs)
+            packed_state=self.stepper.select(prepared.packed_scene, mask, new.packed_state, old.packed_state),
+            distance=select_worlds_first(mask, new.distance, old.distance),
+            num_steps=select_worlds_first(mask, new.num_steps, old.num_steps),
+            episode_return=select_worlds_first(mask, new.episode_return, old.episode_return),
+        ), select_worlds_first(mask, new_obs, old_obs)
 
 
 def _is_finite(moving: Moving) -> Array:

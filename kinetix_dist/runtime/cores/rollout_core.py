@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax2d.scene import Array
+from kinetix_dist.actors.random_starts import after_random_actions
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.buffer_share import members
@@ -22,7 +23,7 @@ from kinetix_dist.level.fit import size_numbers
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
-from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, stream
+from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, STARTS, stream
 
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
 SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
@@ -117,14 +118,25 @@ class RolloutCore:
         static = StaticInput(
             obs=prepared.static_obs, bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None
         )
+        numbers, start = members(groups, worlds_per_group), env.reset(prepared)
+        if config.rollout.random_start_share:
+            start = after_random_actions(
+                env,
+                prepared,
+                *start,
+                jax.random.fold_in(stream(config.run.seed, STARTS), num_updates),
+                numbers,
+                share=config.rollout.random_start_share,
+                max_steps=config.rollout.random_start_steps,
+            )
         played = unroll(
             policy,
             params,
             env,
-            Worlds(prepared, *env.reset(prepared)),
+            Worlds(prepared, *start),
             play_key,
             config.rollout.num_steps,
-            numbers=members(groups, worlds_per_group),
+            numbers=numbers,
             bound_heads=static.bound_heads,
             keep_timeouts=config.ppo.bootstrap_timeouts,
         )

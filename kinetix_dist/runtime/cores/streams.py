@@ -9,7 +9,7 @@ import jax
 from jax2d.scene import Array
 
 # Folded into the key of the seed, then whatever varies within a stream.
-INIT, LEVELS, PLAY, SHUFFLE, CURATE, TEACHER, ANTAGONIST, PROBE = range(8)
+INIT, LEVELS, PLAY, SHUFFLE, CURATE, TEACHER, ANTAGONIST, PROBE, STARTS = range(9)
 
 
 def stream(seed: int, number: int) -> Array:
