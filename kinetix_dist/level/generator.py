@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, Thrusters
+from jax2d.scene import Capacity, JointKind, Thrusters
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
@@ -68,10 +68,13 @@ def _level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
 
 
 def _edited(key: Array, level: Level, capacity: Capacity, config: GeneratorConfig) -> Level:
-    """The level, or after `config.num_changes` changes."""
+    """The level, or after `config.num_changes` changes, unless they leave nothing that an action drives."""
     coin_key, changes_key = jax.random.split(key)
-    is_edited = jax.random.uniform(coin_key) < config.edited_share
     after, _ = mutate(changes_key, level, capacity, config, config.num_changes)
+    joints = after.scene.joints
+    drives = joints.active & joints.motor_on & ~joints.is_kind(JointKind.FIXED) & ~after.motor_auto
+    has_control = drives.any() | after.scene.thrusters.active.any()
+    is_edited = (jax.random.uniform(coin_key) < config.edited_share) & has_control
     return jax.tree.map(lambda new, old: jnp.where(is_edited, new, old), after, level)
 
 

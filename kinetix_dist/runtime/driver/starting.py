@@ -50,7 +50,13 @@ def starting_point(config: TrainConfig) -> Start:
     if not config.run.start_other_engine:
         _check_engine(checkpoint, config.env)
     ours, theirs = config.policy, from_dict_for_playing(checkpoint.description["config"]).policy
-    is_deeper = NETWORKS[ours.network].has_attention and ours.num_layers > theirs.num_layers
+    have_layers = NETWORKS[ours.network].has_attention and NETWORKS[theirs.network].has_attention
+    is_deeper = have_layers and ours.num_layers > theirs.num_layers
+    if have_layers and ours.num_layers < theirs.num_layers:
+        raise CheckpointError(
+            f"run.start_from: {checkpoint.path} has {theirs.num_layers} layers and policy.num_layers is "
+            f"{ours.num_layers}; set it to {theirs.num_layers}, or to more: layers can be added and not left out"
+        )
     optimizer = select_arrays(checkpoint.arrays, f"{LEARNER}/{OPTIMIZER}")
     if config.run.start_optimizer and not optimizer:
         raise CheckpointError(
