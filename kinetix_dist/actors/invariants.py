@@ -37,12 +37,11 @@ def scan(step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, xs: Any) -> tu
     opened: list[bool] = []  # of each call of a jitted function, in order
 
     def before_loop(operation: JaxprEqn, operands: list[Any]) -> list[Any]:
-        is_known = not operation.effects and not any(value is UNKNOWN for value in operands)
-        known.append(_computed(operation, operands) if is_known else None)
+        known.append(_computed(operation, operands) if _is_known(operation, operands) else None)
         return known[-1] or [UNKNOWN] * len(operation.outvars)
 
     def is_opened(called: ClosedJaxpr, operands: list[Any]) -> bool:
-        opened.append(_gives_known(called, [value is not UNKNOWN for value in operands]))
+        opened.append(_gives_known(called, operands))
         return opened[-1]
 
     _go_through(traced, [UNKNOWN] * len(traced.in_avals), before_loop, is_opened)
@@ -107,31 +106,23 @@ def _go_through(
     return [read(variable) for variable in inner.outvars]
 
 
-def _gives_known(called: ClosedJaxpr, given: Sequence[bool]) -> bool:
-    """Whether something in a function, or a result of it, is known before the loop. given: which operands are."""
-    found, results = _known_in(called, given)
-    return found or any(results)
-
-
-def _known_in(called: ClosedJaxpr, given: Sequence[bool]) -> tuple[bool, list[bool]]:
-    """(whether an operation is computed before the loop, which results are known there)"""
-    inner: Jaxpr = called.jaxpr
-    flags = dict(zip([*inner.constvars, *inner.invars], [True] * len(inner.constvars) + list(given), strict=True))
-
-    def is_known(variable: Any) -> bool:
-        return isinstance(variable, Literal) or flags[variable]
-
+def _gives_known(called: ClosedJaxpr, operands: Sequence[Any]) -> bool:
+    """Whether an operation of a function, or a result of it, is known before the loop."""
     found = False
-    for operation in inner.eqns:
-        name, operands = operation.primitive.name, [is_known(variable) for variable in operation.invars]
-        if name in _CALLS:
-            inside, results = _known_in(operation.params[_CALLS[name]], operands)
-        else:
-            of_known = not operation.effects and all(operands)
-            inside, results = of_known and name not in _REPEATS, [of_known] * len(operation.outvars)
-        found = found or inside
-        flags.update(zip(operation.outvars, results, strict=True))
-    return found, [is_known(variable) for variable in inner.outvars]
+
+    def look(operation: JaxprEqn, operands: list[Any]) -> list[Any]:
+        nonlocal found
+        is_known = _is_known(operation, operands)
+        found |= is_known and operation.primitive.name not in _REPEATS
+        return [None if is_known else UNKNOWN] * len(operation.outvars)
+
+    results = _go_through(called, operands, look, lambda called, operands: True)
+    return found or any(value is not UNKNOWN for value in results)
+
+
+def _is_known(operation: JaxprEqn, operands: list[Any]) -> bool:
+    """Whether it can be computed before the loop."""
+    return not operation.effects and not any(value is UNKNOWN for value in operands)
 
 
 def _computed(operation: JaxprEqn, operands: list[Any]) -> list[Any]:

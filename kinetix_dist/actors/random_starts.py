@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.actors.unroll import keys_of_worlds
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
 
@@ -39,7 +40,7 @@ def after_random_actions(
     key: a typed key, used up. numbers: [W] of these worlds in the whole batch; what happens to a world depends on the
     key and its number alone.
     """
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, numbers.astype(jnp.uint32))
+    keys = keys_of_worlds(key, numbers)
     draw_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
     coin, length, hold = jax.vmap(lambda key: jax.random.uniform(key, (3,)), out_axes=1)(draw_keys)
     num_steps = jnp.where(coin < share, 1 + jnp.floor(length * max_steps).astype(jnp.int32), 0)

@@ -65,7 +65,7 @@ def unroll(
     counted = {} if bound_heads is None else {"bound": bound_heads}
     distribution = env.action_distribution
     num_worlds = _num_worlds(worlds.obs)
-    world_keys = _world_keys(key, jnp.arange(num_worlds) if numbers is None else numbers)
+    world_keys = keys_of_worlds(key, jnp.arange(num_worlds) if numbers is None else numbers)
 
     @jax.jit  # traced once for the steps and for the value behind the last one
     def play(params: Any, obs: Any, memory: Array | None) -> tuple[Any, Array, Array | None]:
@@ -108,7 +108,7 @@ def score(
     distribution = env.action_distribution
     env_state, obs = env.reset(prepared)
     num_worlds = _num_worlds(obs)
-    world_keys = _world_keys(key, jnp.arange(num_worlds))
+    world_keys = keys_of_worlds(key, jnp.arange(num_worlds))
 
     def step(carry: tuple, number: Array) -> tuple[tuple, None]:
         env_state, obs, memory, outcome = carry
@@ -135,7 +135,8 @@ def _num_worlds(obs: Any) -> int:
     return jax.tree.leaves(obs)[0].shape[0]
 
 
-def _world_keys(key: Array, numbers: Array) -> Array:
+def keys_of_worlds(key: Array, numbers: Array) -> Array:
+    """[W] typed keys, each by the number of a world in the whole batch."""
     return jax.vmap(jax.random.fold_in, (None, 0))(key, numbers.astype(jnp.uint32))
 
 

@@ -26,7 +26,7 @@ from kinetix_dist.learner.update import IN_SPECS, METRICS, Update, make_update
 from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.kernels.cuda_kernel import TARGET
 from kinetix_dist.models.kernels.support import traced_for
-from kinetix_dist.telemetry.exported_program import are_of_this_project, current_settings, exported
+from kinetix_dist.telemetry.exported_program import are_of_this_project, current_settings, exported, told_apart
 
 KIND = "updates"  # folder in the compile cache
 
@@ -51,7 +51,7 @@ def exported_update(
         return update
     made_from = (
         (flax.__version__, optax.__version__),
-        *((type(part).__module__, type(part).__qualname__, vars(part)) for part in (observation, distribution)),
+        *(told_apart(part) for part in (observation, distribution)),
         (type(policy).__module__, policy),
         (config, division),
     )

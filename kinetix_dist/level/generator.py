@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.fields import Array
-from jax2d.scene import Capacity, JointKind, Thrusters
+from jax2d.scene import Capacity, Thrusters
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
@@ -31,7 +31,7 @@ from kinetix_dist.level.draft import (
     write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
+from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level, obeying_motors
 from kinetix_dist.level.locomotion import locomotion_draft
 from kinetix_dist.level.mutators import mutate
 from kinetix_dist.level.permute import num_permutation_draws, permute_slots
@@ -71,9 +71,7 @@ def _edited(key: Array, level: Level, capacity: Capacity, config: GeneratorConfi
     """The level, or after `config.num_changes` changes, unless they leave nothing that an action drives."""
     coin_key, changes_key = jax.random.split(key)
     after, _ = mutate(changes_key, level, capacity, config, config.num_changes)
-    joints = after.scene.joints
-    drives = joints.active & joints.motor_on & ~joints.is_kind(JointKind.FIXED) & ~after.motor_auto
-    has_control = drives.any() | after.scene.thrusters.active.any()
+    has_control = obeying_motors(after).any() | after.scene.thrusters.active.any()
     is_edited = (jax.random.uniform(coin_key) < config.edited_share) & has_control
     return jax.tree.map(lambda new, old: jnp.where(is_edited, new, old), after, level)
 

@@ -10,7 +10,7 @@ import dataclasses
 import jax
 
 from jax2d.fields import Array, array, part
-from jax2d.scene import Capacity, Scene
+from jax2d.scene import Capacity, JointKind, Scene
 
 NUM_MOTOR_COLOURS = 4
 NUM_THRUSTER_COLOURS = 2
@@ -39,3 +39,12 @@ class Level:
     motor_colour: Array = array("J", int, "0..NUM_MOTOR_COLOURS-1")
     motor_auto: Array = array("J", bool, "always runs forward whatever the action")
     thruster_colour: Array = array("T", int, "0..NUM_THRUSTER_COLOURS-1")
+
+
+def obeying_motors(level: Level) -> Array:
+    """[J] bool, of a batch [W, J]: motors that do what the action of their colour says.
+
+    The joint is there, is not fixed, has its motor on, and the motor does not run by itself.
+    """
+    joints = level.scene.joints
+    return joints.active & joints.motor_on & ~joints.is_kind(JointKind.FIXED) & ~level.motor_auto

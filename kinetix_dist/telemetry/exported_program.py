@@ -88,6 +88,11 @@ def are_of_this_project(*parts: object) -> bool:
     return all(type(part).__module__.partition(".")[0] in own for part in parts)
 
 
+def told_apart(part: object) -> tuple[str, str, dict[str, Any]]:
+    """An object for a key: its class and its attributes."""
+    return type(part).__module__, type(part).__qualname__, vars(part)
+
+
 def _sources() -> str:
     """A checksum of all modules and kernels of this project."""
     digest = hashlib.sha256()

@@ -7,11 +7,12 @@ Python in every process that resumes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
+from flax.traverse_util import flatten_dict, unflatten_dict
 
 from kinetix_dist.telemetry.cached_files import cached
 from kinetix_dist.telemetry.exported_program import current_settings, sources_and_versions
@@ -29,22 +30,15 @@ def kept_shapes(made_from: object, make: Callable[[], Any]) -> Any:
 
     def content() -> bytes:
         made = make()
-        rows = [
-            ([entry.key for entry in path], list(leaf.shape), leaf.dtype.name)
-            for path, leaf in jax.tree_util.tree_leaves_with_path(made)
-        ]
-        assert jax.tree.structure(_nested(rows)) == jax.tree.structure(made), "these are no nested dictionaries"
+        rows = [(path, leaf.shape, leaf.dtype.name) for path, leaf in flatten_dict(made).items()]
+        assert jax.tree.structure(_tree(rows)) == jax.tree.structure(made), "these are no nested dictionaries"
         return json.dumps(rows).encode()
 
     asked_for = repr((sources_and_versions(), current_settings(), made_from))
-    return _nested(json.loads(cached(KIND, asked_for, content)))
+    return _tree(json.loads(cached(KIND, asked_for, content)))
 
 
-def _nested(rows: list[tuple[list[str], list[int], str]]) -> dict[str, Any]:
-    tree: dict[str, Any] = {}
-    for (*path, name), shape, dtype in rows:
-        inner = tree
-        for key in path:
-            inner = inner.setdefault(key, {})
-        inner[name] = jax.ShapeDtypeStruct(tuple(shape), np.dtype(dtype))
-    return tree
+def _tree(rows: Iterable[tuple[Sequence[str], Sequence[int], str]]) -> dict[str, Any]:
+    return unflatten_dict(
+        {tuple(path): jax.ShapeDtypeStruct(tuple(shape), np.dtype(dtype)) for path, shape, dtype in rows}
+    )

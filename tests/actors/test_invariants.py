@@ -118,7 +118,7 @@ def passed_on(x, known):
 
 
 def test_a_function_in_which_nothing_is_known_before_stays_one_call_and_others_are_opened():
-    """So that it is lowered once: `twice` three times in the loop, two of them the same function."""
+    """So that it is lowered once: three calls in the loop, one function."""
 
     def run(known):
         def step(x, _):

@@ -29,7 +29,7 @@ from kinetix_dist.runtime.cores.agents import some_observation
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
 from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START
 from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
-from kinetix_dist.telemetry.exported_program import are_of_this_project
+from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
 from kinetix_dist.telemetry.kept_shapes import kept_shapes
 
 
@@ -118,7 +118,7 @@ def _shapes_of_state(config: TrainConfig, env: Environment, policy: Any) -> Lear
     if config.run.plugins or not are_of_this_project(policy, env.observation):
         params = trace()
     else:
-        observation = type(env.observation).__module__, type(env.observation).__qualname__, vars(env.observation)
-        params = kept_shapes((flax.__version__, type(policy).__module__, policy, observation, config.env), trace)
+        made_from = flax.__version__, type(policy).__module__, policy, told_apart(env.observation), config.env
+        params = kept_shapes(made_from, trace)
     key = stream(config.run.seed, SHUFFLE)
     return jax.eval_shape(lambda params: config.ppo.initial_state(params, key), params)
