@@ -2,6 +2,9 @@
 
 Works inside jit, scan, shard_map and vmap on CPU and CUDA. Batches are explicit (leading world axis on every
 field of Scene and State); axes that `vmap` maps are folded into the worlds. There are no gradients.
+
+A program names the kernels that it launches, and Warp knows the launches that were traced in its process. So a program
+that another process traced (`jax.export`) needs `Launch.register` first.
 """
 
 from __future__ import annotations
@@ -9,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import re
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -44,6 +48,9 @@ from jax2d.yielding_joints import yields
 STATE_ARGUMENT = 4
 STATE_TABLES = ("state_table", "impulse_table", "key_table")
 
+_STEPS_SHIFT = 32  # of the number of a launch: steps of physics, and below them worlds
+_IN_PROGRAM = re.compile(r"custom_call @(\w+)\(.*?\blaunch_id = (\d+)")
+_VARIANTS: dict[str, KernelVariant] = {}  # of this process, by the name that programs call them by
 _TRACING = threading.Lock()  # several threads may trace programs, but share a kernel and the number of its launch
 
 
@@ -260,7 +267,7 @@ def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Ca
             call = call_for(worlds)
             # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by
             # what it says instead, equal programs are equal in every process and found in the compile cache.
-            call.launch_id = (num_steps << 32) | worlds
+            call.launch_id = (num_steps << _STEPS_SHIFT) | worlds
             return tuple(call(*tables, num_steps, launch_dims=worlds, output_dims=shapes))
 
     @launch.def_vmap
@@ -298,4 +305,53 @@ def _jax_call(variant: KernelVariant) -> Any:
     # on a GPU it may let a call write straight into the stacked results of a scan, with other memory for the input. So
     # the kernel takes both, and copies where they differ; with `in_out_argnames` it would read what was never written.
     call.input_output_aliases = {STATE_ARGUMENT + table: table for table in range(len(STATE_TABLES))}
+    _VARIANTS[call.name] = variant
     return call
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Launch:
+    """A launch of a kernel in a program."""
+
+    target: str  # by which the program calls the kernel
+    variant: KernelVariant
+    num_steps: int
+    num_worlds: int
+
+    def register(self) -> None:
+        """What tracing it would do: the kernel is loaded, and known by its name and with this launch."""
+        wp.init()
+        call, c = _jax_call(self.variant), self.variant.capacity
+        assert call.name == self.target, f"a program calls {self.target}, which is {call.name} here"
+        rows = Layout(c, self.variant.report_contacts).rows()
+
+        def table(name: str, dtype: Any) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct((max(1, rows[name]["ROWS"]), self.num_worlds), dtype)
+
+        tables = [
+            table("SCENE", jnp.float32),
+            table("INTS", jnp.int32),
+            table("CONTROLS", jnp.float32),
+            jax.ShapeDtypeStruct((len(PARAMETERS),), jnp.float32),
+            table("STATE", jnp.float32),
+            table("IMPULSE", jnp.float32),
+            jax.ShapeDtypeStruct((c.contact_slots, self.num_worlds), jnp.int32),
+        ]
+        jax.eval_shape(_launch(lambda worlds: call, rows["OUT"]["ROWS"], self.num_steps), *tables)
+
+
+def targets() -> list[str]:
+    """The names by which programs that were traced in this process may call kernels."""
+    return list(_VARIANTS)
+
+
+def launches_of(program: str) -> list[Launch]:
+    """Those in a program that this process lowered, given as text (MLIR), each once."""
+    found = {}
+    for target, number in _IN_PROGRAM.findall(program):
+        if target in _VARIANTS:
+            num_steps, num_worlds = divmod(int(number), 1 << _STEPS_SHIFT)
+            found[target, number] = Launch(
+                target=target, variant=_VARIANTS[target], num_steps=num_steps, num_worlds=num_worlds
+            )
+    return list(found.values())

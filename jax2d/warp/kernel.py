@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 
 import warp as wp
 
@@ -12,7 +13,11 @@ from jax2d.warp.variant import KernelVariant
 
 @functools.cache
 def make_kernel(variant: KernelVariant) -> wp.Kernel:
-    """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time."""
+    """Builds (once a process) the kernel for what is compiled in; numbers of the settings come at run time.
+
+    Its name says which variant it is: Warp would number kernels in the order in which a process makes them, and
+    programs call them by name.
+    """
 
     @wp.func_native(kernel_source(variant))
     def step_world(
@@ -35,12 +40,6 @@ def make_kernel(variant: KernelVariant) -> wp.Kernel:
         out_table: wp.array2d[wp.int32],
     ): ...
 
-    @wp.kernel(
-        module="unique",
-        module_options=variant.options.module_options,
-        enable_backward=False,
-        **variant.options.kernel_options,
-    )
     def step_worlds(
         # Scene:
         scene_table: wp.array2d[wp.float32],
@@ -78,4 +77,11 @@ def make_kernel(variant: KernelVariant) -> wp.Kernel:
             out_table,
         )
 
-    return step_worlds
+    step_worlds.__qualname__ = f"step_worlds_{hashlib.sha256(repr(variant).encode()).hexdigest()[:16]}"
+    return wp.kernel(
+        step_worlds,
+        module="unique",
+        module_options=variant.options.module_options,
+        enable_backward=False,
+        **variant.options.kernel_options,
+    )

@@ -45,6 +45,7 @@ METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "l
 
 # How what an update takes lies on a mesh: learner state, static, trajectory, last value.
 IN_SPECS = PartitionSpec(), PartitionSpec(DATA_AXIS), PartitionSpec(None, DATA_AXIS), PartitionSpec(DATA_AXIS)
+OUT_SPECS = PartitionSpec(), PartitionSpec()  # and what it gives: learner state, metrics
 
 Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
 
@@ -99,7 +100,7 @@ def make_update(
         return _update(program, state, static, trajectory, last_value)
 
     # Gradients are summed by hand, all leaves in one psum.
-    on_mesh = on_devices(local_update, mesh, in_specs=IN_SPECS, out_specs=(PartitionSpec(), PartitionSpec()))
+    on_mesh = on_devices(local_update, mesh, in_specs=IN_SPECS, out_specs=OUT_SPECS)
 
     def update(
         state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array

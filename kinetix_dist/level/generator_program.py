@@ -19,8 +19,7 @@ from jax2d.scene import Array, Capacity
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.walls import empty_level
-from kinetix_dist.telemetry.exported_program import Settings, current_settings, exported
+from kinetix_dist.telemetry.exported_program import Program, Settings, current_settings, exported
 
 KIND = "levels"  # folder in the compile cache
 
@@ -30,7 +29,7 @@ def draw_levels(keys: Array, capacity: Capacity, config: GeneratorConfig) -> Lev
     data = jax.random.key_data(keys)
     backend, key_impl = jax.default_backend(), str(jax.random.key_impl(keys))
     program = _program(capacity, config, backend, key_impl, data.shape[1:], current_settings())
-    return jax.tree.unflatten(jax.tree.structure(empty_level(capacity)), program.call(data))
+    return program(data)
 
 
 @functools.cache
@@ -41,12 +40,11 @@ def _program(
     key_impl: str,
     key_shape: tuple[int, ...],
     settings: Settings,
-) -> export.Exported:
-    """Of `key_data` [n, ...] uint32, the leaves of levels."""
+) -> Program:
+    """`key_data` [n, ...] uint32 -> levels [n, ...]."""
 
-    def one(data: Array) -> list[Array]:
-        level = generate_level(jax.random.wrap_key_data(data, impl=key_impl), capacity, config)
-        return jax.tree.leaves(level)
+    def one(data: Array) -> Level:
+        return generate_level(jax.random.wrap_key_data(data, impl=key_impl), capacity, config)
 
     del backend  # for which it is exported
     (number,) = export.symbolic_shape("n")

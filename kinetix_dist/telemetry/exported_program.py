@@ -9,10 +9,11 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import hashlib
+import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jaxlib
@@ -48,30 +49,61 @@ def current_settings() -> Settings:
     return tuple((name, getattr(jax.config, name)) for name in _SETTINGS)
 
 
+class Program(NamedTuple):
+    """A function that another process may have traced."""
+
+    exported: export.Exported
+    results: Any  # structure of what it gives
+
+    def __call__(self, *arguments: Array) -> Any:
+        return jax.tree.unflatten(self.results, self.exported.call(*arguments))
+
+
+class _Stored(NamedTuple):
+    """A program as a file has it."""
+
+    program: bytes
+    results: Any  # what it gives, with numbers for arrays
+    launches: list[Any]  # of kernels of the engine, `jax2d.warp.ffi.Launch`
+
+
 def exported(
     kind: str,
     made_from: object,
-    function: Callable[..., Sequence[Array]],
+    function: Callable[..., Any],
     arguments: Sequence[jax.ShapeDtypeStruct],
     settings: Settings,
     *,
     custom_calls: Sequence[str] = (),
-) -> export.Exported:
+) -> Program:
     """`function` of `arguments`, from the compile cache where it is on and another process has written it there.
 
     kind: folder of the cache. made_from: all that the program depends on beside the arguments, the sources of this
     project, the versions of JAX and numpy, the backend and `settings` (`current_settings`); its repr is part of the
-    key. function: of arrays, gives arrays; it is traced if there is no such file. arguments: with the shardings they
-    come with, where these matter. custom_calls: targets that the program may call beside those that JAX keeps stable.
+    key. function: of arrays; it is traced if there is no such file. arguments: with the shardings they come with, where
+    these matter. custom_calls: targets that the program may call beside those that JAX keeps stable and the engine's.
     """
 
     def make() -> bytes:
+        from jax2d.warp import ffi  # here: not for whoever draws no level
+
+        structures = []
+
+        def of_leaves(*leaves: Array) -> list[Array]:
+            found, structure = jax.tree.flatten(function(*leaves))
+            structures.append(structure)
+            return found
+
         with contextlib.ExitStack() as stack:  # a thread begins with those of the process
             for name, value in settings:
                 stack.enter_context(_SETTINGS[name](value))
-            allowed = [export.DisabledSafetyCheck.custom_call(target) for target in custom_calls]
-            program = export.export(jax.jit(function), disabled_checks=allowed)(*arguments)
-            return bytes(program.serialize())
+            program = jax.jit(of_leaves)
+            program.trace(*arguments)  # from now on kernels have names
+            allowed = [export.DisabledSafetyCheck.custom_call(name) for name in (*custom_calls, *ffi.targets())]
+            made = export.export(program, disabled_checks=allowed)(*arguments)
+            (structure,) = structures  # it is traced once
+            numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
+            return pickle.dumps(_Stored(bytes(made.serialize()), numbered, ffi.launches_of(made.mlir_module())))
 
     shapes = [(str(x.shape), str(x.dtype), str(x.sharding)) for x in arguments]
     of_process = [(name, getattr(jax.config, name, None)) for name in _OF_PROCESSES]  # None: not in this version
@@ -79,7 +111,10 @@ def exported(
     # In a thread of its own: what is being traced here, and on which mesh, is not part of it.
     with ThreadPoolExecutor(1) as thread:
         content = thread.submit(contextvars.copy_context().run, cached, kind, asked_for, make).result()
-    return export.deserialize(bytearray(content))
+    stored: _Stored = pickle.loads(content)  # by a process that may write programs there
+    for launch in stored.launches:
+        launch.register()
+    return Program(export.deserialize(bytearray(stored.program)), jax.tree.structure(stored.results))
 
 
 def are_of_this_project(*parts: object) -> bool:

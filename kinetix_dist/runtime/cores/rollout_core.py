@@ -18,13 +18,16 @@ from kinetix_dist.curator.buffer_share import members
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.division import Division
+from kinetix_dist.learner.exported_on_mesh import exported_on_mesh
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
 from kinetix_dist.level.fit import size_numbers
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
 from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, STARTS, stream
+from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
 
+KIND = "rollouts"  # folder in the compile cache
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
 SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
 EPISODES = "episodes"  # in the sums of an update: those of each source and place of `Proposal.source`
@@ -44,7 +47,8 @@ class Batch(NamedTuple):
 class RolloutCore:
     """Plays the worlds of `groups` of every update.
 
-    division: of blocks of these groups over the devices of the mesh, by default of single ones.
+    division: of blocks of these groups over the devices of the mesh, by default of single ones. made_from: all that the
+    program depends on beside the sources of this project, see `exported`; None: it is traced in every process.
     """
 
     def __init__(
@@ -57,6 +61,7 @@ class RolloutCore:
         *,
         groups: range,
         division: Division | None = None,
+        made_from: str | None = None,
     ) -> None:
         self.division = division or Division(len(groups), mesh.devices.size)
         self._config = config
@@ -69,13 +74,17 @@ class RolloutCore:
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._mesh = mesh
         self._batch_specs = Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds)
-        self.program = jax.jit(
-            on_devices(
-                self._play_shard,
-                mesh,
-                in_specs=(whole, whole, whole),
-                out_specs=(self._batch_specs, worlds, whole),
-            )
+        specs: dict[str, Any] = {
+            "in_specs": (whole, whole, whole),
+            "out_specs": (self._batch_specs, worlds, whole),
+        }
+        on_mesh = on_devices(self._play_shard, mesh, **specs)
+
+        def rollout(params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
+            return on_mesh(params, state, num_updates)
+
+        self.program = (
+            jax.jit(rollout) if made_from is None else exported_on_mesh(KIND, made_from, rollout, mesh, **specs)
         )
 
     def play(self, params: Any, state: Any, num_updates: int) -> tuple[Batch, Seen | None, dict[str, Any]]:
@@ -173,8 +182,19 @@ def rollout_core(
     groups: range,
     division: Division | None = None,
 ) -> RolloutCore:
-    """A `RolloutCore`, the same for runs of equal settings and the same parts: it holds no state but its program."""
-    return _kept(settings_of_programs(config), env, policy, curriculum, mesh, groups=groups, division=division)
+    """A `RolloutCore`, the same for runs of equal settings and the same parts: it holds no state but its program.
+
+    env, policy, curriculum: those of the configuration. Code from outside of this project may change, and so may levels
+    that a curriculum is given: then the program is traced in every process.
+    """
+    settings = settings_of_programs(config)
+    parts = env.observation, env.action_space, env.action_distribution
+    is_told = not config.run.plugins and not config.curriculum.levels
+    made_from = None
+    if is_told and are_of_this_project(*parts, policy, curriculum):
+        told = *map(told_apart, parts), (type(policy).__module__, policy)
+        made_from = repr((settings, env.variants, *told, groups, division))
+    return _kept(settings, env, policy, curriculum, mesh, groups=groups, division=division, made_from=made_from)
 
 
 _kept = functools.lru_cache(maxsize=MAX_KEPT)(RolloutCore)
