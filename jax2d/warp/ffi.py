@@ -49,6 +49,7 @@ STATE_ARGUMENT = 4
 STATE_TABLES = ("state_table", "impulse_table", "key_table")
 
 _STEPS_SHIFT = 32  # of the number of a launch: steps of physics, and below them worlds
+_WORLDS = (1 << _STEPS_SHIFT) - 1
 _IN_PROGRAM = re.compile(r"custom_call @(\w+)\(.*?\blaunch_id = (\d+)")
 _VARIANTS: dict[str, KernelVariant] = {}  # of this process, by the name that programs call them by
 _TRACING = threading.Lock()  # several threads may trace programs, but share a kernel and the number of its launch
@@ -347,11 +348,10 @@ def targets() -> list[str]:
 
 def launches_of(program: str) -> list[Launch]:
     """Those in a program that this process lowered, given as text (MLIR), each once."""
-    found = {}
-    for target, number in _IN_PROGRAM.findall(program):
-        if target in _VARIANTS:
-            num_steps, num_worlds = divmod(int(number), 1 << _STEPS_SHIFT)
-            found[target, number] = Launch(
-                target=target, variant=_VARIANTS[target], num_steps=num_steps, num_worlds=num_worlds
-            )
-    return list(found.values())
+    found = {(name, int(number)) for name, number in _IN_PROGRAM.findall(program) if name in _VARIANTS}
+    called = {name for name in _VARIANTS if f"custom_call @{name}(" in program}
+    assert called == {name for name, _ in found}, f"calls of {called} without the numbers of their launches"
+    return [
+        Launch(target=name, variant=_VARIANTS[name], num_steps=number >> _STEPS_SHIFT, num_worlds=number & _WORLDS)
+        for name, number in sorted(found)
+    ]

@@ -70,6 +70,12 @@ def replicate(tree: Any, mesh: Mesh) -> Any:
     return jax.tree.map(lambda x: _place(x, replicated(mesh), global_shape=np.shape(x)), tree)
 
 
+def shapes_of_replicated(shapes: Any, mesh: Mesh) -> Any:
+    """What `replicate` gives of arrays of such shapes."""
+    whole = replicated(mesh)
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=whole), shapes)
+
+
 def shard_worlds(tree: Any, mesh: Mesh, *, axis: int = 0) -> Any:
     """Divides the worlds of this process (axis `axis` of every leaf) over its devices of the mesh."""
     num_processes = len({device.process_index for device in mesh.devices.flat})

@@ -41,7 +41,7 @@ def lowered() -> Iterator[list[tuple[str, str]]]:
 
 
 # Of rollout, update and scoring.
-PROGRAMS = {"jit(call)", "jit(update)", "jit(_score)"}
+PROGRAMS = {"jit(rollout)", "jit(update)", "jit(_score)"}
 
 
 @pytest.mark.parametrize("is_resumed", [False, True])
@@ -60,8 +60,8 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
 
     jax.clear_caches()  # programs are kept for workers of equal settings
     lowered.clear()
-    worker = Worker(config, mesh)
-    worker.start(arrays, update)
+    worker = Worker(config, mesh, update)
+    worker.start(arrays)
     # At once: it waits for the threads, else it would compile them too.
     if is_resumed:  # what traces beside an update slows its launch
         assert not worker._refresh_programs._jobs
@@ -84,8 +84,8 @@ def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_beside_that_
 
     jax.clear_caches()
     lowered.clear()
-    worker = Worker(config, mesh)
-    worker.start(None, 0)
+    worker = Worker(config, mesh, 0)
+    worker.start(None)
     rates = [worker.evaluate(use_policy) for use_policy in (False, True)]
     assert rates == expected
     assert sorted(thread == THREAD for name, thread in lowered if name == "jit(_attempt_chunk)") == [False, True]
@@ -128,7 +128,8 @@ def test_workers_that_work_beside_are_told_what_comes_first(works_beside):
     handle = _Handle()
 
     class Backend(LocalBackend):
-        def spawn(self, *arguments: Any) -> list[Any]:
+        def spawn(self, plans: Any, build: Any, *arguments: Any) -> list[Any]:
+            handle.call("build", *arguments)
             return [handle]
 
         def gather(self, tickets: Any) -> list[Any]:
@@ -139,8 +140,9 @@ def test_workers_that_work_beside_are_told_what_comes_first(works_beside):
 
     backend = Backend()
     backend.works_beside = works_beside
-    ColocatedTrainer(tiny_config(num_updates=8), backend, []).start(7, None)
-    assert handle.calls == [("start", None, 7 if works_beside else None)]
+    config = tiny_config(num_updates=8)
+    ColocatedTrainer(config, backend, []).start(7, None)
+    assert handle.calls == [("build", config, 7 if works_beside else None), ("start", None)]
 
 
 def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():

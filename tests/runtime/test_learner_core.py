@@ -11,7 +11,7 @@ import jax
 import pytest
 from flax import linen as nn
 
-from kinetix_dist.learner.exported_update import exported_update
+from kinetix_dist.learner.exported_on_mesh import exported_on_mesh
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import NETWORKS, init_params
 from kinetix_dist.runtime.cores import learner_core
@@ -32,7 +32,7 @@ def test_a_learner_exports_what_is_of_this_project_alone(monkeypatch: pytest.Mon
 
     def is_exported(config: Any) -> bool:
         learner = LearnerCore(config, make_environment(config), Playing(config, mesh).policy, mesh)
-        return learner._update.__module__ == exported_update.__module__
+        return learner._update.__module__ == exported_on_mesh.__module__
 
     config = tiny_config(num_updates=1)
     assert is_exported(config)

@@ -14,7 +14,9 @@ from jax.sharding import PartitionSpec
 
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh, on_devices
 from kinetix_dist.learner.update import make_update
-from kinetix_dist.runtime.cores.worker import Worker
+from kinetix_dist.runtime.cores.learner_core import LearnerCore
+from kinetix_dist.runtime.cores.playing import Playing
+from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 from tests.runtime.runs import tiny_config
 
 
@@ -43,16 +45,17 @@ def faults_of(program: Any, *arguments: Any) -> list[str]:
 def test_of_playing_and_of_learning(recurrent):
     config = tiny_config(num_updates=1)
     config = dataclasses.replace(config, policy=dataclasses.replace(config.policy, recurrent=recurrent))
-    worker = Worker(config, data_mesh(jax.devices()[:1]))
-    worker.start(None)
-    learner, play = worker._learner, worker._playing.rollout(worker._config).program
-    playing = (learner.params, jax.eval_shape(worker._state._curriculum.init), jnp.uint32(0))
-    assert faults_of(play, *playing) == []
-    batch, _, _ = jax.eval_shape(play, *playing)
-    env = learner._env  # traced: an exported program hides what it was made from
-    parts = learner._policy, env.observation, env.action_distribution
-    update = make_update(*parts, config.ppo, learner._mesh, division=learner.division)
-    assert faults_of(update, learner.state, *batch) == []
+    mesh = data_mesh(jax.devices()[:1])
+    playing, groups = Playing(config, mesh), range(config.rollout.num_groups)
+    env, policy, curriculum = playing.environment(config), playing.policy, playing.curriculum(config)
+    # Traced ones: an exported program hides what it was made from.
+    play = RolloutCore(config, env, policy, curriculum, mesh, groups=groups).program
+    update = make_update(policy, env.observation, env.action_distribution, config.ppo, mesh)
+    state = LearnerCore(config, env, policy, mesh).shapes
+    played = state.params, jax.eval_shape(curriculum.init), jnp.uint32(0)
+    assert faults_of(play, *played) == []
+    batch, _, _ = jax.eval_shape(play, *played)
+    assert faults_of(update, state, *batch) == []
 
 
 def test_inputs_that_are_empty_or_not_used_stay_what_they_were():

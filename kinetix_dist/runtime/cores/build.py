@@ -26,10 +26,11 @@ GC_THRESHOLD = (50_000, 10, 10)
 MODULES = (__name__, "jax2d.warp.ffi")  # all that a process imports, the engine too: for a server that forks processes
 
 
-def build_worker(index: int, num_processes: int, config: TrainConfig) -> Worker:
+def build_worker(index: int, num_processes: int, config: TrainConfig, ahead_of: int | None) -> Worker:
+    """ahead_of: see `Worker`."""
     del index, num_processes
     _prepare_process(config)
-    return Worker(config, data_mesh())
+    return Worker(config, data_mesh(), ahead_of)
 
 
 def build_learner(index: int, num_processes: int, config: TrainConfig) -> LearnerWorker:

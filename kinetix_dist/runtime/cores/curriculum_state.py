@@ -18,7 +18,7 @@ from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposa
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.sharding import local_values, replicate, replicated
+from kinetix_dist.learner.sharding import local_values, replicate, replicated, shapes_of_replicated
 from kinetix_dist.learner.update import advantages_of
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
@@ -106,12 +106,8 @@ class CurriculumState:
 
     @property
     def shapes(self) -> Any:
-        """What `placed` is, or will be once a first refresh is adopted: arrays, or their shapes and shardings."""
-        if self.placed is not None or not self._curriculum.refreshes:
-            return self.placed
-        whole = replicated(self._mesh)
-        init = jax.eval_shape(self._curriculum.init)
-        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=whole), init)
+        """Of `placed`, with its shardings; also before the start and a first refresh."""
+        return shapes_of_replicated(jax.eval_shape(self._curriculum.init), self._mesh)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
         metrics = self._curriculum.metrics(self.values, num_updates)

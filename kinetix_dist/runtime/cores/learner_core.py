@@ -20,7 +20,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.exported_update import exported_update
-from kinetix_dist.learner.sharding import local_values, replicate
+from kinetix_dist.learner.sharding import local_values, replicate, shapes_of_replicated
 from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import make_update
 from kinetix_dist.models.added_layers import with_added_layers
@@ -50,8 +50,7 @@ class LearnerCore:
         """From a checkpoint's arrays, or afresh from the seed, or afresh with the parameters of another run."""
         given = select_arrays(arrays or {}, START)
         if arrays is not None and not given:
-            shapes = _shapes_of_state(self._config, self._env, self._policy)
-            state = unflatten_arrays(shapes, select_arrays(arrays, LEARNER))
+            state = unflatten_arrays(self.shapes, select_arrays(arrays, LEARNER))
         else:
             state = local_values(self._init())
             if given:  # counters, key and what the guard has left are those of a new run
@@ -72,6 +71,11 @@ class LearnerCore:
         make = make_update if self._config.run.plugins else exported_update  # their code may change
         self._update = make(*parts, ppo, self._mesh, division=self.division)
 
+    @functools.cached_property
+    def shapes(self) -> LearnerState:
+        """Of `state`, with its shardings; also before the start."""
+        return shapes_of_replicated(_shapes_of_state(self._config, self._env, self._policy), self._mesh)
+
     @property
     def params(self) -> Any:
         assert self.state is not None, "start() comes first"
@@ -89,7 +93,7 @@ class LearnerCore:
 
     def compile(self, static: Any, trajectory: Any, last_value: Any) -> None:
         """For `learn` from arrays like these, of which shapes and shardings are enough."""
-        self._update.lower(self.state, static, trajectory, last_value).compile()
+        self._update.lower(self.shapes, static, trajectory, last_value).compile()
 
 
 @functools.lru_cache(maxsize=MAX_KEPT)
@@ -120,5 +124,8 @@ def _shapes_of_state(config: TrainConfig, env: Environment, policy: Any) -> Lear
     else:
         made_from = flax.__version__, type(policy).__module__, policy, told_apart(env.observation), config.env
         params = kept_shapes(made_from, trace)
-    key = stream(config.run.seed, SHUFFLE)
-    return jax.eval_shape(lambda params: config.ppo.initial_state(params, key), params)
+
+    def state(params: Any) -> LearnerState:
+        return config.ppo.initial_state(params, stream(config.run.seed, SHUFFLE))
+
+    return jax.eval_shape(state, params)

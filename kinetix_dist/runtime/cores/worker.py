@@ -139,37 +139,40 @@ class LearnerWorker:
 class Worker(LearnerWorker):
     """Worlds on the devices of a learner shard: batches never leave them."""
 
-    def __init__(self, config: TrainConfig, mesh: Mesh) -> None:
+    def __init__(self, config: TrainConfig, mesh: Mesh, ahead_of: int | None = None) -> None:
+        """ahead_of: programs of that update are compiled in threads from now on, while the process does what comes
+        before it, and those of the next refresh by workers too, after that update where it is not the first; where the
+        process has cores enough. None: each when it is first used."""
         super().__init__(config, mesh)
         self._update_programs, self._refresh_programs = ahead.Ahead(), ahead.Ahead()
         self._evaluation_programs = ahead.Ahead()
         self._after_update: Callable[[], None] | None = None  # begun in a thread after the next one
-
-    def start(self, arrays: Mapping[str, np.ndarray] | None, ahead_of: int | None = None) -> None:
-        """ahead_of: programs of that update are compiled in threads from now on, while the process does what comes
-        before it, and those of the next refresh by workers too, after that update where it is not the first; where the
-        process has cores enough."""
-        super().start(arrays)
-        if ahead_of is not None and ahead.has_cores():
-            rollout, released = self._playing.rollout(self._enter_phase_of(ahead_of)), self.released()
+        self._ahead_of = ahead_of if ahead.has_cores() else None
+        if self._ahead_of is not None:  # shapes are enough: it does not wait for a checkpoint
+            rollout = self._playing.rollout(self._enter_phase_of(self._ahead_of))
             self._update_programs.begin(lambda: self._compile_update(rollout))
-            is_new = ahead_of == 0
-            if is_new and jax.process_index() == 0:  # it begins with evaluations, see `training_run.py`
-                self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(released))
-            has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
-            if self._config.workers_curate and has_part:
-                version = self._config.curriculum.next_refresh(ahead_of)
 
-                def compile_refresh() -> None:
-                    self._curator.compile_ahead(released, version)
+    def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
+        super().start(arrays)
+        if self._ahead_of is None:
+            return
+        released, is_new = self.released(), self._ahead_of == 0
+        if is_new and jax.process_index() == 0:  # it begins with evaluations, see `training_run.py`
+            self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(released))
+        has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
+        if self._config.workers_curate and has_part:
+            version = self._config.curriculum.next_refresh(self._ahead_of)
 
-                if is_new:
-                    self._refresh_programs.begin(compile_refresh)
-                else:  # it makes an update first, and threads that trace take turns with those that launch programs
-                    self._after_update = compile_refresh
+            def compile_refresh() -> None:
+                self._curator.compile_ahead(released, version)
+
+            if is_new:
+                self._refresh_programs.begin(compile_refresh)
+            else:  # it makes an update first, and threads that trace take turns with those that launch programs
+                self._after_update = compile_refresh
 
     def _compile_update(self, rollout: RolloutCore) -> None:
-        program, batch = rollout.traced(self._learner.params, self._state.shapes)
+        program, batch = rollout.traced(self._learner.shapes.params, self._state.shapes)
         lowered = program.lower()
         # What is compiled last decides, and threads that trace take turns: not before this.
         self._update_programs.begin(lambda: self._learner.compile(*batch))

@@ -40,10 +40,11 @@ class ColocatedTrainer:
         """A group is started as a whole: the processes of a broken one are ended first, whichever still live."""
         self.backend.kill(self._handles)
         self._handles = []
-        self._handles = self.backend.spawn(self._plans, build_worker, self._config)
-        stored = None if arrays is None else self.backend.put(dict(arrays))
-        # While these compile, the first evaluation is worked out, or curators work out a refresh that was in flight.
-        self._all("start", stored, num_updates if self.backend.works_beside else None)
+        # While they compile, a checkpoint gets to them, the first evaluation is worked out, or curators work out a
+        # refresh that was in flight.
+        ahead_of = num_updates if self.backend.works_beside else None
+        self._handles = self.backend.spawn(self._plans, build_worker, self._config, ahead_of)
+        self._all("start", None if arrays is None else self.backend.put(dict(arrays)))
 
     def place(self, placement: Placement) -> None:
         self._plans = placement.of("worker")

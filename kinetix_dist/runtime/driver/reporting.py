@@ -20,7 +20,6 @@ from kinetix_dist.telemetry.sinks.background import BackgroundSink, RowSink
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 from kinetix_dist.telemetry.sinks.prometheus import PrometheusSink
-from kinetix_dist.telemetry.sinks.tensorboard import TensorboardSink, new_event_file
 
 DROPPED_ROWS, DROPPED_WRITES = "telemetry/dropped_rows", "telemetry/dropped_writes"
 
@@ -137,5 +136,8 @@ class _Points:
         self._path: Path | None = None
 
     def open(self) -> RowSink:
+        # Not before the first row: tensorboardX imports PyTorch where that is installed, which takes a second and more.
+        from kinetix_dist.telemetry.sinks.tensorboard import TensorboardSink, new_event_file
+
         self._path = self._path or new_event_file(self._directory)
         return TensorboardSink(self._path, purge_after=self._purge_after)

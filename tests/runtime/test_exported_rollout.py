@@ -1,0 +1,84 @@
+"""The exported rollout: bit for bit the traced one, and a second process reads it instead of tracing."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import pytest
+
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.env.observations import OBSERVATIONS, EntityObservation
+from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.runtime.cores import rollout_core as module
+from kinetix_dist.runtime.cores.playing import Playing
+from kinetix_dist.runtime.cores.rollout_core import KIND
+from tests.helpers import compile_cache, environment_of_cpus
+from tests.runtime import exported_rollout_program
+from tests.runtime.runs import tiny_config
+
+
+def test_another_process_reads_it_and_plays_the_same_bits(tmp_path: Path) -> None:
+    with compile_cache(tmp_path):
+        module._kept.cache_clear()
+        traced, exported = (exported_rollout_program.play(is_exported=is_exported) for is_exported in (False, True))
+        module._kept.cache_clear()
+    assert exported["content"] == traced["content"]
+    assert exported["traced"] == 1
+    (file,) = (tmp_path / KIND).iterdir()
+    written = file.stat().st_mtime_ns
+    command = [sys.executable, exported_rollout_program.__file__, str(tmp_path)]
+    found = subprocess.run(command, env=environment_of_cpus(1), check=True, capture_output=True, text=True).stdout
+    assert json.loads(found.splitlines()[-1]) == {"traced": 0, "content": traced["content"]}
+    assert [file.stat().st_mtime_ns for file in (tmp_path / KIND).iterdir()] == [written]
+
+
+class OfAUser(EntityObservation):
+    """Whose code may change."""
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """What the program of a configuration is told to depend on; None: it is traced in every process."""
+
+    def made_from(config: TrainConfig) -> str | None:
+        found: list[str | None] = []
+        monkeypatch.setattr(module, "_kept", lambda *parts, made_from, **others: found.append(made_from))
+        Playing(config, data_mesh(jax.devices()[:1])).rollout(config)
+        return found[0]
+
+    return made_from
+
+
+def test_what_is_not_of_this_project_is_traced_in_every_process(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tiny_config(num_updates=1)
+    assert told(config) is not None
+    plugins = dataclasses.replace(config.run, plugins=("tests.runtime.fake_curriculum",))
+    assert told(dataclasses.replace(config, run=plugins)) is None
+    given = CurriculumConfig(name="fixed", levels="designed_s")  # files, which may change too
+    assert told(dataclasses.replace(config, curriculum=given)) is None
+    monkeypatch.setattr(OBSERVATIONS, "_parts", {**OBSERVATIONS._parts, "of_a_user": OfAUser()})
+    of_a_user = dataclasses.replace(config.env, observation="of_a_user")
+    assert told(dataclasses.replace(config, env=of_a_user)) is None
+
+
+def test_what_changes_a_rollout_makes_another_program(told: Any) -> None:
+    config = tiny_config(num_updates=1)
+    longer = dataclasses.replace(config.run, total_env_steps=config.run.total_env_steps * 2)
+    assert told(dataclasses.replace(config, run=longer)) == told(config)
+    another_seed = dataclasses.replace(config.run, seed=config.run.seed + 1)
+    penalty = dataclasses.replace(config.env, failure_penalty=config.env.failure_penalty + 0.5)
+    generator = dataclasses.replace(config.curriculum.generator, thruster_chance=0.5)
+    changed = [
+        dataclasses.replace(config, run=another_seed),
+        dataclasses.replace(config, env=penalty),
+        dataclasses.replace(config, curriculum=dataclasses.replace(config.curriculum, generator=generator)),
+        dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, num_groups=2)),
+    ]
+    assert len({told(one) for one in (config, *changed)}) == 1 + len(changed)
