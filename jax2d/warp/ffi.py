@@ -348,10 +348,11 @@ def targets() -> list[str]:
 
 def launches_of(program: str) -> list[Launch]:
     """Those in a program that this process lowered, given as text (MLIR), each once."""
-    found = {(name, int(number)) for name, number in _IN_PROGRAM.findall(program) if name in _VARIANTS}
-    called = {name for name in _VARIANTS if f"custom_call @{name}(" in program}
+    variants = dict(_VARIANTS)  # another thread may add one
+    found = {(name, int(number)) for name, number in _IN_PROGRAM.findall(program) if name in variants}
+    called = {name for name in variants if f"custom_call @{name}(" in program}
     assert called == {name for name, _ in found}, f"calls of {called} without the numbers of their launches"
     return [
-        Launch(target=name, variant=_VARIANTS[name], num_steps=number >> _STEPS_SHIFT, num_worlds=number & _WORLDS)
+        Launch(target=name, variant=variants[name], num_steps=number >> _STEPS_SHIFT, num_worlds=number & _WORLDS)
         for name, number in sorted(found)
     ]

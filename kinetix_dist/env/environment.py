@@ -110,13 +110,7 @@ class Environment:
         was made without; inside jit `StepInfo.missing_effects` says so.
         """
         self._check_levels(levels)
-        if self.observation.working_bytes:
-            check_fits(
-                levels.position.shape[0],
-                self.observation.working_bytes,
-                what=f"observations {self.config.observation!r} of worlds:",
-                advice="play fewer worlds at once",
-            )
+        self.check_memory(levels.position.shape[0])
         if self.engine.effects != Effects.full(self.capacity):
             self.engine.pack_scene(levels.scene)  # names what is missing, if anything is
         return self._jit_prepare(levels)
@@ -156,6 +150,16 @@ class Environment:
 
     def _physics(self, prepared: PreparedLevels, env_state: EnvState, controls: Controls) -> tuple[Any, Touching]:
         return self.stepper.step(prepared.packed_scene, env_state.packed_state, controls, self.config.frame_skip)
+
+    def check_memory(self, num_worlds: int) -> None:
+        """Raises DeviceMemoryError where the device cannot observe so many worlds at once."""
+        if self.observation.working_bytes:
+            check_fits(
+                num_worlds,
+                self.observation.working_bytes,
+                what=f"observations {self.config.observation!r} of worlds:",
+                advice="play fewer worlds at once",
+            )
 
     def _check_levels(self, levels: Level) -> None:
         """Compares the shapes of a batch of levels with the capacity of this environment."""

@@ -12,6 +12,8 @@ import hashlib
 import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,11 +36,35 @@ _SETTINGS: dict[str, Callable[[Any], Any]] = {
     "jax_default_prng_impl": jax.default_prng_impl,
 }
 _OF_PROCESSES = (
+    "eager_constant_folding",
+    "jax_allow_f16_reductions",
+    "jax_custom_vjp3",
+    "jax_disable_jit",
+    "jax_enable_custom_prng",
+    "jax_error_checking_behavior_divide",
+    "jax_error_checking_behavior_nan",
+    "jax_error_checking_behavior_oob",
+    "jax_explicit_x64_dtypes",
+    "jax_high_dynamic_range_gumbel",
+    "jax_legacy_prng_key",
+    "jax_mosaic_allow_hlo",
+    "jax_numpy_rank_promotion",
+    "jax_pallas_enable_debug_checks",
+    "jax_pallas_poison_buffers",
+    "jax_pallas_use_mosaic_gpu",
+    "jax_ragged_dot_use_ragged_dot_instruction",
     "jax_random_seed_offset",
+    "jax_remat3",
+    "jax_scan3",
     "jax_softmax_custom_jvp",
+    "jax_threefry_gpu_kernel_lowering",
     "jax_use_direct_linearize",
     "jax_use_shardy_partitioner",
+    "jax_use_simplified_jaxpr_constants",
 )
+# Modules without which a process cannot load a program with such a call: this one says in an environment variable where
+# the library is that starts the kernels. Who traces a kernel has imported it.
+_NEEDED_BY_CALLS = {"@mosaic_gpu": "jax.experimental.mosaic.gpu"}
 _SOURCE_FILES = (".py", ".cu", ".cuh")
 _PACKAGES = jax2d, kinetix_dist
 Settings = tuple[tuple[str, Any], ...]
@@ -65,6 +91,7 @@ class _Stored(NamedTuple):
     program: bytes
     results: Any  # what it gives, with numbers for arrays
     launches: list[Any]  # of kernels of the engine, `jax2d.warp.ffi.Launch`
+    modules: list[str]  # that have to be imported before it is loaded
 
 
 def exported(
@@ -79,9 +106,10 @@ def exported(
     """`function` of `arguments`, from the compile cache where it is on and another process has written it there.
 
     kind: folder of the cache. made_from: all that the program depends on beside the arguments, the sources of this
-    project, the versions of JAX and numpy, the backend and `settings` (`current_settings`); its repr is part of the
-    key. function: of arrays; it is traced if there is no such file. arguments: with the shardings they come with, where
-    these matter. custom_calls: targets that the program may call beside those that JAX keeps stable and the engine's.
+    project, the versions of JAX, numpy and Warp, the backend and `settings` (`current_settings`); its repr is part of
+    the key. function: of arrays; it is traced if there is no such file. arguments: with the shardings they come with,
+    where these matter. custom_calls: targets that the program may call beside those that JAX keeps stable and the
+    engine's.
     """
 
     def make() -> bytes:
@@ -103,7 +131,9 @@ def exported(
             made = export.export(program, disabled_checks=allowed)(*arguments)
             (structure,) = structures  # it is traced once
             numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
-            return pickle.dumps(_Stored(bytes(made.serialize()), numbered, ffi.launches_of(made.mlir_module())))
+            text = made.mlir_module()
+            modules = [module for call, module in _NEEDED_BY_CALLS.items() if call in text]
+            return pickle.dumps(_Stored(bytes(made.serialize()), numbered, ffi.launches_of(text), modules))
 
     shapes = [(str(x.shape), str(x.dtype), str(x.sharding)) for x in arguments]
     of_process = [(name, getattr(jax.config, name, None)) for name in _OF_PROCESSES]  # None: not in this version
@@ -112,6 +142,8 @@ def exported(
     with ThreadPoolExecutor(1) as thread:
         content = thread.submit(contextvars.copy_context().run, cached, kind, asked_for, make).result()
     stored: _Stored = pickle.loads(content)  # by a process that may write programs there
+    for module in stored.modules:
+        import_module(module)
     for launch in stored.launches:
         launch.register()
     return Program(export.deserialize(bytearray(stored.program)), jax.tree.structure(stored.results))
@@ -142,7 +174,7 @@ def _sources() -> str:
 
 def sources_and_versions() -> tuple[str, tuple[str, ...]]:
     """What all that is kept in the compile cache depends on."""
-    return _SOURCES, (jax.__version__, jaxlib.__version__, np.__version__)
+    return _SOURCES, (jax.__version__, jaxlib.__version__, np.__version__, version("warp-lang"))
 
 
 # Of the modules as this process has them: a file may change while it runs.

@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -97,12 +98,14 @@ def set_aside_file(path: Path, word: str = "damaged") -> Path:
     return path.rename(aside)
 
 
-def replace_file(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes, *, is_shared: bool = False) -> None:
     """Gives a file new content: whoever reads it, and whenever this is killed, has the old or the new one, whole.
 
-    Raises OSError, and leaves no draft then.
+    is_shared: whether others may do so at the same time; the last of them wins. Raises OSError, and leaves no draft
+    then.
     """
-    draft = path.with_name(f".{path.name}.draft")
+    own = f".{os.getpid()}-{threading.get_ident()}" if is_shared else ""
+    draft = path.with_name(f".{path.name}{own}.draft")
     try:
         with draft.open("wb") as file:
             file.write(content)

@@ -24,8 +24,8 @@ def kept_shapes(made_from: object, make: Callable[[], Any]) -> Any:
     """What `make` gives, nested dictionaries of `jax.ShapeDtypeStruct`, from the compile cache where it is on and
     another process has written it there.
 
-    made_from: all that the shapes depend on beside the sources of this project, the versions of JAX and numpy and
-    JAX's settings; its repr is part of the key.
+    made_from: all that the shapes depend on beside the sources of this project, the versions of JAX, numpy and
+    Warp and JAX's settings; its repr is part of the key.
     """
 
     def content() -> bytes:

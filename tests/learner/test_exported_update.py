@@ -105,11 +105,12 @@ def test_what_changes_an_update_makes_another_program(
         with monkeypatch.context() as patch:
             patch.setattr(target, name, "0.0.1")
             assert is_another(), (target, name)
-    jax.config.update("jax_random_seed_offset", 1)
-    try:
-        assert is_another()
-    finally:
-        jax.config.update("jax_random_seed_offset", 0)
+    for setting, usual, other in (("jax_random_seed_offset", 0, 1), ("jax_high_dynamic_range_gumbel", False, True)):
+        jax.config.update(setting, other)
+        try:
+            assert is_another(), setting
+        finally:
+            jax.config.update(setting, usual)
     assert not is_another()
 
 

@@ -14,6 +14,11 @@ import pytest
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.curricula import CURRICULA
+from kinetix_dist.curator.plr import Plr
+from kinetix_dist.curator.robust_plr import RobustPlr
+from kinetix_dist.env import device_memory
+from kinetix_dist.env.device_memory import DeviceMemoryError
 from kinetix_dist.env.observations import OBSERVATIONS, EntityObservation
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.runtime.cores import rollout_core as module
@@ -66,6 +71,25 @@ def test_what_is_not_of_this_project_is_traced_in_every_process(told: Any, monke
     monkeypatch.setattr(OBSERVATIONS, "_parts", {**OBSERVATIONS._parts, "of_a_user": OfAUser()})
     of_a_user = dataclasses.replace(config.env, observation="of_a_user")
     assert told(dataclasses.replace(config, env=of_a_user)) is None
+
+
+def test_a_curriculum_of_the_same_name_is_another_program(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = set()
+    for one in (Plr, RobustPlr):
+        monkeypatch.setattr(CURRICULA, "_parts", {**CURRICULA._parts, "mine": one})
+        found.add(told(dataclasses.replace(tiny_config(num_updates=1), curriculum=CurriculumConfig(name="mine"))))
+    assert len(found) == 2 and None not in found
+
+
+def test_worlds_that_do_not_fit_are_refused_also_where_the_program_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tiny_config(num_updates=1)
+    pictures = dataclasses.replace(config.env, observation="pixels")
+    config = dataclasses.replace(
+        config, env=pictures, policy=dataclasses.replace(config.policy, network="cnn", kernels="xla")
+    )
+    monkeypatch.setattr(device_memory, "device_bytes", lambda: 1000)
+    with pytest.raises(DeviceMemoryError, match="play fewer worlds at once"):
+        Playing(config, data_mesh(jax.devices()[:1])).rollout(config)
 
 
 def test_what_changes_a_rollout_makes_another_program(told: Any) -> None:

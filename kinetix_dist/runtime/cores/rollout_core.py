@@ -71,6 +71,8 @@ class RolloutCore:
         self._num_counted = len(curriculum.sources) + curriculum.num_places  # see `Proposal.source`
         self._first_group = groups.start
         self._groups_per_part = len(groups) // self.division.num_parts
+        # Here: a program that is read prepares no levels.
+        env.check_memory(self.division.places * self._groups_per_part * config.rollout.worlds_per_group)
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._mesh = mesh
         self._batch_specs = Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds)
@@ -192,7 +194,7 @@ def rollout_core(
     is_told = not config.run.plugins and not config.curriculum.levels
     made_from = None
     if is_told and are_of_this_project(*parts, policy, curriculum):
-        told = *map(told_apart, parts), (type(policy).__module__, policy)
+        told = *map(told_apart, parts), (type(policy).__module__, policy), type(curriculum)
         made_from = repr((settings, env.variants, *told, groups, division))
     return _kept(settings, env, policy, curriculum, mesh, groups=groups, division=division, made_from=made_from)
 
