@@ -129,7 +129,7 @@ def exported(
             program.trace(*arguments)  # from now on kernels have names
             allowed = [export.DisabledSafetyCheck.custom_call(name) for name in (*custom_calls, *ffi.targets())]
             made = export.export(program, disabled_checks=allowed)(*arguments)
-            (structure,) = structures  # it is traced once
+            structure = structures[-1]
             numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
             text = made.mlir_module()
             modules = [module for call, module in _NEEDED_BY_CALLS.items() if call in text]
