@@ -6,9 +6,12 @@ are counted in `telemetry/dropped_rows`, and a console that nobody reads lines, 
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from kinetix_dist.runtime.driver.line_file import LineFile
@@ -38,6 +41,7 @@ class RunReporter:
         self._files: list[BackgroundSink] = []
         self._dropped_before = 0  # by files that are closed
         self._last_update = 0
+        self._importing: threading.Thread | None = None
         self._news = SinkNews(run, self.note)
         # A file on a full disk, or a pipe that nobody reads any more.
         self._shown: BackgroundSink[Callable[[], None]] = BackgroundSink("console", _Calls, self._news.put)
@@ -49,6 +53,9 @@ class RunReporter:
         return self._status.session
 
     def phase(self, name: str) -> None:
+        if self._importing is None:  # from now on this process waits for others, where there are others
+            self._importing = threading.Thread(target=_import_tensorboard, name="import")
+            self._importing.start()
         self._status.phase(name)
         self._show(self._console.set_phase, name)
 
@@ -136,8 +143,20 @@ class _Points:
         self._path: Path | None = None
 
     def open(self) -> RowSink:
-        # Not before the first row: tensorboardX imports PyTorch where that is installed, which takes a second and more.
-        from kinetix_dist.telemetry.sinks.tensorboard import TensorboardSink, new_event_file
+        tensorboard = _tensorboard()
+        self._path = self._path or tensorboard.new_event_file(self._directory)
+        return tensorboard.TensorboardSink(self._path, purge_after=self._purge_after)
 
-        self._path = self._path or new_event_file(self._directory)
-        return TensorboardSink(self._path, purge_after=self._purge_after)
+
+def _tensorboard() -> ModuleType:
+    """The module that writes events. tensorboardX imports PyTorch where that is installed, which takes a second and
+    more: not at the start, and not while a row waits."""
+    from kinetix_dist.telemetry.sinks import tensorboard
+
+    return tensorboard
+
+
+def _import_tensorboard() -> None:
+    """What keeps it from being imported is raised again, and told, where a file is opened."""
+    with contextlib.suppress(Exception):
+        _tensorboard()
