@@ -9,43 +9,14 @@ import pytest
 
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
-from kinetix_dist.curator.level_buffer import keep_best, scored
 from kinetix_dist.level.generator import generate_levels
-from kinetix_dist.level.level import SIZES
 from tests.curator.made import curriculum_of
-
-CAPACITY = SIZES["s"]
-GROUPS, PER_GROUP = 4, 4
-
-
-def _nothing_solves_itself(levels):
-    return jnp.zeros(levels.position.shape[0], bool)
-
-
-def _propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fixed_levels=None):
-    tools = {"solves_itself": noop_solved, "load_levels": lambda name: fixed_levels}
-    curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY, **tools)
-    groups = jnp.asarray(groups)
-    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(3), groups)
-    return jax.jit(curriculum.propose)(buffer, keys, groups).levels
-
-
-def _buffer_of(seed, num_solved, num_finished):
-    """Random levels, of which it was seen how many episodes were solved."""
-    size = len(num_solved)
-    levels = generate_levels(jax.random.key(seed), size, CAPACITY, CurriculumConfig().generator)
-    counts = np.array(num_solved), np.full(size, num_finished)
-
-    def pick(places):
-        return jax.tree.map(lambda x: x[places], levels)
-
-    others = {"features": np.zeros((size, 1), np.uint8), "size": size, "policy_version": 0}
-    return keep_best([scored(pick, np.arange(size), *counts, **others)], size)
+from tests.curator.proposals import CAPACITY, GROUPS, PER_GROUP, buffer_of, propose
 
 
 @pytest.fixture(scope="module")
 def buffer():
-    return _buffer_of(0, [1] * 6, 2)
+    return buffer_of(0, [1] * 6, 2)
 
 
 def _is_in(level_positions, positions):
@@ -55,13 +26,13 @@ def _is_in(level_positions, positions):
 
 
 def test_sfl_takes_its_share_of_every_group_from_the_buffer(buffer):
-    levels = _propose(CurriculumConfig(buffer_share=0.5), range(GROUPS), buffer)
+    levels = propose(CurriculumConfig(buffer_share=0.5), range(GROUPS), buffer)
     from_it = _is_in(levels.position, buffer.levels.position).reshape(GROUPS, PER_GROUP)
     np.testing.assert_array_equal(from_it, np.tile([True, True, False, False], (GROUPS, 1)))
 
 
 def test_levels_with_a_score_are_drawn_by_the_same_numbers_with_or_without_the_others(buffer):
-    plain, only = (_propose(CurriculumConfig(learnable_only=only), range(GROUPS), buffer) for only in (False, True))
+    plain, only = (propose(CurriculumConfig(learnable_only=only), range(GROUPS), buffer) for only in (False, True))
     # All of this buffer have one. Two programs, which may round the last bits of fresh levels otherwise.
     jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-6), plain, only)
 
@@ -69,13 +40,13 @@ def test_levels_with_a_score_are_drawn_by_the_same_numbers_with_or_without_the_o
 @pytest.fixture(scope="module")
 def mixed_buffer():
     """Two levels of which something is known to be learned, and four that are always solved."""
-    return _buffer_of(5, [4, 1, 4, 4, 2, 4], 4)
+    return buffer_of(5, [4, 1, 4, 4, 2, 4], 4)
 
 
 @pytest.mark.parametrize(("learnable_only", "in_play"), [(True, 2), (False, 6)])
 def test_sfl_plays_measures_and_probes_the_levels_in_play(mixed_buffer, learnable_only, in_play):
     config = CurriculumConfig(learnable_only=learnable_only)
-    played = _propose(config, range(30), mixed_buffer).position.reshape(30, PER_GROUP, -1)[:, :2].reshape(60, -1)
+    played = propose(config, range(30), mixed_buffer).position.reshape(30, PER_GROUP, -1)[:, :2].reshape(60, -1)
     places = {int(np.abs(mixed_buffer.levels.position.reshape(6, -1) - one).sum(1).argmin()) for one in played}
     assert places == set(range(in_play))
     curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY)
@@ -85,33 +56,26 @@ def test_sfl_plays_measures_and_probes_the_levels_in_play(mixed_buffer, learnabl
     assert set(curriculum.probe(mixed_buffer, 6).index.tolist()) == set(range(in_play))
 
 
-def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn(buffer):
-    together = _propose(CurriculumConfig(), range(GROUPS), buffer)
-    apart = [_propose(CurriculumConfig(), groups, buffer) for groups in ([0, 1], [2, 3])]
-    joined = jax.tree.map(lambda *xs: np.concatenate(xs), *apart)
-    jax.tree.map(np.testing.assert_array_equal, together, joined)
-
-
 def test_domain_randomization_never_repeats_a_level():
-    levels = _propose(CurriculumConfig(name="domain_randomization"), range(GROUPS))
+    levels = propose(CurriculumConfig(name="domain_randomization"), range(GROUPS))
     assert len(np.unique(np.asarray(levels.position).reshape(GROUPS * PER_GROUP, -1), axis=0)) == GROUPS * PER_GROUP
 
 
 def test_levels_that_solve_themselves_are_left_out_while_there_are_others():
     config = CurriculumConfig(name="domain_randomization")
-    plain = _propose(config, [0])
+    plain = propose(config, [0])
 
     def first_two_solve_themselves(levels):
         return jnp.arange(levels.position.shape[0]) < 2
 
-    filtered = _propose(config, [0], noop_solved=first_two_solve_themselves)
+    filtered = propose(config, [0], noop_solved=first_two_solve_themselves)
     np.testing.assert_allclose(filtered.position[:2], plain.position[2:], rtol=1e-5)  # of another program
 
 
 def test_fixed_levels_are_spread_evenly_over_worlds():
     levels = generate_levels(jax.random.key(1), 3, CAPACITY, CurriculumConfig().generator)
     config = CurriculumConfig(name="fixed", levels="some")
-    played = _propose(config, range(GROUPS), buffer=levels, fixed_levels=levels)
+    played = propose(config, range(GROUPS), buffer=levels, fixed_levels=levels)
     np.testing.assert_array_equal(played.position, np.asarray(levels.position)[np.arange(GROUPS * PER_GROUP) % 3])
 
 
