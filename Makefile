@@ -1,11 +1,12 @@
-# make train | make test on a machine that has only Python >= 3.11, make, git and a package registry.
+# make train | make test on a machine that has only Python 3.11 to 3.13, make, git and a package registry.
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
 .PHONY: help install train test test-slow test-gpu test-newer-jax drills drills-long check check-web browser vendor format lock bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
-# Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.11, 3.12, 3.13, python3 found.
+# Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.12, 3.13, 3.11, python3
+# that works and is supported.
 PYTHON ?=
 # Test processes, one more than two cores have: some of the tests wait for a browser, for Ray or for other processes.
 # They share one JAX compile cache, so that the second run is short.
