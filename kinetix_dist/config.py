@@ -290,11 +290,20 @@ class TrainConfig:
                     f"rollout.random_start_steps is {self.rollout.random_start_steps} and an episode has "
                     f"{self.env.max_steps} steps (env.max_steps); lower it, so that there is something left to play"
                 )
-        if self.curriculum_class.needs_whole_episodes and self.rollout.num_steps < self.env.max_steps:
+        num_episodes = self.curriculum_class.num_episodes(self.curriculum)
+        if self.rollout.num_steps < num_episodes * self.env.max_steps:
+            needs = "the end of an episode" if num_episodes == 1 else f"the ends of {num_episodes} episodes"
+            what = f" with plr.score {self.curriculum.plr.score!r}" if num_episodes > 1 else ""
             raise ConfigError(
-                f"curriculum {self.curriculum.name!r} needs the end of an episode in every world of an update, but "
+                f"curriculum {self.curriculum.name!r}{what} needs {needs} in every world of an update, but "
                 f"rollout.num_steps is {self.rollout.num_steps} and env.max_steps {self.env.max_steps}; raise the one "
                 "or lower the other"
+            )
+        if self.curriculum_class.scores_by_steps and self.curriculum.scoring_steps < self.env.max_steps:
+            raise ConfigError(
+                f"curriculum.scoring_steps is {self.curriculum.scoring_steps} and env.max_steps {self.env.max_steps}: "
+                "of a level whose episodes end at the time limit none would end while it is scored, and the buffer "
+                "would fill with what fails early; raise the one or lower the other"
             )
         if self.run.num_curators > 1 and not self.curriculum_class.shares_refresh:
             raise ConfigError(
@@ -320,6 +329,18 @@ class TrainConfig:
         if self.phases:
             self.check_batch()
             _ = self.schedule  # raises for phases that cannot run
+
+    @property
+    def cut_episodes(self) -> str:
+        """A line about episodes that an update does not play to their end; "": there are none."""
+        num_steps, max_steps = self.rollout.num_steps, self.env.max_steps
+        if num_steps >= max_steps:
+            return ""
+        return (
+            f"rollout.num_steps is {num_steps} and env.max_steps {max_steps}: every update begins its levels anew, so "
+            f"that what comes after step {num_steps} of an episode is never learned from; raise the one or lower the "
+            "other"
+        )
 
     def check_generator(self) -> None:
         """Raises ConfigError where a size of levels has no room for any kind that the generator is to draw."""
@@ -494,6 +515,12 @@ def from_dict_for_playing(data: Mapping[str, Any]) -> TrainConfig:
     if (name := _old_preset(data)) is not None:
         env = {field: value for field, value in data["env"].items() if field != "preset"}
         data = {**data, "env": {**env, "physics": to_dict(preset(name))}}
+    curriculum, env = data.get("curriculum"), data.get("env")
+    if isinstance(curriculum, Mapping) and isinstance(env, Mapping):
+        # Older versions trained with fewer steps than an episode has; what is only played scores nothing.
+        steps, least = curriculum.get("scoring_steps"), env.get("max_steps")
+        if isinstance(steps, int) and isinstance(least, int) and steps < least:
+            data = {**data, "curriculum": {**curriculum, "scoring_steps": least}}
     policy = data.get("policy")
     if isinstance(policy, Mapping) and policy.get("kernels") == "mosaic":  # also of a network that has no kernels
         data = {**data, "policy": {**policy, "kernels": "auto"}}

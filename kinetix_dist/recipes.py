@@ -78,7 +78,7 @@ def single_level() -> TrainConfig:
             discount=0.99,
         ),
         curriculum=CurriculumConfig(name="fixed", levels="s/hop_home"),
-        rollout=RolloutConfig(num_envs=128, num_steps=64, num_groups=8),
+        rollout=RolloutConfig(num_envs=32, num_steps=256, num_groups=8),  # whole episodes
         evaluation=EvaluationConfig(sets=("s/hop_home",), attempts=100, every=1),
         recording=RecordingConfig(num_rollouts=4),
         run=RunConfig(
@@ -88,7 +88,9 @@ def single_level() -> TrainConfig:
 
 
 def tiny() -> TrainConfig:
-    """A run of seconds that learns nothing, with all parts of PPO: for tests and for trying an installation."""
+    """A run of seconds that learns nothing, with all parts of PPO: for tests and for trying an installation.
+
+    An update plays the first half of its episodes, which a run says when it starts."""
     return TrainConfig(
         env=EnvConfig(size="s", max_steps=16),
         policy=PolicyConfig(encoder_size=8, attention_features=8, num_layers=1, hidden_size=8, hidden_layers=1),

@@ -5,13 +5,17 @@
     kinetix-dist eval --policy random --levels designed_m
     kinetix-dist eval --checkpoint pretrained/generalist --levels designed_s --record designed.mcap
 
-An attempt is one episode from the start of a level; the first to finish counts. Intervals are Wilson's at 95 %.
+An attempt is one episode from the start of a level; the first to finish counts. Intervals are Wilson's at 95 %, over
+attempts: of the rate on these levels. A line below the table has the interval over base levels, for levels like these:
+all variants of one level (dev_designed_s, ...) are one observation there. With
+--greedy all attempts at a level are the same: each level is tried once, and the interval is one of so many levels.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -50,7 +54,7 @@ class Args:
     size: str | None = None
     """Play levels from files at this size (s, m or l) instead of the smallest that fits all of them."""
     attempts: int = 5
-    """Episodes of each level."""
+    """Episodes of each level; one where all would be the same (--greedy, --policy noop)."""
     preset: Annotated[str | None, tyro.conf.arg(name="env.preset")] = None
     """Play with the solver settings of this preset instead of those that the policy was trained with."""
     greedy: bool = False
@@ -71,6 +75,7 @@ def run(args: Args) -> int:
     checkpoint = None if trained is None else trained.checkpoint
     from kinetix_dist.env.physics import describe
     from kinetix_dist.level.sets import load_level_set
+    from kinetix_dist.level.varied_sets import base_levels
     from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     enable_compile_cache("" if trained is None else trained.config.run.compile_cache)
@@ -79,23 +84,25 @@ def run(args: Args) -> int:
     env = environment_of(args, trained, levels)
     players = players_of(args, trained, env, levels)
     rates = _evaluate(args, env, players, levels, list(names))
-    first = next(iter(rates))
+    first, bases = next(iter(rates)), base_levels(args.levels, names)
     print(
-        f"{args.levels}: {len(names)} levels, {args.attempts} attempts each, "
+        f"{args.levels}: {len(names)} levels, {_attempts_in_words(rates[first], args.attempts)}, "
         f"policy {_policy_name(args, checkpoint)}, physics {describe(env.config.physics)}"
     )
     print(table(first, rates))
-    print(summary(rates))
+    print(summary(rates, bases))
     if args.json is not None:
         content = {
             "levels": args.levels,
             "checkpoint": None if checkpoint is None else str(checkpoint.path),
             "policy_version": None if checkpoint is None else checkpoint.description["num_updates"],
-            "attempts_per_level": args.attempts,
+            "attempts_per_level": rates[first].attempts_per_level,
             "seed": args.seed,
             "greedy": args.greedy,
             "physics": describe(env.config.physics),
-            "solve_rate": {name: rate.to_dict() for name, rate in rates.items()},
+            "solve_rate": {
+                name: rate.to_dict() | {"interval_over_levels": rate.over_levels(bases)} for name, rate in rates.items()
+            },
             "above_random": {name: _above_random(name, rates) for name in rates},
         }
         with user_errors(OSError, prefix="the results cannot be written: "):
@@ -105,6 +112,13 @@ def run(args: Args) -> int:
         num_recorded = _record(args, checkpoint, env, players[first], levels, list(names))
         print(f"recorded  {num_recorded} rollouts of {first}: kinetix-dist replay {args.record} --list")
     return 0
+
+
+def _attempts_in_words(rates: SolveRates, asked: int) -> str:
+    number = rates.attempts_per_level
+    if number == asked:
+        return f"{number} attempts each"
+    return f"one attempt each (all {asked} are the same, since nothing is drawn: n is the number of levels)"
 
 
 def table(name: str, rates: dict[str, SolveRates]) -> str:
@@ -133,7 +147,7 @@ def table(name: str, rates: dict[str, SolveRates]) -> str:
     return "\n".join([line(header), rule, *map(line, rows), *left_out, rule, *map(line, totals)])
 
 
-def summary(rates: dict[str, SolveRates]) -> str:
+def summary(rates: dict[str, SolveRates], base_levels: Sequence[str]) -> str:
     """A line for each policy with what its mean rate does not say. docs/training.md says what the numbers mean."""
     lines = []
     for name, rate in rates.items():
@@ -141,6 +155,9 @@ def summary(rates: dict[str, SolveRates]) -> str:
         parts = [f"worst tenth of the levels {rate.worst_tenth:.1%}", f"levels solved by the best of {best}"]
         if (above := _above_random(name, rates)) is not None:
             parts.append(f"of what random actions leave {above:.1%}")
+        if (over := rate.over_levels(base_levels)) is not None:
+            number = over["base_levels"]
+            parts.append(f"on levels like these {over['low']:.1%} - {over['high']:.1%} (95 %, {number} base levels)")
         lines.append(f"{name}: {'; '.join(parts)}")
     return "\n".join(lines)
 
@@ -247,10 +264,8 @@ def _evaluate(
     key = jax.random.key(args.seed)
     results = {}
     for name, player in players.items():
-        # Without actions every attempt is the same.
-        attempts = 1 if name == "noop" else args.attempts
         results[name] = evaluate(
-            env, player, levels, attempts=attempts, key=key, names=names, max_worlds=args.max_worlds
+            env, player, levels, attempts=args.attempts, key=key, names=names, max_worlds=args.max_worlds
         )
     return results
 

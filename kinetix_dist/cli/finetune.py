@@ -171,6 +171,8 @@ def _each(args: Args, config: TrainConfig) -> int:
     enable_compile_cache(config.run.compile_cache)
     starts = " and ".join(start.label for start in args.starts)
     print(f"one specialist a level of {config.curriculum.levels}, {starts}, in {path}", flush=True)
+    if config.cut_episodes:
+        print(config.cut_episodes, flush=True)
     with StopSignals(limit_s=config.run.stop_seconds, hint="; the same command goes on") as stop:
         try:
             train_each(config, args.starts, path, stop_at=args.stop_at, report=lambda line: print(line, flush=True))

@@ -312,11 +312,13 @@ def longer(run: RunConfig, report: Mapping[str, Any]) -> str:
     return " ".join(options)
 
 
-def _cell(rates: dict[str, dict[str, float]] | None, name: str) -> str:
+def _cell(rates: dict[str, dict[str, Any]] | None, name: str) -> str:
     if rates is None or name not in rates:
         return "-"
-    rate = rates[name]
-    return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f}-{100 * rate['high']:.1f})"
+    from kinetix_dist.evaluation.intervals import for_readers
+
+    low, high = for_readers(rates[name])
+    return f"{100 * rates[name]['rate']:.1f} ({100 * low:.1f}-{100 * high:.1f})"
 
 
 def _written(run: Path) -> list[str]:

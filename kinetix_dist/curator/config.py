@@ -12,6 +12,7 @@ from kinetix_dist.level.size_mixture import check_weights
 OWN_SECTIONS = ("plr", "accel", "paired", "slices")
 PRIORITISATIONS = ("rank", "top_k")
 ANTAGONIST_RETURNS = ("mean", "max")
+MAX_ATTEMPTS = 1 << 16  # of a candidate: a quarter of its square is an int32, see `halving.py`
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -102,8 +103,15 @@ class SlicesConfig:
         for name, least in (("slice_size", 1), ("num_harvested", 0), ("window", 1)):
             if getattr(self, name) < least:
                 raise ValueError(f"SlicesConfig.{name} is {getattr(self, name)}; it must be {least} or more")
-        if not self.attempts or any(after <= before for before, after in itertools.pairwise([0, *self.attempts])):
-            raise ValueError(f"SlicesConfig.attempts is {self.attempts}; give numbers that rise from 1 or more")
+        if (
+            not self.attempts
+            or any(after <= before for before, after in itertools.pairwise([0, *self.attempts]))
+            or self.attempts[-1] > MAX_ATTEMPTS
+        ):
+            raise ValueError(
+                f"SlicesConfig.attempts is {self.attempts}; give numbers that rise from 1 or more to {MAX_ATTEMPTS} "
+                "or less"
+            )
         if len(self.keep_one_of) != len(self.attempts) - 1 or any(number < 1 for number in self.keep_one_of):
             raise ValueError(
                 f"SlicesConfig.keep_one_of is {self.keep_one_of} with attempts {self.attempts}; give a number of 1 or "

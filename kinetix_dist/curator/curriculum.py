@@ -97,6 +97,7 @@ class Curriculum(abc.ABC):
     takes_levels: bool = False  # needs `curriculum.levels`
     draws_levels: bool = True  # from the generator, of the sizes of `curriculum.sizes`
     needs_whole_episodes: bool = False  # an episode ends in every world of an update: `num_steps` >= `max_steps`
+    scores_by_steps: bool = False  # a refresh plays `curriculum.scoring_steps` steps of each candidate
     sources: tuple[str, ...] = ("all",)  # where levels come from that are counted together in outcomes.jsonl
     sections: tuple[str, ...] = ()  # of `CurriculumConfig` that are its own: the hash of other runs leaves them out
 
@@ -113,6 +114,12 @@ class Curriculum(abc.ABC):
         """Worlds of a group that the policy learns from, the first ones; the others are played and observed only."""
         del config
         return worlds_per_group
+
+    @classmethod
+    def num_episodes(cls, config: CurriculumConfig) -> int:
+        """Episodes that have to end in every world of an update, at least: `num_steps` is as many times `max_steps`."""
+        del config
+        return int(cls.needs_whole_episodes)
 
     @classmethod
     def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:

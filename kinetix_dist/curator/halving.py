@@ -78,8 +78,9 @@ def _best(solved: Array, chosen: Array, num_kept: int, attempts: int) -> Array:
     """Of candidates `chosen` with as many attempts each, those of highest learnability."""
     chosen = jnp.sort(chosen)
     solved = solved[chosen]
-    rank = solved * (attempts - solved) * (attempts + 1) + solved
-    return chosen[jnp.argsort(-rank, stable=True)[:num_kept]]
+    # Below 2^31 for `MAX_ATTEMPTS`.
+    order = jnp.lexsort((-solved, -solved * (attempts - solved)))
+    return chosen[order[:num_kept]]
 
 
 @functools.partial(jax.jit, static_argnums=(2, 3))

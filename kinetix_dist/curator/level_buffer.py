@@ -11,7 +11,7 @@ import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist.checkpoint import flatten_arrays
-from kinetix_dist.curator.scores import learnability, solve_rate
+from kinetix_dist.curator.scores import exact_keys, learnability, solve_rate
 from kinetix_dist.level.features import FEATURES
 from kinetix_dist.level.level import Level
 from kinetix_dist.telemetry.curriculum_log import LEVELS
@@ -75,8 +75,8 @@ def keep_best(parts: Sequence[Scored], size: int, min_finished: int = 0) -> Leve
     """The `size` candidates of highest learnability, of those with `min_finished` episodes; ties prefer the higher
     solve rate, then the lower number.
 
-    The order is total and worked out on the host, so that the buffer is the same to the bit however candidates were
-    shared out. Raises ValueError where there are fewer than `size`.
+    The order is total, of integers, and worked out on the host, so that the buffer is the same to the bit however
+    candidates were shared out. Raises ValueError where there are fewer than `size`.
     """
     candidate, num_solved, num_finished, best = (
         np.concatenate([getattr(part, name) for part in parts])
@@ -105,8 +105,8 @@ def keep_best(parts: Sequence[Scored], size: int, min_finished: int = 0) -> Leve
 def _best_first(
     candidate: np.ndarray, num_solved: np.ndarray, num_finished: np.ndarray, min_finished: int
 ) -> np.ndarray:
-    solved, finished = num_solved.astype(np.float32), num_finished.astype(np.float32)
-    order = np.lexsort((candidate, -solve_rate(solved, finished), -learnability(solved, finished)))
+    learnabilities, rates = exact_keys(num_solved, num_finished)
+    order = np.lexsort((candidate, -rates, -learnabilities))
     return order[num_finished[order] >= min_finished]
 
 

@@ -30,12 +30,13 @@ from kinetix_dist.curator.replay_buffer import (
     ReplayBuffer,
     buffer_log,
     empty_buffer,
+    level_rates,
     played_again,
     replay_chances,
     taken_in,
     with_returns,
 )
-from kinetix_dist.curator.replay_scores import REPLAY_SCORES, ValueSummary, summarise_values
+from kinetix_dist.curator.replay_scores import NUM_EPISODES, REPLAY_SCORES, ValueSummary, summarise_values
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
 from kinetix_dist.messages import LevelOutcome, Trajectory
@@ -57,6 +58,10 @@ class Plr(Curriculum):
                 f"{config.name!r} needs worlds of both kinds, the others bring the levels of its buffer"
             )
         _ = REPLAY_SCORES[config.plr.score]  # raises for an unknown one
+
+    @classmethod
+    def num_episodes(cls, config: CurriculumConfig) -> int:
+        return NUM_EPISODES.get(config.plr.score, 0)
 
     def init(self) -> ReplayBuffer:
         level = generate_level(jax.random.key(0), self.tools.capacity, self.tools.config.generator)
@@ -109,6 +114,9 @@ class Plr(Curriculum):
         # In the split placement a level may have lost its place since it was proposed.
         is_there = (tags["born"] != NEVER) & (tags["born"] == state.born[tags["place"]])
         state, best_return = with_returns(state, tags["place"], outcome.summary.max_return, is_there)
+        size = state.score.shape[0]
+        rates = level_rates(tags["place"], is_there, outcome.num_solved, outcome.num_finished, size)
+        outcome = dataclasses.replace(outcome, summary=dataclasses.replace(outcome.summary, solve_rate=rates))
         score = REPLAY_SCORES[config.score](outcome, best_return)
         state = played_again(state, tags["place"], score, is_there)
         state = taken_in(state, proposal.levels, score, best_return, tags["is_new"], config)

@@ -23,6 +23,7 @@ from jax2d.scene import Array
 from kinetix_dist.checkpoint import select_arrays
 from kinetix_dist.curator.config import PlrConfig
 from kinetix_dist.curator.replay_scores import UNKNOWN
+from kinetix_dist.curator.scores import solve_rate
 from kinetix_dist.level.features import FEATURES, features_of_arrays
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.select import select_first
@@ -86,6 +87,18 @@ def with_returns(buffer: ReplayBuffer, place: Array, max_return: Array, is_there
     into = jnp.where(is_there, place, buffer.score.shape[0])
     best = buffer.best_return.at[into].max(max_return, mode="drop")
     return dataclasses.replace(buffer, best_return=best), jnp.where(is_there, best[place], max_return)
+
+
+def level_rates(place: Array, is_there: Array, num_solved: Array, num_finished: Array, size: int) -> Array:
+    """[W] float32, the solve rate of each world's level: the mean over the worlds that played it, UNKNOWN where none
+    of them finished an episode.
+
+    place, is_there [W]: as in `played_again`; a world elsewhere played a level of its own. size: places of the buffer.
+    """
+    rate, is_known = solve_rate(num_solved, num_finished), num_finished > 0
+    mean, has_any = mean_by_place(jnp.where(is_there & is_known, place, size), rate, size)
+    pooled = jnp.where(has_any[place], mean[place], UNKNOWN)
+    return jnp.where(is_there, pooled, jnp.where(is_known, rate, UNKNOWN))
 
 
 def played_again(buffer: ReplayBuffer, place: Array, score: Array, is_there: Array) -> ReplayBuffer:

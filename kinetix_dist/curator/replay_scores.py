@@ -5,11 +5,14 @@
 | `max_mc` | mean over steps of R - V(s_t), R: highest return of an episode of this level so far | Jiang et al. 2021b |
 | `positive_value_loss` | mean over steps of max(A_t, 0), A_t: advantages (GAE) of the learner | Jiang et al. 2021b |
 | `l1_value_loss` | mean over steps of abs(A_t) | Jiang et al. 2021a |
-| `learnability` | p (1 - p), p = solved / finished episodes | Rutherford et al. 2024 |
+| `learnability` | p (1 - p), p: solve rate of the level | Rutherford et al. 2024 |
 | `failure` | 1 - p: levels that are never solved come first | |
 
 2021a: Prioritized Level Replay; 2021b: Replay-Guided Adversarial Environment Design. R is not discounted, V(s_t) is, as
 in published code. All steps of an update count, those of an episode that did not end within it too.
+
+p is that of the level: the mean over all worlds that played it of solved / finished episodes. p (1 - p) of a single
+episode is 0, and a fresh level is played by one world: `learnability` needs two episodes in each (`NUM_EPISODES`).
 """
 
 from __future__ import annotations
@@ -21,10 +24,10 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.curator.scores import learnability, solve_rate
 from kinetix_dist.messages import LevelOutcome, Trajectory
 from kinetix_dist.registry import Registry
 
+NUM_EPISODES = {"learnability": 2}  # that have to end in each world of an update, by score; others need none
 UNKNOWN = -jnp.inf  # the score of a level of which nothing is known: below all others
 
 
@@ -37,6 +40,9 @@ class ValueSummary:
     max_return: Array  # [W] float32, highest undiscounted return of an episode that ended, UNKNOWN without one
     positive_value_loss: Array  # [W] float32
     l1_value_loss: Array  # [W] float32
+    # [W] float32, of the level of each world over all worlds that played it, UNKNOWN where no episode ended.
+    # None before the worlds of an update are seen together.
+    solve_rate: Array | None = None
 
 
 def summarise_values(trajectory: Trajectory, advantages: Array) -> ValueSummary:
@@ -64,8 +70,8 @@ def highest_return(trajectory: Trajectory) -> Array:
     return max_return
 
 
-# (outcome, with a ValueSummary; best_return [W]: R of the level of each world, this update's episodes included, UNKNOWN
-# where none ended yet) -> [W] float32, UNKNOWN where nothing was seen
+# (outcome, with a ValueSummary and its solve rates; best_return [W]: R of the level of each world, this update's
+# episodes included, UNKNOWN where none ended yet) -> [W] float32, UNKNOWN where nothing was seen
 ReplayScore = Callable[[LevelOutcome, Array], Array]
 
 REPLAY_SCORES: Registry[ReplayScore] = Registry("score of levels")
@@ -87,12 +93,14 @@ def _l1_value_loss(outcome: LevelOutcome, best_return: Array) -> Array:
 
 def _learnability(outcome: LevelOutcome, best_return: Array) -> Array:
     del best_return
-    return jnp.where(outcome.num_finished > 0, learnability(outcome.num_solved, outcome.num_finished), UNKNOWN)
+    p = outcome.summary.solve_rate
+    return jnp.where(p > UNKNOWN, p * (1.0 - p), UNKNOWN)
 
 
 def _failure(outcome: LevelOutcome, best_return: Array) -> Array:
     del best_return
-    return jnp.where(outcome.num_finished > 0, 1.0 - solve_rate(outcome.num_solved, outcome.num_finished), UNKNOWN)
+    p = outcome.summary.solve_rate
+    return jnp.where(p > UNKNOWN, 1.0 - p, UNKNOWN)
 
 
 REPLAY_SCORES.register("max_mc", _max_mc)

@@ -52,6 +52,7 @@ class Sfl(Curriculum):
 
     refreshes = True
     shares_refresh = True
+    scores_by_steps = True
     sources = ("fresh",)
 
     def __init__(self, tools: CurriculumTools) -> None:

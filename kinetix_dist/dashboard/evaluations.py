@@ -11,7 +11,8 @@ from typing import Any
 
 from kinetix_dist.dashboard import run_files
 from kinetix_dist.dashboard.run_files import last_row, read_object
-from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
+from kinetix_dist.level.varied_sets import base_levels
 from kinetix_dist.telemetry.json_lines import read_lines
 
 LAST_BYTES = 1 << 20  # in which the last line is looked for; a set of 2,048 levels has 50 kB
@@ -22,7 +23,8 @@ def evaluations(path: Path) -> dict[str, Any]:
     """{sets: {name: {names, points}}, without_levels, problems} of a run directory.
 
     A point is {phase, update, env_steps, solved (of each level, or null), attempts (of each level, or null), rate,
-    low, high, episodes}: 95 % Wilson interval of the rate of the set.
+    low, high, interval_over_levels, episodes}. Both intervals are of the rate of the set at 95 %: low and high are
+    Wilson's over attempts, the other is over base levels (evaluation/intervals.py).
     Raises RunFileError where a file cannot be read at all.
     """
     problems: list[str] = []
@@ -44,11 +46,11 @@ def evaluations(path: Path) -> dict[str, Any]:
             if entry["names"] != result["names"]:
                 problems.append(f"set {name} had other levels at update {row['update']}; that evaluation is left out")
                 continue
-            entry["points"].append(_point(row, result))
+            entry["points"].append(_point(row, name, result))
     return {"sets": sets, "without_levels": False, "problems": problems}
 
 
-def _point(row: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
+def _point(row: dict[str, Any], name: str, result: dict[str, Any]) -> dict[str, Any]:
     solved, episodes = sum(result["solved"]), result["attempts"] * len(result["names"])
     low, high = wilson_interval(solved, episodes)
     return {
@@ -60,21 +62,27 @@ def _point(row: dict[str, Any], result: dict[str, Any]) -> dict[str, Any]:
         "rate": solved / episodes if episodes else None,
         "low": low,
         "high": high,
+        "interval_over_levels": interval_over_levels(
+            result["solved"], result["attempts"], base_levels(name, result["names"])
+        )
+        if episodes
+        else None,
         "episodes": episodes,
     }
 
 
 def newest_rates(path: Path) -> dict[str, dict[str, Any]]:
-    """{set: {rate, low, high, attempts}} of the policy's last evaluation, before, in or after training, by the ends of
-    files; empty where there is none. Raises RunFileError."""
+    """{set: {rate, low, high, interval_over_levels, attempts}} of the policy's last evaluation, before, in or after
+    training, by the ends of files; empty where there is none. Raises RunFileError."""
     row = last_row(path / run_files.EVALUATION_LINES, max_bytes=LAST_BYTES)
     if row is None:
         return ((read_object(path / run_files.REPORT) or {}).get("solve_rate") or {}).get("after") or {}
     if not _is_evaluation(row) or row["phase"] == PHASES[0]:
         return {}
-    points = {name: _point(row, result) for name, result in row["sets"].items()}
+    points = {name: _point(row, name, result) for name, result in row["sets"].items()}
+    kept = ("rate", "low", "high", "interval_over_levels")
     return {
-        name: {"rate": point["rate"], "low": point["low"], "high": point["high"], "attempts": point["episodes"]}
+        name: {field: point[field] for field in kept} | {"attempts": point["episodes"]}
         for name, point in points.items()
     }
 
@@ -95,6 +103,7 @@ def _sets_without_levels(path: Path) -> dict[str, dict[str, Any]]:
                 "rate": rate["rate"],
                 "low": rate["low"],
                 "high": rate["high"],
+                "interval_over_levels": rate.get("interval_over_levels"),
                 "episodes": rate["attempts"],
             }
             sets.setdefault(name, {"names": None, "points": []})["points"].append(point)

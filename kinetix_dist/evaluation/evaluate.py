@@ -4,8 +4,11 @@
 
 An attempt ends at its first `done`; whatever its world does after that is ignored, so that quick failures weigh as
 much as long successes. Keys are folded with level and attempt: results do not depend on the chunk size.
-The physics is deterministic, so attempts on a level differ by the policy's samples only. Intervals are Wilson's at
-95 % and take attempts as independent; over a whole set they speak of these levels, not of all that might be drawn.
+The physics is deterministic and a level always begins the same way, so attempts on a level differ by the policy's
+samples only. A policy that draws nothing (greedy, no actions) is tried once a level, however many attempts are asked
+for: the others would be the same.
+Intervals are Wilson's at 95 % and take attempts as independent; over a whole set they speak of these levels, not of all
+that might be drawn.
 """
 
 from __future__ import annotations
@@ -22,8 +25,8 @@ import numpy as np
 from jax2d.scene import Array, index_worlds
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
-from kinetix_dist.evaluation.intervals import wilson_interval
-from kinetix_dist.evaluation.policies import Player, Policy, act, first_memory
+from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
+from kinetix_dist.evaluation.policies import Player, Policy, act, distinct_attempts, first_memory
 from kinetix_dist.evaluation.summary import best_of, worst_share
 from kinetix_dist.level.level import Level
 
@@ -100,6 +103,10 @@ class SolveRates:
         powers = [2**i for i in range(attempts.bit_length()) if 2**i < attempts]
         return {k: best_of(solved, attempts, k) for k in (*powers, attempts)}
 
+    def over_levels(self, base_levels: Sequence[str]) -> dict[str, Any] | None:
+        """`intervals.interval_over_levels`; base_levels: of each level."""
+        return interval_over_levels([level.solved for level in self.levels], self.attempts_per_level, base_levels)
+
     def to_dict(self, *, per_level: bool = True) -> dict[str, Any]:
         """For JSON: {"rate", "attempts", "low", "high", ..., "levels": [{"name", "rate", ...}, ...]}."""
         content = dataclasses.asdict(self.total)
@@ -121,7 +128,7 @@ def evaluate(
     names: Sequence[str] | None = None,
     max_worlds: int = MAX_WORLDS,
 ) -> SolveRates:
-    """Tries every level of a batch ([L, ...]) `attempts` times.
+    """Tries every level of a batch ([L, ...]) `attempts` times, once where all attempts would be the same.
 
     player: see `policies.py`. names: of the levels, for the table.
     The key is consumed. Compiles once for each (env, policy, number of worlds at once).
@@ -136,6 +143,7 @@ def evaluate(
     names = [f"level_{i}" for i in range(num_levels)] if names is None else list(names)
     if len(names) != num_levels:
         raise ValueError(f"{len(names)} names were given for {num_levels} levels")
+    attempts = distinct_attempts(player.policy, attempts)
     total = num_levels * attempts
     chunks = [
         jax.device_get(_attempt_chunk(env, *player, levels, key, index, index // attempts))
@@ -150,6 +158,7 @@ def evaluate(
 
 def compile_evaluation(env: Environment, player: Player, levels: Level, *, attempts: int, key: Array) -> None:
     """Compiles what `evaluate` runs with the same arguments."""
+    attempts = distinct_attempts(player.policy, attempts)
     index = _chunks(int(np.shape(levels.angle)[0]) * attempts, MAX_WORLDS)[0]
     _attempt_chunk.lower(env, *player, levels, key, index, index // attempts).compile()
 

@@ -1,13 +1,27 @@
 """Confidence intervals of a rate: how much of a difference between two solve rates could be chance.
 
+Two intervals answer two questions:
+
+    wilson_interval         what is the rate on these levels?   Attempts are the sample.
+    interval_over_levels    what is it on levels like these?    Base levels are the sample.
+
 Wilson's score interval: the rates p for which the observed share of k successes in n trials is within z standard
 errors sqrt(p (1 - p) / n). Unlike p +- z sqrt(p (1 - p) / n) it is sensible at 0 and n successes and small n.
 (E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927.)
+
+Attempts at one level, and variants of one level, are alike: ten base levels of which each is either mastered or not say
+no more of an eleventh by being played a hundred times. `interval_over_levels` estimates the variance of the rate from
+base levels (clusters), as of a ratio of their sums, and is Wilson's interval for as many independent trials as have
+that variance (the effective sample size), with the quantile of Student's t for one less than the number of base levels.
+(E. L. Korn and B. I. Graubard, Confidence intervals for proportions with small expected number of positive counts
+estimated from survey data, 1998.) With few base levels, or rates near 0 and 1, it is approximate.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 Z_95 = 1.959963984540054  # 97.5 % quantile of the normal distribution: two-sided 95 %
 
@@ -18,11 +32,52 @@ def wilson_interval(num_successes: int, num_trials: int, z: float = Z_95) -> tup
         raise ValueError(f"{num_successes} successes in {num_trials} trials is not possible")
     if num_trials == 0:
         return 0.0, 1.0
-    rate = num_successes / num_trials
+    return _score_interval(num_successes / num_trials, num_trials, z)
+
+
+def interval_over_levels(solved: Sequence[int], attempts: int, base_levels: Sequence[str]) -> dict[str, Any] | None:
+    """{"low", "high", "base_levels", "levels": how many} of the solve rate on levels like these, 95 %; None for fewer
+    than two base levels, which say nothing of others.
+
+    solved: of each level, of `attempts`; base_levels: of each level, the one that it is a variant of, or itself.
+    """
+    if attempts < 1 or any(not 0 <= count <= attempts for count in solved):
+        raise ValueError(f"{list(solved)} of {attempts} attempts cannot have solved the levels")
+    sums: dict[str, list[int]] = {}
+    for count, base in zip(solved, base_levels, strict=True):
+        of_base = sums.setdefault(base, [0, 0])
+        of_base[0] += count
+        of_base[1] += attempts
+    count = len(sums)
+    if count < 2:
+        return None
+    from scipy.special import stdtrit
+
+    trials = len(solved) * attempts
+    rate = sum(solved) / trials
+    squares = sum((of_solved - rate * of_trials) ** 2 for of_solved, of_trials in sums.values())
+    variance = squares / trials**2 * count / (count - 1)
+    binomial = rate * (1 - rate)
+    # All or none solved: each base level is a trial. More than all attempts there cannot be.
+    effective = min(binomial / variance, trials) if variance > 0 else (trials if binomial > 0 else count)
+    low, high = _score_interval(rate, effective, float(stdtrit(count - 1, 0.975)))
+    return {"low": low, "high": high, "base_levels": count, "levels": len(solved)}
+
+
+def for_readers(rate: Mapping[str, Any]) -> tuple[float, float]:
+    """The interval to show with a rate {"low", "high", "interval_over_levels"}: over base levels for a set of variants,
+    which is a sample of levels like its base levels; over attempts for other sets, which are what they are."""
+    over = rate.get("interval_over_levels")
+    shown = over if over is not None and over["base_levels"] < over["levels"] else rate
+    return shown["low"], shown["high"]
+
+
+def _score_interval(rate: float, num_trials: float, z: float) -> tuple[float, float]:
+    """Wilson's; trials need not be a whole number."""
     shrink = 1 + z**2 / num_trials
     center = (rate + z**2 / (2 * num_trials)) / shrink
     half = z / shrink * math.sqrt(rate * (1 - rate) / num_trials + z**2 / (4 * num_trials**2))
     # Exact at the ends, where rounding would leave 1e-17.
-    low = 0.0 if num_successes == 0 else center - half
-    high = 1.0 if num_successes == num_trials else center + half
+    low = 0.0 if rate == 0 else center - half
+    high = 1.0 if rate == 1 else center + half
     return low, high

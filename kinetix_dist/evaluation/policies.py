@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 
@@ -31,6 +31,7 @@ class RandomPolicy:
     """Uniform actions; parameters are not used."""
 
     space: ActionSpace
+    draws: ClassVar[bool] = True
 
     def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
         return jax.vmap(lambda key: self.space.sample(key, 1)[0])(keys)
@@ -41,6 +42,7 @@ class NoopPolicy:
     """Never acts; what it solves solves itself."""
 
     space: ActionSpace
+    draws: ClassVar[bool] = False
 
     def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
         return self.space.noop_actions(keys.shape[0])
@@ -53,6 +55,10 @@ class NetworkPolicy:
     module: Any  # flax module, hashable
     distribution: ActionDistribution
     greedy: bool = False  # the most likely actions instead of a sample
+
+    @property
+    def draws(self) -> bool:
+        return not self.greedy
 
     def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
         outputs, _ = self.module.apply(params, obs)
@@ -68,6 +74,12 @@ class NetworkPolicy:
             return self.distribution.mode(outputs)
         uniforms = jax.vmap(lambda key: jax.random.uniform(key, (self.distribution.num_uniforms,)))(keys)
         return self.distribution.sample(outputs, uniforms)[0]
+
+
+def distinct_attempts(policy: Policy, attempts: int) -> int:
+    """How many of so many attempts at a level can differ: one where the policy draws nothing, since a level begins the
+    same way every time and the physics is deterministic. A policy that does not say (`draws`) may draw."""
+    return attempts if getattr(policy, "draws", True) else min(attempts, 1)
 
 
 def first_memory(policy: Policy, num_worlds: int) -> Array | None:

@@ -150,7 +150,7 @@ class Specialists:
 
     def _update(self, state: Any, number: int) -> dict[str, float]:
         batch, _, sums = self._rollout.play(self._learner.params, state, number)
-        metrics = self._learner.learn(*batch)
+        metrics = self._learner.learn(*batch, env_steps=self._env_steps(number))
         return training_metrics(local_values(sums), local_values(metrics), frame_skip=self._config.env.frame_skip)
 
     def _evaluate(self, level: Level, update: int) -> Point:
@@ -158,12 +158,16 @@ class Specialists:
         player = Player(self._network, jax.device_put(local_values(self._learner.released)))
         key, attempts = jax.random.key(EVALUATION_STREAM), self._config.evaluation.attempts_of(1)
         rates = evaluate(self._env, player, level, attempts=attempts, key=key)
-        env_steps = update * self._config.rollout.steps_per_update
-        return Point(updates=update, env_steps=env_steps, solved=rates.total.solved, attempts=rates.attempts)
+        return Point(
+            updates=update, env_steps=self._env_steps(update), solved=rates.total.solved, attempts=rates.attempts
+        )
 
     def _is_over(self, update: int, training_seconds: float) -> bool:
-        env_steps = update * self._config.rollout.steps_per_update
-        return is_over(self._config.run, env_steps=env_steps, training_seconds=training_seconds)
+        return is_over(self._config.run, env_steps=self._env_steps(update), training_seconds=training_seconds)
+
+    def _env_steps(self, num_updates: int) -> int:
+        """Played in so many updates."""
+        return num_updates * self._config.rollout.steps_per_update
 
     def _is_good(self, point: Point) -> bool:
         return bool(self._stop_at) and point.rate >= self._stop_at

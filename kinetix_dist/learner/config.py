@@ -13,10 +13,12 @@ from kinetix_dist.learner.state import LearnerState, adam, init_learner_state
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AnnealConfig:
-    """From which step on settings of PPO change, linearly, and by which factor at the end. Factors of 1: not at all."""
+    """From which step on settings of PPO change, linearly, and by which factor at the end. Factors of 1: not at all.
 
-    start: int = 0  # environment steps
-    end: int = 0  # environment steps, from which on the factors hold; 0: nothing changes
+    Steps are those of the run, progress/env_steps, learned from or not."""
+
+    start: int = 0  # environment steps of the run
+    end: int = 0  # environment steps of the run, from which on the factors hold; 0: nothing changes
     learning_rate: float = 1.0
     clip: float = 1.0
     entropy_coefficient: float = 1.0

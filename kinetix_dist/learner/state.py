@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jax.flatten_util import ravel_pytree
 
@@ -29,7 +30,7 @@ class LearnerState:
     key: Array  # [2] uint32, `jax.random.key_data` of the learner's key; constant, updates fold in their number
     num_updates: Array  # [] int32, calls of update(); the policy version
     num_gradient_steps: Array  # [] int32, applied (skipped ones are not counted)
-    env_steps: Array  # [2] uint32, low and high word of the environment steps learned from
+    env_steps: Array  # [2] uint32, low and high word of the run's steps before the update: `at_env_steps`
     rate_factor: Array  # [] float32, what the guard on KL has left of the learning rate
 
     @property
@@ -60,10 +61,21 @@ def init_learner_state(
     )
 
 
-def add_env_steps(words: Array, count: int) -> Array:
-    """Adds 0 <= count < 2^32 to a count kept in two 32-bit words (long runs pass 2^32 steps; JAX has no int64 here)."""
-    if not 0 <= count < 2**32:
-        raise ValueError(f"{count} environment steps in one update; at most {2**32 - 1} can be counted")
-    low = words[0] + jnp.uint32(count)
-    carry = (low < words[0]).astype(jnp.uint32)
-    return jnp.stack([low, words[1] + carry])
+def at_env_steps(tree: Any, env_steps: Array) -> Any:
+    """`tree` with the clock of every `LearnerState` in it at `env_steps`, as `clock` gives them.
+
+    The clock is that of the run, progress/env_steps before an update, whoever learns: a curriculum may let the policy
+    learn from a part of what is played, and other agents from games of other lengths.
+    """
+
+    def set_clock(node: Any) -> Any:
+        return dataclasses.replace(node, env_steps=env_steps) if isinstance(node, LearnerState) else node
+
+    return jax.tree.map(set_clock, tree, is_leaf=lambda node: isinstance(node, LearnerState))
+
+
+def clock(env_steps: int) -> np.ndarray:
+    """[2] uint32, low and high word: long runs pass 2^32 steps, and JAX has no int64 here."""
+    if not 0 <= env_steps < 2**64:
+        raise ValueError(f"{env_steps} environment steps; a run has from 0 to {2**64 - 1}")
+    return np.array([env_steps % 2**32, env_steps // 2**32], np.uint32)

@@ -1,8 +1,12 @@
 """How long the steps of PPO are: settings that change over training, a guard on KL, an average of the parameters.
 
-    factor(t) = 1 + (end - 1) clip((t - anneal.start) / (anneal.end - anneal.start), 0, 1)    t: environment steps
+    factor(t) = 1 + (end - 1) clip((t - anneal.start) / (anneal.end - anneal.start), 0, 1)
     rate      = factor of the learning rate * what the guard has left of it
     average'  = average + (parameters - average) / min(k, average_updates)                    after update k = 1, 2, ...
+
+t are the environment steps of the run before the update, as in progress/env_steps: what a curriculum plays and the
+policy does not learn from counts, and other agents of the run (the antagonist and the teacher of PAIRED) go by the
+same clock. The guard and the average count the updates of each agent.
 
 The average begins as the plain mean of all updates and becomes an exponential one (PPO-EWMA, Hilton et al. 2022, uses
 the latter). The guard only ever lowers the rate: by `GUARD_FACTOR` after each update whose mean KL was above `max_kl`.
@@ -31,7 +35,7 @@ class Sizes(NamedTuple):
 
 
 def sizes(config: PpoConfig, state: LearnerState) -> Sizes:
-    """Those of the update that begins with `state`."""
+    """Sizes of the update that begins with `state`, whose clock is that of the run (`state.at_env_steps`)."""
     rate = state.rate_factor if config.max_kl else 1.0
     anneal = config.anneal
     if not anneal.end:

@@ -35,7 +35,7 @@ from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.gae import gae
 from kinetix_dist.learner.ppo_loss import LOSS_METRICS, Samples, ppo_terms, total_loss
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
-from kinetix_dist.learner.state import LearnerState, add_env_steps
+from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.step_size import Sizes, average, guarded, sizes
 from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.gru import has_memory
@@ -185,7 +185,7 @@ def _update(
         key=state.key,
         num_updates=state.num_updates + 1,
         num_gradient_steps=state.num_gradient_steps + num_applied,
-        env_steps=add_env_steps(state.env_steps, num_samples),
+        env_steps=state.env_steps,
         rate_factor=guarded(config, state, metrics["approx_kl"]),
     )
     return state, metrics

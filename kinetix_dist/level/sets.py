@@ -35,6 +35,7 @@ from kinetix_dist.level.schema import LevelInfo, load_level
 from kinetix_dist.level.set_files import designed_files, designed_sets
 from kinetix_dist.level.validate import read_document
 from kinetix_dist.level.variants import variants
+from kinetix_dist.level.varied_sets import VARIED_SETS
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
 HELD_OUT_LEVELS = 256
@@ -73,8 +74,6 @@ RANDOM_SETS = {
     )
     for size in SIZES
 }
-# By name, the designed set whose levels they are variants of.
-VARIED_SETS = {f"dev_designed_{size}": f"all_designed_{size}" for size in SIZES}
 
 
 def development_sets() -> tuple[str, ...]:

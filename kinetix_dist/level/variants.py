@@ -18,6 +18,7 @@ from jax2d.scene import Array
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.mirror import mirrored
 from kinetix_dist.level.select import select_first
+from kinetix_dist.level.varied_sets import variant_name
 
 NUM_VARIANTS = 8  # of a level
 # Largest changes, as shares; strength: of motors and thrusters.
@@ -39,7 +40,7 @@ def variants(key: Array, levels: Level, names: Sequence[str]) -> tuple[Level, li
 
     drawn = jax.device_get(jax.jit(jax.vmap(of_one))(keys, levels))
     flat = jax.tree.map(lambda x: x.reshape(x.shape[0] * NUM_VARIANTS, *x.shape[2:]), drawn)
-    return flat, [f"{name}_{i}" for name in names for i in range(NUM_VARIANTS)]
+    return flat, [variant_name(name, i) for name in names for i in range(NUM_VARIANTS)]
 
 
 def _varied(key: Array, level: Level) -> Level:

@@ -18,7 +18,7 @@ from jax2d.scene import Array
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import PreparedLevels
 from kinetix_dist.evaluation.evaluate import Playing, SolveRate, attempt_keys, begin_play, play_on, solve_rate
-from kinetix_dist.evaluation.policies import NoopPolicy, Player, Policy
+from kinetix_dist.evaluation.policies import NoopPolicy, Player, Policy, distinct_attempts
 from kinetix_dist.level.level import Level
 from kinetix_dist.play.programs import check_effects
 
@@ -44,7 +44,9 @@ def play_attempts(
     seed: int,
     report: Callable[[Progress], None],
 ) -> SolveRate:
-    """First episodes of `attempts` copies of a level (no leading axis). `report` may raise, which ends it."""
+    """First episodes of `attempts` copies of a level (no leading axis), of one where all would be the same. `report`
+    may raise, which ends it."""
+    attempts = distinct_attempts(player.policy, attempts)
     prepared, keys = _prepare(env, level, jax.random.key(seed), attempts)
     check_effects(prepared)
     playing = _begin(env, player.policy, prepared)

@@ -12,6 +12,7 @@ import numpy as np
 
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.env.physics import describe
+from kinetix_dist.evaluation.policies import distinct_attempts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import turned_colours_of
 from kinetix_dist.play.actors import KEYS, env_of, policy_of
@@ -177,6 +178,7 @@ def attempts(request: Request) -> Answer:
     request.progress("compiling", done=0, total=num_attempts, solved=0)
     actor = policy.actor(env_config, given.level)
     assert actor.player is not None  # keys were refused
+    num_attempts = distinct_attempts(actor.player.policy, num_attempts)
 
     def report(progress: Progress) -> None:
         request.progress("playing", done=progress.num_finished, total=num_attempts, solved=progress.num_solved)

@@ -16,6 +16,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.config import RunConfig, TrainConfig, to_dict
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
+from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.evaluation.recordings import read_rollouts
 from kinetix_dist.learner.state import adam, init_learner_state
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
@@ -82,13 +83,19 @@ def test_a_run_is_evaluated_level_by_level_next_to_the_baselines(
 
 
 def test_a_policy_plays_levels_of_a_larger_size_than_its_own(
-    run_directory: Path, capsys: pytest.CaptureFixture[str]
+    run_directory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     checkpoint = next((run_directory / "checkpoints").iterdir())
-    arguments = ["--checkpoint", str(checkpoint), "--levels", LEVELS, "--size", "m", "--attempts", "1", "--greedy"]
-    assert main(["eval", *arguments, "--no-baselines"]) == 0
+    arguments = ["--checkpoint", str(checkpoint), "--levels", LEVELS, "--size", "m", "--attempts", "20", "--greedy"]
+    target = tmp_path / "rates.json"
+    assert main(["eval", *arguments, "--no-baselines", "--json", str(target)]) == 0
     printed = capsys.readouterr().out
     assert "all, trained" in printed and "all, random" not in printed
+    assert "one attempt each (all 20 are the same, since nothing is drawn: n is the number of levels)" in printed
+    content = json.loads(target.read_text())
+    trained = content["solve_rate"]["trained"]
+    assert content["attempts_per_level"] == 1 and trained["attempts"] == len(trained["levels"])
+    assert (trained["low"], trained["high"]) == wilson_interval(trained["solved"], trained["attempts"])
 
 
 def test_a_long_table_says_what_it_leaves_out() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.curator.config import SlicesConfig
-from kinetix_dist.curator.halving import Halving, num_launches
+from kinetix_dist.curator.halving import Halving, _best, num_launches
 
 SIZE = 384
 ATTEMPTS, KEPT = (2, 8, 24), SlicesConfig().kept(SIZE)
@@ -34,6 +34,14 @@ def tried():
     keys = jax.random.split(jax.random.key(1), len(chances))
     found = [one(jnp.asarray(p), key) for p, key in zip(chances, keys, strict=True)]
     return chances, *(np.stack(part) for part in zip(*found, strict=True))
+
+
+def test_the_better_ones_go_on_however_often_they_were_tried():
+    """s (f - s) (f + 1) is more than an int32 holds."""
+    chosen, solved = jnp.arange(4, dtype=jnp.int32), jnp.array([1, 1024, 2976, 2000], jnp.int32)
+    assert _best(solved, chosen, 3, 4000).tolist() == [3, 2, 1]
+    with pytest.raises(ValueError, match="to 65536 or less"):
+        SlicesConfig(attempts=(2, 8, 65_537))
 
 
 def test_a_third_and_then_half_of_it_go_on(tried):

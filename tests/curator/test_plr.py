@@ -68,6 +68,23 @@ def test_by_learnability_it_plays_what_is_solved_every_other_time():
     assert np.abs(replayed - 0.5).mean() < 0.17
 
 
+def test_learnability_is_that_of_a_level_and_not_of_each_world_that_played_it():
+    """One episode a world: p (1 - p) of each is 0, whatever the level."""
+    training = _Training(score="learnability", staleness=0.1)
+    state, _ = training.run(2)
+    proposal = training.propose(state, 2)
+    outcome = played(proposal.levels, jax.random.key(5), 1)
+    solved = jnp.arange(GROUPS * PER_GROUP) % 3 == 0
+    outcome = dataclasses.replace(outcome, num_solved=solved.astype(int))
+    after = jax.jit(training.curriculum.observe)(state, proposal, outcome)
+    place, is_replayed = np.asarray(proposal.tags["place"]), ~np.asarray(proposal.tags["is_new"])
+    places = np.unique(place[is_replayed])
+    p = np.array([np.asarray(solved)[is_replayed & (place == one)].mean() for one in places])
+    assert (p * (1 - p) > 0).any()
+    is_there = np.asarray(after.born == state.born)[places]
+    np.testing.assert_allclose(np.asarray(after.score)[places][is_there], (p * (1 - p))[is_there], atol=1e-6)
+
+
 def test_by_failure_it_plays_what_is_hardly_ever_solved(by_failure):
     _, replayed = by_failure.run(40)
     assert replayed.mean() < 0.1

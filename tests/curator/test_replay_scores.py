@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.actors.outcomes import no_outcomes
+from kinetix_dist.curator.replay_buffer import level_rates
 from kinetix_dist.curator.replay_scores import REPLAY_SCORES, UNKNOWN, summarise_values
 from kinetix_dist.messages import Trajectory
 
@@ -45,5 +46,14 @@ def test_value_losses_are_means_of_advantages_those_below_zero_cut_or_turned(out
 
 
 def test_nothing_is_claimed_of_how_often_a_level_is_solved_that_no_episode_ended_on(outcome):
+    rates = level_rates(jnp.zeros(2, int), jnp.array([True, False]), outcome.num_solved, outcome.num_finished, 3)
+    outcome = dataclasses.replace(outcome, summary=dataclasses.replace(outcome.summary, solve_rate=rates))
     for name in ("learnability", "failure"):
         np.testing.assert_array_equal(REPLAY_SCORES[name](outcome, jnp.zeros(2)), [UNKNOWN] * 2)
+
+
+def test_the_rate_of_a_level_is_the_mean_of_the_worlds_that_finished_an_episode_of_it():
+    """Worlds 0 to 2 play the level of place 1, world 3 that of place 0, 4 and 5 fresh levels of their own."""
+    place, is_there = jnp.array([1, 1, 1, 0, 0, 0]), jnp.array([True, True, True, True, False, False])
+    rates = level_rates(place, is_there, jnp.array([1, 1, 0, 0, 2, 0]), jnp.array([1, 4, 0, 0, 4, 0]), 3)
+    np.testing.assert_allclose(rates, [0.625, 0.625, 0.625, UNKNOWN, 0.5, UNKNOWN])

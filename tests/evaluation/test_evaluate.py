@@ -47,16 +47,17 @@ class AlwaysThrust:
 def noop_rates(env: Environment, **keywords: Any) -> SolveRates:
     levels = batch(MEETS, MEETS_RED, RESTS)
     policy = NoopPolicy(env.action_space)
-    return evaluate(env, Player(policy), levels, attempts=2, key=jax.random.key(0), names=NAMES, **keywords)
+    return evaluate(env, Player(policy), levels, attempts=20, key=jax.random.key(0), names=NAMES, **keywords)
 
 
 def test_known_levels_have_known_rates(env: Environment) -> None:
     rates = noop_rates(env)
     assert [(level.name, level.rate) for level in rates.levels] == [("meets", 1.0), ("meets_red", 0.0), ("rests", 0.0)]
     assert [level.mean_length for level in rates.levels] == [6.0, 6.0, MAX_STEPS]
-    assert (rates.total.solved, rates.total.failed, rates.total.timed_out, rates.total.unstable) == (2, 2, 2, 0)
-    assert (rates.rate, rates.attempts) == (pytest.approx(1 / 3), 6)
-    assert (rates.low, rates.high) == wilson_interval(2, 6)
+    # 20 attempts without actions are the same: three levels are three attempts, and not sixty.
+    assert (rates.total.solved, rates.total.failed, rates.total.timed_out, rates.total.unstable) == (1, 1, 1, 0)
+    assert (rates.rate, rates.attempts, rates.attempts_per_level) == (pytest.approx(1 / 3), 3, 1)
+    assert (rates.low, rates.high) == wilson_interval(1, 3)
 
 
 def test_only_the_first_episode_of_an_attempt_counts(env: Environment) -> None:
@@ -93,6 +94,7 @@ def test_a_network_acts_by_its_logits(env: Environment, greedy: bool) -> None:
     trained = evaluate(env, Player(policy), batch(NEAR), attempts=3, key=jax.random.key(0))
     idle = evaluate(env, Player(NoopPolicy(env.action_space)), batch(NEAR), attempts=1, key=jax.random.key(0))
     assert (trained.rate, idle.rate) == (1.0, 0.0)
+    assert trained.attempts == (1 if greedy else 3)  # greedy ones are all the same
 
 
 def test_json_holds_the_interval_and_every_level(env: Environment) -> None:

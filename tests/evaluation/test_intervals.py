@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
-from kinetix_dist.evaluation.intervals import Z_95, wilson_interval
+from kinetix_dist.evaluation.intervals import Z_95, for_readers, interval_over_levels, wilson_interval
+from kinetix_dist.level.variants import NUM_VARIANTS
+from kinetix_dist.level.varied_sets import base_levels, variant_name
 
 
 def test_interval_of_81_in_263_is_the_published_one() -> None:
@@ -41,3 +44,62 @@ def test_no_trials_tell_nothing() -> None:
 def test_more_successes_than_trials_are_refused() -> None:
     with pytest.raises(ValueError, match="5 successes in 3 trials"):
         wilson_interval(5, 3)
+
+
+@pytest.mark.parametrize(
+    ("num_base", "variants", "attempts"),
+    [
+        pytest.param(10, 8, 4, id="sets of variants: ten base levels"),
+        pytest.param(40, 8, 2, id="and forty"),
+        pytest.param(60, 1, 4, id="random levels"),
+        pytest.param(60, 1, 1, id="of one attempt: binomial"),
+    ],
+)
+def test_the_interval_over_levels_holds_the_rate_on_levels_like_these(
+    num_base: int, variants: int, attempts: int
+) -> None:
+    """Base levels with known chances: most are solved hardly ever or nearly always; their variants are like them."""
+    rng, repeats = np.random.default_rng(0), 800
+    a, b = 0.4, 0.6
+    base = rng.beta(a, b, (repeats, num_base, 1))
+    p = np.clip(base + rng.normal(0.0, 0.05, (repeats, num_base, variants)), 0.0, 1.0) if variants > 1 else base
+    truth = p.mean() if variants > 1 else a / (a + b)
+    solved = rng.binomial(attempts, p).reshape(repeats, -1)
+    names = [f"level_{level}" for level in range(num_base) for _ in range(variants)]
+    over = [interval_over_levels(counts.tolist(), attempts, names) for counts in solved]
+    covered = np.mean([found is not None and found["low"] <= truth <= found["high"] for found in over])
+    assert 0.92 < covered < 0.98
+    trials = solved.shape[1] * attempts
+    by_attempts = [wilson_interval(int(counts.sum()), trials) for counts in solved]
+    covered_by_attempts = np.mean([low <= truth <= high for low, high in by_attempts])
+    if variants > 1:
+        assert covered_by_attempts < 0.5  # what was printed beside such sets
+    if attempts == variants == 1:
+        assert np.mean([found["high"] - found["low"] for found in over if found]) == pytest.approx(
+            np.mean([high - low for low, high in by_attempts]), rel=0.05
+        )
+
+
+def test_intervals_over_levels_at_the_ends_are_those_of_as_many_trials_as_base_levels() -> None:
+    names = [f"level_{i // 8}" for i in range(80)]
+    found = interval_over_levels([0] * 80, 4, names)
+    assert found is not None and (found["low"], found["base_levels"], found["levels"]) == (0.0, 10, 80)
+    t = 2.2621571628  # 97.5 % quantile of Student's t with 9 degrees of freedom
+    assert found["high"] == pytest.approx(t**2 / (10 + t**2))
+    assert interval_over_levels([3] * 8, 4, ["level"] * 8) is None  # says nothing of other levels
+    with pytest.raises(ValueError, match="of 4 attempts cannot have solved"):
+        interval_over_levels([5, 1], 4, ["a", "b"])
+
+
+def test_sets_of_variants_are_shown_with_the_interval_over_their_base_levels() -> None:
+    over = {"low": 0.1, "high": 0.9, "base_levels": 10, "levels": 80}
+    rate = {"low": 0.4, "high": 0.5, "interval_over_levels": over}
+    assert for_readers(rate) == (0.1, 0.9)
+    assert for_readers(rate | {"interval_over_levels": over | {"base_levels": 80}}) == (0.4, 0.5)
+    assert for_readers({"low": 0.4, "high": 0.5}) == (0.4, 0.5)  # of an older run
+
+
+def test_variants_of_a_level_count_as_one_base_level() -> None:
+    names = [variant_name(level, number) for level in ("hop_home", "kick_2") for number in range(NUM_VARIANTS)]
+    assert base_levels("dev_designed_s", names) == ["hop_home"] * 8 + ["kick_2"] * 8
+    assert base_levels("random_s", ["random_s_0", "random_s_1"]) == ["random_s_0", "random_s_1"]

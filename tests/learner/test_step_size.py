@@ -13,8 +13,8 @@ from jax.flatten_util import ravel_pytree
 
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS
 from kinetix_dist.learner.config import AnnealConfig
-from kinetix_dist.learner.sharding import data_mesh
-from kinetix_dist.learner.state import add_env_steps, init_learner_state
+from kinetix_dist.learner.sharding import data_mesh, replicate
+from kinetix_dist.learner.state import at_env_steps, clock, init_learner_state
 from kinetix_dist.learner.step_size import GUARD_FACTOR, guarded, sizes
 from kinetix_dist.learner.update import advantages_of
 from tests.learner.update_program import PPO, STEPS, WORLDS, make_problem, place
@@ -29,9 +29,9 @@ def _flat(params):
 
 
 def _after(steps, **state):
-    """A state that has learned from so many environment steps."""
+    """A state of a run that has played so many environment steps."""
     zero = init_learner_state({"x": jnp.zeros(1)}, PPO.optimizer(), jax.random.key(0))
-    return dataclasses.replace(zero, env_steps=add_env_steps(zero.env_steps, steps), **state)
+    return dataclasses.replace(at_env_steps(zero, jnp.asarray(clock(steps))), **state)
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,9 @@ def updated():
         last_value,
     )
     states, rows = [state], []
-    for _ in range(4):
-        state, metrics = update(states[-1], *place(arguments, mesh, ALL))
+    for number in range(4):
+        now = at_env_steps(states[-1], replicate(clock(number * BATCH), mesh))
+        state, metrics = update(now, *place(arguments, mesh, ALL))
         states.append(state)
         rows.append(metrics)
     return states, rows
@@ -69,9 +70,21 @@ def test_where_nothing_changes_settings_are_constants():
 
 def test_steps_beyond_32_bits_are_annealed():
     config = dataclasses.replace(PPO, anneal=AnnealConfig(start=0, end=20_000_000_000, learning_rate=0.5))
-    state = _after(0, rate_factor=jnp.float32(1))
-    state = dataclasses.replace(state, env_steps=jnp.array([0, 2], jnp.uint32))  # 2^33
-    np.testing.assert_allclose(sizes(config, state).rate, 1 - 0.5 * 2**33 / 2e10, rtol=1e-6)
+    np.testing.assert_allclose(sizes(config, _after(2**33)).rate, 1 - 0.5 * 2**33 / 2e10, rtol=1e-6)
+
+
+def test_all_agents_of_a_run_go_by_its_clock_however_much_each_has_learned_from():
+    """The antagonist of PAIRED learns from half of what is played, its teacher from constructions."""
+    state = {"teacher": _after(7), "antagonist": _after(99), "seen": {"regret": jnp.zeros(())}}
+    now = at_env_steps(state, jnp.asarray(clock(2**32 + 5)))
+    assert [now[agent].env_steps.tolist() for agent in ("teacher", "antagonist")] == [[5, 1], [5, 1]]
+    assert now["seen"] is not state["seen"] and float(now["seen"]["regret"]) == 0
+
+
+@pytest.mark.parametrize("steps", [-1, 2**64])
+def test_a_clock_holds_two_words(steps):
+    with pytest.raises(ValueError, match=f"{steps} environment steps"):
+        clock(steps)
 
 
 def test_the_guard_lowers_the_rate_and_never_raises_it():

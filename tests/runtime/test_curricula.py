@@ -10,6 +10,7 @@ import pytest
 from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, newest_good
 from kinetix_dist.curator.config import CurriculumConfig, PairedConfig, PlrConfig, SlicesConfig
 from kinetix_dist.curator.teacher_levels import teacher_levels
+from kinetix_dist.learner.step_size import GUARD_FACTOR
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained
 from kinetix_dist.runtime.driver.controller import Controller
@@ -103,8 +104,18 @@ def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_pat
         ours, theirs = ({part: after[part] for part in after if part.startswith(whose)} for whose in STUDENTS)
         assert len(ours) == len(theirs) > 0
         assert not any(np.array_equal(a, b) for a, b in zip(ours.values(), theirs.values(), strict=True))
-    learned_from, _ = final_arrays(tmp_path / "cut")["learner/env_steps"]
-    assert learned_from == NUM_UPDATES * config.rollout.num_steps * config.num_trained_envs
+    # Annealing goes by the steps of the run, also where the policy learns from a part of them (`tiny` has it on).
+    steps = [0, *(row["progress/env_steps"] for row in rows)]
+    for agent in ("learner", "curriculum/antagonist", "curriculum/teacher") if name == "paired" else ("learner",):
+        assert after[f"{agent}/env_steps"].tolist() == [steps[-2], 0]
+    anneal, ppo = config.ppo.anneal, config.ppo
+    share = np.clip((np.array(steps[:-1]) - anneal.start) / (anneal.end - anneal.start), 0, 1)
+    assert share.max() > 0.2
+    expected = ppo.learning_rate * (1 + (anneal.learning_rate - 1) * share)
+    found = np.array([row["learner/learning_rate"] for row in rows])
+    guard = np.round(np.log(found / expected) / np.log(GUARD_FACTOR))  # how often it has acted
+    assert (np.diff(guard) >= 0).all()
+    np.testing.assert_allclose(found, expected * GUARD_FACTOR**guard, rtol=1e-5)
     assert all(np.isfinite(row["learner/policy_loss"]) for row in rows)
 
 

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from jax2d.effects import Effects, effects_of
-from kinetix_dist.config import ConfigError, differences, from_dict, to_dict
+from kinetix_dist.config import ConfigError, differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.recipes import RECIPES, recipe
 from kinetix_dist.runtime.cores.levels import make_environment
@@ -66,6 +66,32 @@ def test_paper_recipes_have_the_papers_numbers():
         curriculum = config.curriculum
         assert (curriculum.num_candidates, curriculum.scoring_steps, curriculum.buffer_size) == (12288, 512, 1024)
         assert (curriculum.refresh_every, curriculum.buffer_share) == (128, 0.5)
+
+
+def test_recipes_learn_from_whole_episodes():
+    assert [name for name in RECIPES if recipe(name).cut_episodes] == ["tiny"]
+    said = recipe("tiny").cut_episodes
+    assert said.startswith("rollout.num_steps is 8 and env.max_steps 16: every update begins its levels anew")
+
+
+def test_scores_of_candidates_need_a_whole_episode():
+    config = recipe("quickstart")
+    with pytest.raises(ConfigError, match=r"curriculum.scoring_steps is 63 and env.max_steps 64: of a level whose"):
+        dataclasses.replace(config, curriculum=dataclasses.replace(config.curriculum, scoring_steps=63))
+    old = to_dict(config)
+    old["curriculum"]["scoring_steps"] = 63
+    assert from_dict_for_playing(old).curriculum.scoring_steps == 64  # such policies are still played
+    # Others score no candidates by steps.
+    fixed = dataclasses.replace(config.curriculum, name="domain_randomization", scoring_steps=1)
+    dataclasses.replace(config, curriculum=fixed)
+
+
+def test_learnability_of_a_fresh_level_needs_two_episodes():
+    config = recipe("plr_s")
+    plr = dataclasses.replace(config.curriculum, plr=dataclasses.replace(config.curriculum.plr, score="learnability"))
+    with pytest.raises(ConfigError, match=r"with plr.score 'learnability' needs the ends of 2 episodes in every world"):
+        dataclasses.replace(config, curriculum=plr)
+    dataclasses.replace(config, curriculum=plr, rollout=dataclasses.replace(config.rollout, num_steps=512))
 
 
 def test_engines_of_grouped_worlds_suit_the_levels_of_the_run():

@@ -19,6 +19,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values, replicate, replicated, shapes_of_replicated
+from kinetix_dist.learner.state import at_env_steps, clock
 from kinetix_dist.learner.update import advantages_of
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
@@ -93,9 +94,13 @@ class CurriculumState:
         """parts: of a refresh, in order."""
         self._place(jax.device_get(self._curriculum.adopt(self.values, self._curriculum.join(parts))))
 
-    def observe(self, proposal: Proposal, outcome: LevelOutcome, *, division: Division | None = None) -> None:
-        """proposal, outcome: replicated, each world once, or sharded over the mesh, in all places of `division`."""
-        self.placed, self._values = self._observe(self.placed, proposal, outcome, division), None
+    def observe(
+        self, proposal: Proposal, outcome: LevelOutcome, *, env_steps: int, division: Division | None = None
+    ) -> None:
+        """proposal, outcome: replicated, each world once, or sharded over the mesh, in all places of `division`.
+        env_steps: of the run before this update, by which agents of the curriculum anneal."""
+        state = at_env_steps(self.placed, replicate(clock(env_steps), self._mesh))
+        self.placed, self._values = self._observe(state, proposal, outcome, division), None
 
     @property
     def values(self) -> Any:

@@ -11,11 +11,12 @@ import numpy as np
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.evaluate import compile_evaluation, evaluate
-from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.level.varied_sets import base_levels
 
 EVALUATION_STREAM = 0x4556414C  # "EVAL": keys of evaluations; training folds its own constants into its own seed
 
@@ -33,7 +34,8 @@ class Evaluator:
         self._loading = threading.Lock()
 
     def evaluate(self, params: Any | None) -> dict[str, dict[str, Any]]:
-        """{set: {"rate", "attempts", "low", "high", "levels"}} of a network's parameters; None: of random actions.
+        """{set: {"rate", "attempts", "low", "high", "interval_over_levels", "levels"}} of a network's parameters; None:
+        of random actions.
 
         "levels" is a set's part of a line of evaluations.jsonl: {"names", "solved", "attempts"}, by level.
 
@@ -55,6 +57,7 @@ class Evaluator:
                 "attempts": attempts,
                 "low": low,
                 "high": high,
+                "interval_over_levels": interval_over_levels(by_level, a_level, base_levels(name, level_names)),
                 "levels": {"names": level_names, "solved": by_level, "attempts": a_level},
             }
             start += attempts

@@ -21,7 +21,7 @@ from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.exported_update import exported_update
 from kinetix_dist.learner.sharding import local_values, replicate, shapes_of_replicated
-from kinetix_dist.learner.state import LearnerState
+from kinetix_dist.learner.state import LearnerState, at_env_steps, clock
 from kinetix_dist.learner.update import make_update
 from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
@@ -86,9 +86,10 @@ class LearnerCore:
         assert self.state is not None, "start() comes first"
         return self.state.released
 
-    def learn(self, static: Any, trajectory: Any, last_value: Array) -> dict[str, Array]:
-        """From worlds in all places of the division."""
-        self.state, metrics = self._update(self.state, static, trajectory, last_value)
+    def learn(self, static: Any, trajectory: Any, last_value: Array, *, env_steps: int) -> dict[str, Array]:
+        """From worlds in all places of the division. env_steps: of the run before this update."""
+        state = at_env_steps(self.state, replicate(clock(env_steps), self._mesh))
+        self.state, metrics = self._update(state, static, trajectory, last_value)
         return metrics
 
     def compile(self, static: Any, trajectory: Any, last_value: Any) -> None:

@@ -91,9 +91,10 @@ class LearnerWorker:
         began = time.monotonic()
         self._enter_phase_of(num_updates)
         batch, seen = self._staging.take(num_updates)
-        metrics = self._learner.learn(*batch)
+        env_steps = self._config.schedule.env_steps(num_updates)
+        metrics = self._learner.learn(*batch, env_steps=env_steps)
         if seen is not None:
-            self._state.observe(*seen)
+            self._state.observe(*seen, env_steps=env_steps)
         metrics = self._metrics(num_updates, jax.tree.map(lambda *xs: sum(xs), *sums), local_values(metrics))
         stamp = {"metrics": metrics, "seconds": time.monotonic() - began}
         copies = Copies()
@@ -208,9 +209,10 @@ class Worker(LearnerWorker):
         batch, seen, sums = rollout.play(self._learner.params, self._state.placed, num_updates)
         sums = local_values(sums)  # waits for the rollout
         played = time.monotonic()
-        learner_metrics = local_values(self._learner.learn(*batch))
+        env_steps = self._config.schedule.env_steps(num_updates)
+        learner_metrics = local_values(self._learner.learn(*batch, env_steps=env_steps))
         if seen is not None:
-            self._state.observe(*seen, division=rollout.division)
+            self._state.observe(*seen, env_steps=env_steps, division=rollout.division)
             jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
         learned = time.monotonic()
         if self._after_update is not None:

@@ -145,6 +145,8 @@ def _from_start_to_report(
 ) -> dict[str, Any]:
     """The report. `started` gets what ends what was started, first to last."""
     began = time.monotonic()
+    if config.cut_episodes:
+        reporter.note(config.cut_episodes)
     recorder = Recorder(run)
     stored = run.config = {"hash": config.hash, "config": to_dict(config)}
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume

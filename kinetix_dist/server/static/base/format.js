@@ -85,3 +85,10 @@ function average(values, weight) {
     return sum / total;
   });
 }
+
+/** The interval to show with a rate: over base levels for a set of variants, over attempts for other sets.
+ * @param {any} rate with low, high and interval_over_levels @returns {{ low: number, high: number }} */
+export function interval(rate) {
+  const over = rate.interval_over_levels;
+  return over && over.base_levels < over.levels ? over : rate;
+}

@@ -1,6 +1,6 @@
 // Each level of the evaluation sets over time: how often it was solved, as a heat map and a table.
 import { get, useRequest } from "../base/api.js";
-import { percent, rateWithCount } from "../base/format.js";
+import { interval, percent, rateWithCount } from "../base/format.js";
 import { html, useState } from "../base/html.js";
 import { HeatMap } from "../charts/heat_map.js";
 import { Panel } from "../charts/panel.js";
@@ -36,7 +36,7 @@ function Set({ run, name, set, order }) {
   const rows = () => [["set", "phase", "update", "env_steps", "level", "solved", "attempts"],
     ...points.flatMap((/** @type {any} */ p) => (p.solved ? p.solved.map((/** @type {number} */ count, /** @type {number} */ k) => [name, p.phase, p.update, p.env_steps, set.names[k], count, p.attempts]) : [[name, p.phase, p.update, p.env_steps, "", null, p.episodes]]))];
   const table = html`<div class="scroll"><table><thead><tr><th></th>${columns.map((/** @type {string} */ column, /** @type {number} */ k) => html`<th key=${k} class="number">${column}</th>`)}</tr></thead>
-    <tbody><tr><td>${name}</td>${points.map((/** @type {any} */ p, /** @type {number} */ k) => html`<td key=${k} class="number" title=${`95 % interval ${percent(p.low)} to ${percent(p.high)}`}>${percent(p.rate)} of ${p.episodes}</td>`)}</tr></tbody></table></div>`;
+    <tbody><tr><td>${name}</td>${points.map((/** @type {any} */ p, /** @type {number} */ k) => html`<td key=${k} class="number" title=${`95 % interval ${percent(interval(p).low)} to ${percent(interval(p).high)}`}>${percent(p.rate)} of ${p.episodes}</td>`)}</tr></tbody></table></div>`;
   if (!set.names) return html`<${Panel} title=${name} rows=${rows} name=${`${run} ${name}`} picture=${false} wide=${true}>${table}</${Panel}>`;
   const rate = (/** @type {any} */ p, /** @type {number} */ level) => (p && p.attempts ? p.solved[level] / p.attempts : 0);
   const first = points.find((/** @type {any} */ p) => p.phase === "before") ?? points[0];

@@ -1,7 +1,7 @@
 // One run: how it goes, what is wrong, curves of everything, evaluations, events.
 import { addressOf } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
-import { duration, percent, short, smooth } from "../base/format.js";
+import { duration, interval, percent, short, smooth } from "../base/format.js";
 import { html, useRef, useState } from "../base/html.js";
 import { LineChart } from "../charts/line_chart.js";
 import { Panel } from "../charts/panel.js";
@@ -111,17 +111,18 @@ function Evaluations({ run, view, changes }) {
   const points = sets.flatMap(([, set]) => set.points.filter((/** @type {any} */ p) => p.phase !== "random_policy"));
   const x = [...new Set(points.map((/** @type {any} */ point) => point[axis]))].sort((a, b) => a - b);
   const lines = sets.flatMap(([name, set], index) => {
-    const at = (/** @type {string} */ field) => x.map((place) => set.points.findLast((/** @type {any} */ p) => p[axis] === place && p.phase !== "random_policy")?.[field] ?? null);
+    const found = x.map((place) => set.points.findLast((/** @type {any} */ p) => p[axis] === place && p.phase !== "random_policy"));
+    const at = (/** @type {(p: any) => number} */ field) => found.map((p) => (p ? field(p) : null));
     const baseline = set.points.find((/** @type {any} */ p) => p.phase === "random_policy");
     return [
-      { label: name, values: at("rate"), low: at("low"), high: at("high"), style: 2 * index },
+      { label: name, values: at((p) => p.rate), low: at((p) => interval(p).low), high: at((p) => interval(p).high), style: 2 * index },
       ...(baseline ? [{ label: `${name}, random actions`, values: x.map(() => baseline.rate), style: 2 * index + 1 }] : []),
     ];
   });
   const rows = () => [["set", "phase", "update", "env_steps", "rate", "low", "high", "episodes"],
-    ...sets.flatMap(([name, set]) => set.points.map((/** @type {any} */ p) => [name, p.phase, p.update, p.env_steps, p.rate, p.low, p.high, p.episodes]))];
+    ...sets.flatMap(([name, set]) => set.points.map((/** @type {any} */ p) => [name, p.phase, p.update, p.env_steps, p.rate, interval(p).low, interval(p).high, p.episodes]))];
   const missing = error ?? (data && !sets.length ? "No evaluation so far (evaluations.jsonl); evaluation.every sets how often." : null);
-  return html`<${Panel} title="Evaluation: solve rates (share)" help="levels that are never trained on; bands are 95 % Wilson intervals" missing=${missing} rows=${rows}
+  return html`<${Panel} title="Evaluation: solve rates (share)" help="levels that are never trained on; bands are 95 % intervals: over attempts, of the rate on these levels; over base levels where a set has variants of them" missing=${missing} rows=${rows}
     name=${`${run} evaluation`} buttons=${html`<a class="button" href=${addressOf(["run", run, "evaluation"])}>levels</a>`}>
     ${data ? html`<${LineChart} x=${x} lines=${lines} axis=${axis === "update" ? "updates" : "env steps"} />
       <p class="soft">${sets.map(([name, set]) => { const p = set.points.at(-1); return `${name}: ${percent(p.rate)} of ${p.episodes} episodes`; }).join(" · ")}</p>` : null}
@@ -156,7 +157,7 @@ function detailText(details) {
 function valueText(value) {
   if (value === null || typeof value !== "object") return String(value);
   if (Array.isArray(value)) return JSON.stringify(value);
-  if ("rate" in value && "attempts" in value) return `${percent(value.rate)} (${percent(value.low)} to ${percent(value.high)}) of ${value.attempts}`;
+  if ("rate" in value && "attempts" in value) return `${percent(value.rate)} (${percent(interval(value).low)} to ${percent(interval(value).high)}) of ${value.attempts}`;
   return `(${detailText(value)})`;
 }
 

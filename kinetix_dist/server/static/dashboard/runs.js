@@ -1,7 +1,7 @@
 // All runs: how each is, how far, how well; chosen ones go to the comparison.
 import { addressOf } from "../base/address.js";
 import { get } from "../base/api.js";
-import { date, percent, short } from "../base/format.js";
+import { date, interval, percent, short } from "../base/format.js";
 import { html, useEffect, useState } from "../base/html.js";
 import { Notes, State } from "./parts.js";
 
@@ -75,5 +75,5 @@ function trained(last) {
 /** @param {any} rates */
 function evaluated(rates) {
   const [name, rate] = Object.entries(rates ?? {})[0] ?? [];
-  return rate ? html`<span title=${`${name}, ${rate.attempts} episodes`}>${percent(rate.rate)} (${percent(rate.low)} to ${percent(rate.high)}) of ${rate.attempts}</span>` : "-";
+  return rate ? html`<span title=${`${name}, ${rate.attempts} episodes`}>${percent(rate.rate)} (${percent(interval(rate).low)} to ${percent(interval(rate).high)}) of ${rate.attempts}</span>` : "-";
 }
