@@ -20,6 +20,7 @@ from typing import Annotated
 
 import tyro
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
 
@@ -161,4 +162,4 @@ def _view(target: Path) -> int:
             f"or `rerun {target} --serve-web --bind 127.0.0.1` and a browser"
         )
     # rerun listens on all interfaces unless told otherwise.
-    return subprocess.run([sys.executable, "-m", "rerun", str(target), "--bind", "127.0.0.1"], check=False).returncode
+    return subprocess.run(command_of("rerun", target, "--bind", "127.0.0.1"), check=False).returncode

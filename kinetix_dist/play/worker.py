@@ -16,6 +16,7 @@ from typing import IO
 
 import psutil
 
+from kinetix_dist.child_python import imported_from
 from kinetix_dist.play.wire import PROTOCOL_VERSION, ProtocolError, read
 
 IDLE_SECONDS = 900.0
@@ -44,7 +45,9 @@ def main() -> None:
     enable_compile_cache("")
     outbox = Outbox(pipe)
     service = Service(outbox)
-    outbox.send({"type": "hello", "version": PROTOCOL_VERSION, "pid": os.getpid(), **hello()})
+    outbox.send(
+        {"type": "hello", "version": PROTOCOL_VERSION, "pid": os.getpid(), "imports": imported_from(), **hello()}
+    )
     last_message = [time.monotonic()]
 
     def end(reason: str) -> None:
