@@ -44,7 +44,8 @@ def check_settings() -> None:
 def _complaint(setting: Setting) -> str:
     import jax
 
+    value = getattr(jax.config, setting.name)
     return (
-        f"{setting.name.upper()} is {getattr(jax.config, setting.name)!r}, with which {setting.reason}; "
+        f"{setting.name.upper()} is {str(getattr(value, 'value', value))!r}, with which {setting.reason}; "
         f"unset it ({setting.values[0] or 'allow'!r})"
     )

@@ -51,8 +51,15 @@ def probe_jax() -> dict[str, Any]:
     import jax
     import jax.numpy as jnp
 
+    from kinetix_dist.errors import UserError
+    from kinetix_dist.jax_arithmetic import arithmetic_complaint
+    from kinetix_dist.jax_settings import check_settings
     from kinetix_dist.models.kernels.support import why_no_device
 
+    try:
+        check_settings()
+    except UserError as error:
+        sys.exit(str(error))
     devices = jax.devices()
     started = time.perf_counter()
     total = float(jax.jit(lambda x: (x @ x).sum())(jnp.ones((64, 64))))
@@ -63,6 +70,7 @@ def probe_jax() -> dict[str, Any]:
         "platform": devices[0].platform,
         "devices": [device.device_kind for device in devices],
         "no_kernels": why_no_device(),
+        "wrong_arithmetic": arithmetic_complaint(),
         "compile_seconds": round(time.perf_counter() - started, 2),
     }
 

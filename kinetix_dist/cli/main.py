@@ -20,6 +20,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from kinetix_dist import user_directories
 from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
 from kinetix_dist.cli.last_words import leave, say
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
@@ -53,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
+    user_directories.settle()  # commands that compute say what it replaced
     try:
         return _dispatch(argv)
     except UserError as error:

@@ -154,6 +154,7 @@ def run(args: Args) -> int:
 
 def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
+    from kinetix_dist.cli.computing import start_computing
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.models.kernels.support import KernelError
@@ -161,7 +162,6 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.runtime.driver.starting import starting_point
     from kinetix_dist.runtime.driver.training_run import hold_to_cpu, start_fork_server, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
 
     config = args.config
@@ -175,6 +175,7 @@ def _run(args: Args, stop: StopSignals) -> None:
     try:
         with user_errors(PlacementError):
             hold_to_cpu(config)
+        start_computing(config.run.compile_cache)
         with user_errors(ValueError, OSError):
             _check_levels(config)  # reading levels computes
         if not args.resume:
@@ -182,7 +183,6 @@ def _run(args: Args, stop: StopSignals) -> None:
                 differs = starting_point(config).differs
         with user_errors(RunDirectoryError):
             directory = _open(args)
-        enable_compile_cache(config.run.compile_cache)
         print(
             f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}"
             f"  physics {describe(config.env.physics)}",
