@@ -165,6 +165,8 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
 
     config = args.config
+    if args.resume and _is_finished(args):
+        return
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
         with user_errors(PlacementError):  # before a directory is made; a cluster is asked when it is connected
             resolve_device(config.run.device, num_gpus=count_gpus())
@@ -203,6 +205,19 @@ def _run(args: Args, stop: StopSignals) -> None:
             directory.close()
         if fork_server is not None:
             fork_server.stop()
+
+
+def _is_finished(args: Args) -> bool:
+    """Whether the run to resume is at the end that its configuration asks for; says so, and how it goes on."""
+    from kinetix_dist.runtime.driver.finished import finished_report
+
+    assert args.run is not None
+    report = finished_report(args.run, args.config)
+    if report is None:
+        return False
+    reached = f"{report['env_steps']:,} env steps in {report['training_seconds']:.0f} s of training"
+    say(f"{args.run} is finished: {reached}; {longer(args.config.run, report)} goes on", sys.stdout)
+    return True
 
 
 def _override(base: TrainConfig, overrides: list[str], prog: str) -> TrainConfig:

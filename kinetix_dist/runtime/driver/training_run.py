@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import socket
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -144,7 +143,6 @@ def _from_start_to_report(
     resume: bool,
 ) -> dict[str, Any]:
     """The report. `started` gets what ends what was started, first to last."""
-    began = time.monotonic()
     recorder = Recorder(run)
     stored = run.config = {"hash": config.hash, "config": to_dict(config)}
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
@@ -165,7 +163,7 @@ def _from_start_to_report(
         _write_or_fail(run, run.config_path, stored)
     evaluations = _from_first_to_last_update(controller, run, reporter)
     controller.clock.lap()
-    report = _report(config, controller, evaluations, controller.facts(), wall_seconds=time.monotonic() - began)
+    report = _report(config, controller, evaluations, controller.facts())
     _write_or_fail(run, run.report_path, report)
     # Last, since drawing needs libraries that nothing else of a run does.
     if config.recording.num_rollouts and config.recording.make_pictures:
@@ -327,14 +325,12 @@ def _report(
     controller: Controller,
     evaluations: dict[str, Any],
     facts: dict[str, Any],
-    *,
-    wall_seconds: float,
 ) -> dict[str, Any]:
     seconds = {role: round(value, 3) for role, value in controller.clock.totals.items()}
     return {
         "recipe": config.run.name,
         "env_steps": controller.env_steps,
-        "wall_seconds": round(controller.seconds_before + wall_seconds, 3),
+        "wall_seconds": round(controller.wall_seconds, 3),
         "training_seconds": round(controller.training_seconds_at_end, 3),
         "env_steps_per_second": round(controller.env_steps / max(controller.training_seconds_at_end, 1e-9), 1),
         "policy_updates": controller.num_updates,
