@@ -21,6 +21,7 @@ from typing import Any, Literal
 
 from kinetix_dist import user_directories
 from kinetix_dist.cli.doctor_probes import ProbeError, run_probe
+from kinetix_dist.engine_package import ENGINE, engine_complaint, engine_note
 
 PACKAGE = "kinetix-dist"
 MIN_PYTHON = (3, 11)
@@ -69,6 +70,10 @@ def diagnose(args: Args) -> Iterator[Check]:
     yield check_python()
     yield check_hardware()
     yield from check_packages()
+    engine = check_engine()
+    yield engine
+    if engine.status == "error":  # whatever needs it would say the same
+        return
     yield check_warp(_probed("warp", _judge_warp, f"the physics kernel cannot be compiled; {_INSTALL}"))
     yield _probed("ray", _judge_ray, f"{_INSTALL}; without ray only local mode runs", failure="warning")
     jax_check = _probed("jax", _judge_jax, f"{_INSTALL}; to leave a broken GPU aside set JAX_PLATFORMS=cpu")
@@ -132,6 +137,14 @@ def check_packages() -> Iterator[Check]:
         yield Check(name="packages", status="warning", detail="; ".join(outside), remedy=_INSTALL, facts=versions)
     else:
         yield Check(name="packages", status="ok", detail=f"{len(versions)} as required", facts=versions)
+
+
+def check_engine() -> Check:
+    """Whether `jax2d` is the engine of this installation and not the published package of that name."""
+    if line := engine_complaint() or engine_note():
+        detail, remedy = line.split("; ", 1)
+        return Check(name="engine", status="error" if engine_complaint() else "warning", detail=detail, remedy=remedy)
+    return Check(name="engine", status="ok", detail=f"jax2d at {ENGINE}", facts={"directory": str(ENGINE)})
 
 
 def _probed(

@@ -6,17 +6,16 @@ JSON object as its last line; an exception ends the process with its message on 
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.errors import one_line
+from kinetix_dist.engine_package import ENGINE
 
 MODULE = "kinetix_dist.cli.doctor_probes"
 TIMEOUT_S = 120.0  # a first start of CUDA on a large host takes tens of seconds
@@ -31,10 +30,7 @@ def run_probe(name: str) -> dict[str, Any]:
     command = command_of(MODULE, name)
     if name == "warp":
         # By its path: importing the package jax2d would import jax, and a broken jax is another check's finding.
-        engine = importlib.util.find_spec("jax2d")
-        if engine is None or not engine.submodule_search_locations:
-            raise ProbeError("the package jax2d is not installed")
-        command = command_of(str(Path(engine.submodule_search_locations[0], "warp", "self_check.py")))
+        command = command_of(str(ENGINE / "warp" / "self_check.py"))
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired as error:

@@ -24,6 +24,7 @@ from kinetix_dist import user_directories
 from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
 from kinetix_dist.cli.last_words import leave, say
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
+from kinetix_dist.engine_package import engine_complaint
 
 __all__ = ["COMMANDS", "main", "parse_args"]
 
@@ -82,6 +83,8 @@ def _dispatch(argv: list[str]) -> int:
         near = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"commands: {', '.join(COMMANDS)}"
         raise UserError(f"unknown command {name!r}; {hint}")
+    if name != "doctor" and (complaint := engine_complaint()):
+        raise UserError(complaint)
     module = load_module(COMMANDS[name][0], name)
     parse = getattr(module, "parse", None)
     args = parse(rest) if parse is not None else parse_args(module.Args, rest, prog=f"{PROG} {name}")
