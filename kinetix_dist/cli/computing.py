@@ -6,6 +6,7 @@ import functools
 import sys
 
 from kinetix_dist import user_directories
+from kinetix_dist.cli.last_words import say
 from kinetix_dist.jax_arithmetic import check_arithmetic
 from kinetix_dist.jax_settings import check_settings
 
@@ -31,4 +32,4 @@ def start_computing(compile_cache: str = "") -> None:
 
 @functools.cache  # once a command, which may start to compute in two places
 def _say(line: str) -> None:
-    print(f"kinetix-dist: {line}", file=sys.stderr, flush=True)
+    say(f"kinetix-dist: {line}", sys.stderr)

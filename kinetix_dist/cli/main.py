@@ -16,7 +16,6 @@ Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was g
 from __future__ import annotations
 
 import difflib
-import os
 import sys
 from collections.abc import Sequence
 
@@ -24,6 +23,7 @@ from kinetix_dist import user_directories
 from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
 from kinetix_dist.cli.last_words import leave, say
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
+from kinetix_dist.cli.streams import prepare_streams
 from kinetix_dist.engine_package import engine_complaint
 
 __all__ = ["COMMANDS", "main", "parse_args"]
@@ -47,6 +47,8 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit status."""
+    if argv is None:
+        prepare_streams()
     status = _run(list(sys.argv[1:] if argv is None else argv))
     # Others may have more to say than a slow reader has taken so far.
     if argv is None and sys.argv[1:2] in (["train"], ["finetune"]):
@@ -62,11 +64,8 @@ def _run(argv: list[str]) -> int:
         say(f"{PROG}: {one_line(error)}", sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
-        print(f"{PROG}: interrupted", file=sys.stderr)
+        say(f"{PROG}: interrupted", sys.stderr)
         return EXIT_INTERRUPTED
-    except BrokenPipeError:  # `kinetix-dist levels list | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
 
 
 def _dispatch(argv: list[str]) -> int:

@@ -11,6 +11,7 @@ import webbrowser
 from typing import Any
 
 from kinetix_dist.cli.errors import UserError
+from kinetix_dist.cli.last_words import say
 from kinetix_dist.server.access import is_loopback
 from kinetix_dist.server.app import DEFAULT_PORT, ServerConfig
 from kinetix_dist.server.serving import serve
@@ -51,7 +52,7 @@ def serve_pages(name: str, args: ServerArgs, **config: Any) -> int:
             print(f"from afar  ssh -L {port}:127.0.0.1:{port} {getpass.getuser()}@{socket.gethostname()}")
         print("           Ctrl-C ends it", flush=True)
         if args.open and not webbrowser.open(address):
-            print("kinetix-dist: no browser could be opened; open the address above in one", file=sys.stderr)
+            say("kinetix-dist: no browser could be opened; open the address above in one", sys.stderr)
 
     serve(server, listening)
     return 0

@@ -22,6 +22,7 @@ import tyro
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.last_words import say
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
 
 
@@ -122,7 +123,7 @@ def _read(files: list[Path]) -> list[tuple[Path, int, Rollout]]:
         with user_errors(RecordingError, OSError):
             recording = read_rollouts(file)
         for problem in recording.problems:
-            print(f"kinetix-dist: {problem}", file=sys.stderr)
+            say(f"kinetix-dist: {problem}", sys.stderr)
         rollouts += [(file, index, rollout) for index, rollout in enumerate(recording.rollouts)]
     if not rollouts:
         raise UserError(f"{files[0]} holds no whole rollout; nothing to replay")
