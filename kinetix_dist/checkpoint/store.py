@@ -29,6 +29,7 @@ import numpy as np
 
 from kinetix_dist.checkpoint.manifest import manifest_fault, write_manifest
 from kinetix_dist.checkpoint.pretrained import find_checkpoint, pretrained_names
+from kinetix_dist.near_names import did_you_mean
 
 FORMAT = 1
 DESCRIPTION_NAME = "checkpoint.json"
@@ -118,8 +119,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """
     path = find_checkpoint(Path(path))
     if not path.is_dir():
-        known = ", ".join(pretrained_names()) or "none"
-        raise CheckpointError(f"there is no checkpoint {path}; pretrained policies here: {known}")
+        known = pretrained_names()
+        hint = did_you_mean(str(path), known, f"pretrained policies here: {', '.join(known) or 'none'}")
+        raise CheckpointError(f"there is no checkpoint {path}; {hint}")
     if fault := _fault(path):
         raise CheckpointError(f"checkpoint {path} {fault}")
     description = json.loads((path / DESCRIPTION_NAME).read_text())

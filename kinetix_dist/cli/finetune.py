@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from kinetix_dist.cli import train
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.option_help import wants_help
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
@@ -71,7 +72,7 @@ def parse(argv: Sequence[str]) -> Args:
         known, rest = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
         raise UserError(f"{one_line(error)}; see `{PROG} --help`") from None
-    if {"-h", "--help"} & set(rest):
+    if wants_help(rest):
         print(USAGE)
         train.parse(rest, prog=PROG, default_recipe=DEFAULT_RECIPE)  # prints what there is and ends
     if known.draw is not None:

@@ -15,7 +15,6 @@ Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was g
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Sequence
 
@@ -25,6 +24,7 @@ from kinetix_dist.cli.last_words import leave, say
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
 from kinetix_dist.cli.streams import prepare_streams
 from kinetix_dist.engine_package import engine_complaint
+from kinetix_dist.near_names import did_you_mean
 
 __all__ = ["COMMANDS", "main", "parse_args"]
 
@@ -79,8 +79,7 @@ def _dispatch(argv: list[str]) -> int:
         return 0
     name, rest = argv[0], argv[1:]
     if name not in COMMANDS:
-        near = difflib.get_close_matches(name, COMMANDS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"commands: {', '.join(COMMANDS)}"
+        hint = did_you_mean(name, COMMANDS, f"commands: {', '.join(COMMANDS)}")
         raise UserError(f"unknown command {name!r}; {hint}")
     if name != "doctor" and (complaint := engine_complaint()):
         raise UserError(complaint)

@@ -2,10 +2,10 @@
 policy.
 
 Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
-field of the configuration is an option; `--help` lists them with the values of the recipe. `--env.preset NAME` replaces
-all solver settings (env.physics) by those of a preset, `--curriculum.generator NAME` all parameters of random levels,
-before single fields are overridden. `--phases FILE` replaces the phases of the recipe after that, and `--from CKPT` is
-short for --run.start_from.
+field of the configuration is an option; `--help` lists everyday ones with the values of the recipe, `--help SECTION`
+those of a section. `--env.preset NAME` replaces all solver settings (env.physics) by those of a preset,
+`--curriculum.generator NAME` all parameters of random levels, before single fields are overridden. `--phases FILE`
+replaces the phases of the recipe after that, and `--from CKPT` is short for --run.start_from.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ import json
 import os
 import shlex
 import sys
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.option_help import HELP_ALL, WIDTH, options_help, wants_help
 
 if TYPE_CHECKING:
     from kinetix_dist.config import RunConfig, TrainConfig
@@ -72,18 +74,31 @@ def parse(
     from kinetix_dist.recipes import RECIPES, recipe
     from kinetix_dist.registry import import_plugins
 
-    if {"-h", "--help"} & set(overrides):
-        print(
-            f"usage: {prog} [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]\n\n"
-            f"  --recipe NAME   {', '.join(RECIPES)} (default {default_recipe})\n"
-            "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)\n"
-            "  --resume        go on with the run in --run, or with the newest run of the recipe\n"
-            "  --from CKPT     start from the parameters of a checkpoint, or of a pretrained policy by name\n"
-            "  --phases FILE   TOML or JSON: from a step on, other settings (docs/training.md, Phases)\n"
-            f"  --env.preset NAME  all of env.physics at once: {', '.join(PRESETS)}; single fields are set after it\n"
-            f"  --curriculum.generator NAME  all of curriculum.generator likewise: {', '.join(GENERATORS)}\n\n"
-            f"fields and their values in recipe {known.recipe or default_recipe!r}:\n"
+    if wants_help(overrides):
+        recipe_name = known.recipe or default_recipe
+        usage = "\n".join(
+            (
+                f"usage: {prog} [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]\n",
+                *_listed("--recipe NAME", f"{', '.join(RECIPES)} (default {default_recipe})"),
+                "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)",
+                "  --resume        go on with the run in --run, or with the newest run of the recipe",
+                "  --from CKPT     start from the parameters of a checkpoint, or of a pretrained policy by name",
+                "  --phases FILE   TOML or JSON: from a step on, other settings (docs/training.md, Phases)",
+                *_listed("--env.preset NAME", f"all of env.physics at once: {', '.join(PRESETS)}"),
+                *_listed(
+                    "--curriculum.generator NAME", f"all of curriculum.generator at once: {', '.join(GENERATORS)}"
+                ),
+                f"\noptions and their values in recipe {recipe_name!r}:\n",
+            )
         )
+        with user_errors(ValueError):
+            shown = recipe(recipe_name)
+        if HELP_ALL not in overrides:
+            text = options_help(overrides, shown, prog)
+            print(f"{usage}\n{text}")
+            raise SystemExit(0)
+        print(usage)
+        overrides = ["--help"]
     run = known.run
     if run == Path() and not known.resume:  # also what an unset variable gives
         raise UserError("--run is empty or the current directory; name a directory of the run's own, or leave it out")
@@ -130,6 +145,14 @@ def parse(
         for phase in config.schedule.phases:
             phase.config.check_generator()
     return Args(config=config, run=run, resume=known.resume)
+
+
+def _listed(option: str, text: str) -> list[str]:
+    """Lines of an option whose values are many."""
+    indent = " " * 18
+    lines = textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent)
+    is_short = len(option) < len(indent) - 3
+    return [f"  {option:<16}{lines[0].strip()}", *lines[1:]] if is_short else [f"  {option}", *lines]
 
 
 def run(args: Args) -> int:
