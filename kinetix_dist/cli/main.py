@@ -15,6 +15,7 @@ Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was g
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -81,12 +82,21 @@ def _dispatch(argv: list[str]) -> int:
     if name not in COMMANDS:
         hint = did_you_mean(name, COMMANDS, f"commands: {', '.join(COMMANDS)}")
         raise UserError(f"unknown command {name!r}; {hint}")
+    _check_current_directory()
     if name != "doctor" and (complaint := engine_complaint()):
         raise UserError(complaint)
     module = load_module(COMMANDS[name][0], name)
     parse = getattr(module, "parse", None)
     args = parse(rest) if parse is not None else parse_args(module.Args, rest, prog=f"{PROG} {name}")
     return int(module.run(args) or 0)
+
+
+def _check_current_directory() -> None:
+    """Raises UserError where it was removed: names of files mean nothing, and libraries ask for it as they start."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise UserError("the current directory was removed; change to one that is there") from None
 
 
 def _usage() -> str:

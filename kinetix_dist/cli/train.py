@@ -183,7 +183,7 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.models.kernels.support import KernelError
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
     from kinetix_dist.runtime.driver.starting import starting_point
-    from kinetix_dist.runtime.driver.training_run import hold_to_cpu, start_fork_server, train
+    from kinetix_dist.runtime.driver.training_run import check_devices, hold_to_cpu, start_fork_server, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
 
@@ -201,6 +201,8 @@ def _run(args: Args, stop: StopSignals) -> None:
         with user_errors(PlacementError):
             hold_to_cpu(config)
         start_computing(config.run.compile_cache)
+        with user_errors(PlacementError):
+            check_devices(config)
         with user_errors(ValueError, OSError):
             _check_levels(config)  # reading levels computes
         if not args.resume:

@@ -7,11 +7,12 @@ import shutil
 
 import pytest
 
-from kinetix_dist.checkpoint import list_checkpoints
+from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import from_dict
+from kinetix_dist.runtime.driver.run_directory import RunDirectory, newest_run
 from kinetix_dist.runtime.driver.session_totals import SessionTotals, totals_before
-from tests.runtime.conftest import NUM_UPDATES, STEPS
+from tests.runtime.conftest import NUM_UPDATES, STEPS, tiny_options
 
 
 @pytest.fixture
@@ -78,3 +79,30 @@ def test_a_run_that_was_killed_goes_on_with_the_sums_of_its_checkpoint(copy):
     assert totals_before(copy / "report.json", description) == SessionTotals(**sums)
     del description["sessions"]  # of an earlier version
     assert totals_before(copy / "nothing", description) == SessionTotals(wall_seconds=20.0)
+
+
+def test_a_directory_with_characters_of_patterns_holds_a_run_like_any_other(finished_run, tmp_path, monkeypatch):
+    """Orbax takes them for a pattern; the run is trained on and its checkpoint read again."""
+    here = tmp_path / "a [1] b*?"
+    shutil.copytree(finished_run, here / "plain[2]")
+    monkeypatch.chdir(here)
+    more = NUM_UPDATES + 1
+    assert main(["train", "--run", "plain[2]", "--resume", "--run.total_env_steps", str(more * STEPS)]) == 0
+    newest = list_checkpoints(here / "plain[2]" / "checkpoints")[-1]
+    assert load_checkpoint(newest).description["num_updates"] == more
+    assert newest_run(here, "plain[2]") == here / "plain[2]"
+
+
+def test_a_run_whose_configuration_has_no_space_is_told_to_start_again(tmp_path, monkeypatch, capsys):
+    """There is nothing yet that --resume could go on with."""
+
+    def full(run, path, content):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(RunDirectory, "write_json", full)
+    assert main(["train", "--run", str(tmp_path / "run"), *tiny_options(NUM_UPDATES)]) == 1
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.endswith("config.json cannot be written: [Errno 28] No space left on device; free space there, then "
+                         "start the run again")  # fmt: skip
+    monkeypatch.undo()
+    assert main(["train", "--run", str(tmp_path / "run"), "--resume"]) == 2

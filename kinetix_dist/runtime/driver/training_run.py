@@ -41,7 +41,14 @@ from kinetix_dist.runtime.driver.stopping import (
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, RayFailedError, TooManyLossesError
 from kinetix_dist.runtime.processes.fork_server import ForkServer
-from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
+from kinetix_dist.runtime.processes.placement import (
+    PlacementError,
+    ProcessPlan,
+    check_devices_here,
+    count_gpus,
+    plan,
+    resolve_device,
+)
 from kinetix_dist.runtime.processes.ray_access import use_token
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
@@ -146,7 +153,7 @@ def _from_start_to_report(
     recorder = Recorder(run)
     stored = run.config = {"hash": config.hash, "config": to_dict(config)}
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
-        _write_or_fail(run, run.config_path, stored)
+        _write_or_fail(run, run.config_path, stored, "then start the run again")
     try:
         backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
         stop.install()
@@ -160,11 +167,11 @@ def _from_start_to_report(
             run.config_path.unlink(missing_ok=True)
         raise
     if resume:  # what is refused leaves the one there is
-        _write_or_fail(run, run.config_path, stored)
+        _write_or_fail(run, run.config_path, stored, f"then --run {run.path} --resume")
     evaluations = _from_first_to_last_update(controller, run, reporter)
     controller.clock.lap()
     report = _report(config, controller, evaluations, controller.facts())
-    _write_or_fail(run, run.report_path, report)
+    _write_or_fail(run, run.report_path, report, f"then --run {run.path} --resume")
     # Last, since drawing needs libraries that nothing else of a run does.
     if config.recording.num_rollouts and config.recording.make_pictures:
         if failure := recorder.make_pictures():
@@ -205,13 +212,12 @@ def _write_evaluations(run: RunDirectory, reporter: RunReporter, evaluations: di
         reporter.note(f"evaluations.json cannot be written, the run goes on: {one_line(error)}")
 
 
-def _write_or_fail(run: RunDirectory, path: Path, content: Any) -> None:
+def _write_or_fail(run: RunDirectory, path: Path, content: Any, then: str) -> None:
+    """then: how the run goes on once there is space."""
     try:
         run.write_json(path, content)
     except OSError as error:
-        raise RunFailedError(
-            f"{path} cannot be written: {one_line(error)}; free space there, then --run {run.path} --resume"
-        ) from error
+        raise RunFailedError(f"{path} cannot be written: {one_line(error)}; free space there, {then}") from error
 
 
 def hold_to_cpu(config: TrainConfig) -> None:
@@ -230,6 +236,15 @@ def hold_to_cpu(config: TrainConfig) -> None:
             f"JAX runs on {jax.default_backend()} in this process already, which is to compute on the CPU; "
             "start training from a process that has not used JAX, or set JAX_PLATFORMS=cpu"
         )
+
+
+def check_devices(config: TrainConfig) -> None:
+    """Raises PlacementError where this process is to train and has more devices than there are parts of a batch. After
+    `hold_to_cpu`."""
+    import jax
+
+    if config.run.placement == "local":
+        check_devices_here(config, len(jax.devices()))
 
 
 def start_fork_server(config: TrainConfig) -> ForkServer | None:
@@ -259,6 +274,7 @@ def _start_roles(
     fork_server: ForkServer | None,
 ) -> tuple[Backend, Trainer, Curator | None, Evaluations | None, Resizing | None]:
     hold_to_cpu(config)
+    check_devices(config)
     if config.run.placement == "local":
         from kinetix_dist.runtime.processes.local import LocalBackend
 
