@@ -26,6 +26,7 @@ from bench.program import exit_code, output_file, parser_of
 from jax2d import Capacity, Effects, Engine, SceneBuilder, preset
 from jax2d.warp.memory import thread_bytes
 from kinetix_dist.benchmarks.growth_scenes import capacity_of
+from kinetix_dist.child_python import command_of
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.level.level import SIZES
 
@@ -90,7 +91,7 @@ def measure(size: str, compute_capability: str | None) -> list[dict]:
         if compute_capability is not None:
             runs.append(("cold", f"--compute-capability={compute_capability}"))
         for cache, what in runs:
-            command = [sys.executable, __file__, "--in-this-process", size, what]
+            command = command_of(__file__, "--in-this-process", size, what)
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             if done.returncode != 0:
                 last = (done.stderr.strip().splitlines() or ["no message"])[-1]

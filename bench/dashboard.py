@@ -26,6 +26,7 @@ from typing import Any
 import psutil
 
 from bench.program import exit_code, output_file, parser_of
+from kinetix_dist.child_python import command_of
 from kinetix_dist.config import to_dict
 from kinetix_dist.errors import UserError
 from kinetix_dist.recipes import recipe
@@ -62,7 +63,7 @@ def write_run(run: Path, updates: int) -> Path:
 def serving(*paths: Path | str, name: str = "dashboard") -> Iterator[tuple[str, psutil.Process]]:
     """Address and process of a dashboard (or `name="edit"`) over paths."""
     environment = os.environ | {"PYTHONPATH": str(CHECKOUT), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "kinetix_dist.cli.main", name, "--port", "0", *map(str, paths)]
+    command = command_of("kinetix_dist.cli.main", name, "--port", 0, *paths)
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     try:
         assert server.stdout is not None

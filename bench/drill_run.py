@@ -12,7 +12,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from typing import Any
 import psutil
 
 from kinetix_dist.checkpoint import list_checkpoints
+from kinetix_dist.child_python import command_of
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.processes.watchdog import is_alive
 from kinetix_dist.telemetry.json_lines import read_lines
@@ -66,7 +66,7 @@ class DrillRun:
 
     def start(self, *options: str, resume: bool = False) -> None:
         """Begins the command; its words go to files beside the run directory."""
-        command = [sys.executable, "-m", "kinetix_dist.cli.main", "train", "--run", str(self.path)]
+        command = command_of("kinetix_dist.cli.main", "train", "--run", self.path)
         if resume:
             command += ["--resume"]
         else:

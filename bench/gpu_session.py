@@ -33,6 +33,7 @@ CHECKOUT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(CHECKOUT))  # run as a script where the project is not installed
 
 from bench.program import exit_code, parser_of  # noqa: E402
+from kinetix_dist.child_python import command_of  # noqa: E402
 from kinetix_dist.errors import UserError  # noqa: E402
 
 PART_SECONDS = 540.0
@@ -67,13 +68,9 @@ class Step:
     draws: tuple[str, ...] = ()  # what a command leaves beside its JSON that is kept too: endings
 
 
-def python(*arguments: Any) -> list[str]:
-    return [sys.executable, *map(str, arguments)]
-
-
 def bench(*arguments: Any) -> list[str]:
     """A benchmark of `kinetix-dist bench`."""
-    return python("-m", "kinetix_dist.cli.main", "bench", *arguments, "--json", "{json}")
+    return command_of("kinetix_dist.cli.main", "bench", *arguments, "--json", "{json}")
 
 
 def steps_of(part: int, mini: bool) -> list[Step]:
@@ -81,7 +78,7 @@ def steps_of(part: int, mini: bool) -> list[Step]:
 
 
 def first_part(mini: bool) -> list[Step]:
-    tests = python("-m", "pytest", "-m", "gpu", "-v", "-p", "no:cacheprovider", "-rs", "--tb=short")
+    tests = command_of("pytest", "-m", "gpu", "-v", "-p", "no:cacheprovider", "-rs", "--tb=short")
     # Alone on the GPU, so that what its processes take of it can be seen.
     smoke = [*tests, "tests/runtime/test_gpu_run.py", "-k", "colocated"] + (["--gpu-tests-on-cpu"] if mini else [])
     if mini:
@@ -90,7 +87,9 @@ def first_part(mini: bool) -> list[Step]:
         parallel = ["-n", "8", "--dist", "loadfile"] if importlib.util.find_spec("xdist") else []
         tests += [*parallel, "--continue-on-collection-errors", *files_with_gpu_tests()]
     # While tests run nothing is timed: what later steps compile is compiled then.
-    warm = {} if mini else {f"compile peer {size}": python(__file__, "--compile-peer", size) for size in PEER_WORLDS}
+    warm = (
+        {} if mini else {f"compile peer {size}": command_of(__file__, "--compile-peer", size) for size in PEER_WORLDS}
+    )
 
     def beside(size: str) -> Step:
         worlds, steps = ((4, 8), 2) if mini else (PEER_WORLDS[size], PEER_STEPS)
@@ -115,7 +114,7 @@ def second_part(mini: bool) -> list[Step]:
     def soak(size: str) -> list[str]:
         worlds, steps, seconds = (4, 1, 60) if mini else (SOAK_WORLDS, SOAK_STEPS[size], 280)
         amount = ("--worlds", worlds, "--steps", steps, "--seconds", seconds)
-        return python(
+        return command_of(
             "bench/soak.py", "--sizes", size, *amount, "--episodes-a-draw", 8, "--seed", 11, "--json", "{json}"
         )
 
@@ -125,7 +124,7 @@ def second_part(mini: bool) -> list[Step]:
 
     # Nor does the soak time anything: the engines of the last steps are compiled beside it.
     warm = {} if mini else {f"compile effects {size}": effects(size)[:-2] for size in sizes}  # without --json FILE
-    accuracy = python("-m", "jax2d.fidelity", "--backends", "warp", "--peers", "--json", "{json}")
+    accuracy = command_of("jax2d.fidelity", "--backends", "warp", "--peers", "--json", "{json}")
     accuracy += ["--worlds", "65536"]
     if mini:
         accuracy += ["--quick", "--worlds", "4", "--scenes", "free_fall", "--presets", "standard"]
@@ -153,15 +152,15 @@ def third_part(mini: bool) -> list[Step]:
     if levels := os.environ.get("KINETIX_LEVELS"):
         profile += ("--levels", levels)
     largest = ("--sizes", "s", "--worlds", 1, "--shapes", 4 if mini else 512)
-    compiling = {size: python("bench/compile_time.py", "--sizes", size, "--json", "{json}") for size in sizes}
+    compiling = {size: command_of("bench/compile_time.py", "--sizes", size, "--json", "{json}") for size in sizes}
     alone = ("--worlds", 4, "--steps", 2) if mini else ("--worlds", *OUR_WORLDS)
     return [
-        Step("revisions", {"": python(*compare, *revisions)}, 200),
-        Step("variants", {"": python(*compare, "--variants", *variants)}, 140),
+        Step("revisions", {"": command_of(*compare, *revisions)}, 200),
+        Step("variants", {"": command_of(*compare, "--variants", *variants)}, 140),
         Step("our engine by worlds", {"": bench("engine", "speed", "--presets", "standard", *alone)}, 100),
         Step("growth", {"": bench("engine", "growth", *growth)}, 240, draws=(".md", ".png")),
         Step("compiling", compiling, 60),
-        Step("profile", {"": python("bench/kernel_profile.py", *profile, "--json", "{json}")}, 80),
+        Step("profile", {"": command_of("bench/kernel_profile.py", *profile, "--json", "{json}")}, 80),
         Step("512 shapes", {"": bench("engine", "growth", *largest)}, 60),
     ]
 

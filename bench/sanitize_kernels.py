@@ -27,13 +27,14 @@ import numpy as np
 
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
+from kinetix_dist.child_python import command_of
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.errors import UserError
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.kernels import support
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 
-COMPUTE = (sys.executable, "-m", "bench.sanitize_kernels", "--compute")
+COMPUTE = tuple(command_of("bench.sanitize_kernels", "--compute"))
 TOOLS = ("memcheck", "racecheck", "synccheck", "initcheck")
 NUM_WORLDS = (1, 150)
 PLACE = re.compile(r"\bat (\w+)\+0x")

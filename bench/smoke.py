@@ -33,6 +33,7 @@ import psutil
 
 from bench.drill_run import python_path
 from bench.program import exit_code, output_file, parser_of, report_each
+from kinetix_dist.child_python import command_of
 from kinetix_dist.config import ConfigError
 from kinetix_dist.errors import UserError
 from kinetix_dist.recipes import recipe
@@ -95,7 +96,7 @@ class Smoke:
 
     def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
         """num_rows: of metrics before; None: none are waited for."""
-        command = [sys.executable, "-m", "kinetix_dist", *arguments]
+        command = command_of("kinetix_dist.cli.main", *arguments)
         began, first = time.monotonic(), None
         with (self.folder / f"{name}.log").open("w+") as said:
             process = subprocess.Popen(

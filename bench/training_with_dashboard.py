@@ -30,6 +30,7 @@ import psutil
 
 from bench.dashboard import CHECKOUT, DRAWN, add_browser_argument, launched, serving
 from bench.program import exit_code, output_file, parser_of
+from kinetix_dist.child_python import command_of
 from kinetix_dist.dashboard.run_index import last_row
 from kinetix_dist.errors import UserError
 
@@ -64,7 +65,7 @@ def measure(browser: Any, runs: Path, arguments: argparse.Namespace) -> list[dic
         page = browser.new_context(locale="en-US", viewport=VIEWPORT).new_page()
         page.goto(address)
         page.wait_for_selector("nav")
-        command = [sys.executable, "-m", "kinetix_dist.cli.main", "train", "--recipe", arguments.recipe]
+        command = command_of("kinetix_dist.cli.main", "train", "--recipe", arguments.recipe)
         options = ["--run", str(run), "--run.total_env_steps", str(10**12)]
         training = subprocess.Popen(
             [*command, *options], stdout=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": str(CHECKOUT)}

@@ -8,18 +8,18 @@ import os
 import queue
 import struct
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.play.frames import Frame, FrameSizes, decode
 from kinetix_dist.play.wire import NOT_FOUND, Message, RequestError, encode, read
+from kinetix_dist.server.worker_client import WORKER
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
-WORKER = (sys.executable, "-m", "kinetix_dist.play.worker")
 SECONDS = 120.0  # for an answer, after which a worker is taken for hung
 
 
@@ -30,7 +30,7 @@ class Client:
         self._log = log.open("wb")
         search_path = os.pathsep.join([str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])])
         self.process = subprocess.Popen(
-            WORKER,
+            command_of(WORKER),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
 from collections.abc import Callable
 
@@ -21,6 +20,7 @@ from kinetix_dist.learner.config import AnnealConfig, PpoConfig
 from kinetix_dist.level.generator_config import ALL_KINDS, GeneratorConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
@@ -245,7 +245,6 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
 def recipe(name: str) -> TrainConfig:
     """The configuration of a recipe; raises ConfigError for an unknown one."""
     if name not in RECIPES:
-        near = difflib.get_close_matches(name, RECIPES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"recipes: {', '.join(RECIPES)}"
+        hint = did_you_mean(name, RECIPES, f"recipes: {', '.join(RECIPES)}")
         raise ConfigError(f"unknown recipe {name!r}; {hint}")
     return RECIPES[name]()

@@ -7,6 +7,8 @@ import importlib
 from collections.abc import Iterable, Iterator
 from typing import Generic, TypeVar
 
+from kinetix_dist.near_names import did_you_mean
+
 T = TypeVar("T")
 
 
@@ -31,7 +33,8 @@ class Registry(Generic[T]):
     def __getitem__(self, name: str) -> T:
         """The part of that name; raises ValueError with the names there are."""
         if name not in self._parts:
-            raise ValueError(f"unknown {self._kind} {name!r}; choose one of {', '.join(self._parts)}")
+            hint = did_you_mean(name, self._parts, f"choose one of {', '.join(self._parts)}")
+            raise ValueError(f"unknown {self._kind} {name!r}; {hint}")
         return self._parts[name]
 
     def __iter__(self) -> Iterator[str]:

@@ -20,8 +20,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import warp as wp
 
+import warp as wp
 from jax2d.contact_report import ContactReport, contact_report
 from jax2d.effects import Effects
 from jax2d.fields import Array, Field, fields_of, num_elements
@@ -41,6 +41,7 @@ from jax2d.warp.layout import (
     word_constants,
 )
 from jax2d.warp.source import PARAMETERS
+from jax2d.warp.startup import start
 from jax2d.warp.variant import CompileOptions, KernelVariant
 from jax2d.yielding_joints import yields
 
@@ -179,7 +180,7 @@ class WarpBackend:
         self.rows = Layout(capacity, report_contacts).rows()
         self.report_contacts = report_contacts
         self.numbers = solver_parameters(settings) if numbers is None else numbers
-        wp.init()
+        start()
         variant = KernelVariant.of(capacity, settings, effects, options, report_contacts=report_contacts)
 
         def call_for(worlds: int) -> Any:
@@ -321,7 +322,7 @@ class Launch:
 
     def register(self) -> None:
         """What tracing it would do: the kernel is loaded, and known by its name and with this launch."""
-        wp.init()
+        start()
         call, c = _jax_call(self.variant), self.variant.capacity
         assert call.name == self.target, f"a program calls {self.target}, which is {call.name} here"
         rows = Layout(c, self.variant.report_contacts).rows()

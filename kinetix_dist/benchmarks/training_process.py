@@ -15,9 +15,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from kinetix_dist.benchmarks.training_run import TrainingRun, run_training
+from kinetix_dist.child_python import command_of
 from kinetix_dist.config import TrainConfig, from_dict, to_dict
 from kinetix_dist.errors import UserError, one_line
 
+MODULE = "kinetix_dist.benchmarks.training_process"
 CONFIG, RUN = "config.json", "run.json"
 
 
@@ -43,7 +45,7 @@ def run_in_process(config: TrainConfig, environment: Mapping[str, str], *, timeo
     with tempfile.TemporaryDirectory(prefix="kinetix-bench-") as name:
         folder = Path(name)
         (folder / CONFIG).write_text(json.dumps(to_dict(config)))
-        command = [sys.executable, "-m", __name__, str(folder)]
+        command = command_of(MODULE, folder)
         process = subprocess.Popen(
             command,
             env={**os.environ, **environment},

@@ -10,6 +10,8 @@ from typing import Any
 from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import user_errors
+from kinetix_dist.jax_arithmetic import check_arithmetic
+from kinetix_dist.jax_settings import check_settings
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import train
 from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
@@ -33,6 +35,8 @@ def run_training(config: TrainConfig) -> TrainingRun:
     with tempfile.TemporaryDirectory(prefix="kinetix-bench-") as folder:
         run = RunDirectory.create(Path(folder) / "run", numbered=False)
         try:
+            check_settings()
+            check_arithmetic()
             enable_compile_cache(config.run.compile_cache)
             with user_errors(CheckpointError, PlacementError, FileNotFoundError):
                 report = train(config, run, resume=False)

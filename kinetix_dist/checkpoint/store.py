@@ -21,6 +21,7 @@ import os
 import re
 import shutil
 import socket
+import tempfile
 from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,12 +30,16 @@ import numpy as np
 
 from kinetix_dist.checkpoint.manifest import manifest_fault, write_manifest
 from kinetix_dist.checkpoint.pretrained import find_checkpoint, pretrained_names
+from kinetix_dist.near_names import did_you_mean
 
 FORMAT = 1
 DESCRIPTION_NAME = "checkpoint.json"
 ARRAYS_NAME = "arrays"
 _DIGITS = 8
 _OVERHEAD_BYTES = 1 << 18  # of Orbax's database, description and manifest: 100 kB with 60 arrays
+
+
+_PATTERN_CHARACTERS = frozenset("*?[]\\")
 
 
 class CheckpointError(Exception):
@@ -118,8 +123,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """
     path = find_checkpoint(Path(path))
     if not path.is_dir():
-        known = ", ".join(pretrained_names()) or "none"
-        raise CheckpointError(f"there is no checkpoint {path}; pretrained policies here: {known}")
+        known = pretrained_names()
+        hint = did_you_mean(str(path), known, f"pretrained policies here: {', '.join(known) or 'none'}")
+        raise CheckpointError(f"there is no checkpoint {path}; {hint}")
     if fault := _fault(path):
         raise CheckpointError(f"checkpoint {path} {fault}")
     description = json.loads((path / DESCRIPTION_NAME).read_text())
@@ -204,8 +210,22 @@ def _save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     empty = [name for name, array in arrays.items() if np.asarray(array).size == 0]
     if empty:
         raise ValueError(f"array {empty[0]} is empty; leave empty arrays out of a checkpoint")
-    with _without_its_log():
-        ocp.PyTreeCheckpointer().save(path.absolute(), dict(arrays))
+    with _without_its_log(), _without_patterns(path) as plain:
+        ocp.PyTreeCheckpointer().save(plain, dict(arrays))
+
+
+@contextlib.contextmanager
+def _without_patterns(path: Path) -> Generator[Path]:
+    """The absolute `path`, by a link where directories above it have characters that Orbax takes for a pattern: it
+    would write arrays there and not find them again."""
+    folder = path.absolute().parent
+    if not _PATTERN_CHARACTERS & set(str(folder)):
+        yield path.absolute()
+        return
+    with tempfile.TemporaryDirectory(prefix="kinetix-dist-checkpoint-") as temporary:
+        link = Path(temporary) / "link"
+        link.symlink_to(folder, target_is_directory=True)
+        yield link / path.name
 
 
 @contextlib.contextmanager
@@ -224,9 +244,10 @@ def _load_arrays(path: Path) -> dict[str, np.ndarray]:
     import orbax.checkpoint as ocp
 
     checkpointer = ocp.PyTreeCheckpointer()
-    names = checkpointer.metadata(path.absolute()).item_metadata.tree
-    as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in names}
-    return dict(checkpointer.restore(path.absolute(), restore_args=as_numpy))
+    with _without_patterns(path) as plain:
+        names = checkpointer.metadata(plain).item_metadata.tree
+        as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in names}
+        return dict(checkpointer.restore(plain, restore_args=as_numpy))
 
 
 def _sync(directory: Path) -> None:

@@ -10,12 +10,12 @@ docstrings say how they measure and what their records hold. `bench engine` alon
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Sequence
 from typing import Any
 
 from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
+from kinetix_dist.near_names import did_you_mean
 
 BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)
     "engine speed": ("kinetix_dist.benchmarks.engine_speed", "physics steps a second, next to the published engine"),
@@ -87,8 +87,7 @@ def _split(argv: list[str]) -> tuple[str, list[str]]:
 def _known(name: str) -> str:
     if name in BENCHMARKS:
         return name
-    near = difflib.get_close_matches(name, ["engine", *BENCHMARKS], n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"benchmarks: {', '.join(BENCHMARKS)}"
+    hint = did_you_mean(name, ["engine", *BENCHMARKS], f"benchmarks: {', '.join(BENCHMARKS)}")
     raise UserError(f"unknown benchmark {name!r}; {hint}")
 
 

@@ -21,6 +21,7 @@ import tyro
 
 from kinetix_dist.cli.checks import check_output_file
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.cli.last_words import say
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 
@@ -102,7 +103,7 @@ def _convert_all(files: list[Path], convert: Callable[[Path], str], out: Path, d
             sizes[convert(file)] += 1
         except _EXPECTED as error:
             text = one_line(error)
-            print(text if str(file) in text else f"{file}: {text}", file=sys.stderr)
+            say(text if str(file) in text else f"{file}: {text}", sys.stderr)
     counts = ", ".join(f"{sizes[size]} of size {size}" for size in sorted(sizes, key="sml".index))
     print(f"{done} {sizes.total()} of {len(files)} files into {out}{f' ({counts})' if counts else ''}")
     return 0 if sizes.total() == len(files) else 1

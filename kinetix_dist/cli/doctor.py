@@ -19,7 +19,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
+from kinetix_dist import user_directories
 from kinetix_dist.cli.doctor_probes import ProbeError, run_probe
+from kinetix_dist.engine_package import ENGINE, engine_complaint, engine_note
 
 PACKAGE = "kinetix-dist"
 MIN_PYTHON = (3, 11)
@@ -68,13 +70,19 @@ def diagnose(args: Args) -> Iterator[Check]:
     yield check_python()
     yield check_hardware()
     yield from check_packages()
+    engine = check_engine()
+    yield engine
+    if engine.status == "error":  # whatever needs it would say the same
+        return
     yield check_warp(_probed("warp", _judge_warp, f"the physics kernel cannot be compiled; {_INSTALL}"))
     yield _probed("ray", _judge_ray, f"{_INSTALL}; without ray only local mode runs", failure="warning")
     jax_check = _probed("jax", _judge_jax, f"{_INSTALL}; to leave a broken GPU aside set JAX_PLATFORMS=cpu")
     yield jax_check
     yield check_gpu(jax_check, required=args.require_gpu)
     if jax_check.status == "ok":
+        yield check_arithmetic(jax_check)
         yield check_kernels(jax_check)
+    yield check_caches()
     yield check_disk(args.run_dir)
     yield check_shared_memory()
     yield check_ports()
@@ -129,6 +137,14 @@ def check_packages() -> Iterator[Check]:
         yield Check(name="packages", status="warning", detail="; ".join(outside), remedy=_INSTALL, facts=versions)
     else:
         yield Check(name="packages", status="ok", detail=f"{len(versions)} as required", facts=versions)
+
+
+def check_engine() -> Check:
+    """Whether `jax2d` is the engine of this installation and not the published package of that name."""
+    if line := engine_complaint() or engine_note():
+        detail, remedy = line.split("; ", 1)
+        return Check(name="engine", status="error" if engine_complaint() else "warning", detail=detail, remedy=remedy)
+    return Check(name="engine", status="ok", detail=f"jax2d at {ENGINE}", facts={"directory": str(ENGINE)})
 
 
 def _probed(
@@ -196,6 +212,54 @@ def check_kernels(jax_check: Check) -> Check:
     why_not = jax_check.facts["no_kernels"]
     detail = f"policy.kernels: xla only ({why_not})" if why_not else "policy.kernels: xla and mosaic"
     return Check(name="kernels", status="ok", detail=detail, facts={"mosaic": not why_not})
+
+
+def check_arithmetic(jax_check: Check) -> Check:
+    """Whether JAX computes on the CPU what numpy does, where some versions do not."""
+    if complaint := jax_check.facts["wrong_arithmetic"]:
+        detail, remedy = complaint.split("; ", 1)
+        return Check(name="arithmetic", status="error", detail=detail, remedy=remedy)
+    return Check(name="arithmetic", status="ok", detail="JAX and numpy agree on the CPU")
+
+
+def check_caches() -> Check:
+    """Writes a file to each directory that training writes to beside the run's own: compiled programs, Ray's files."""
+    replaced = user_directories.settle()
+    directories = cache_directories()
+    failures = [f"{name} {path} ({why})" for name, path in directories.items() if (why := _why_not_written(path))]
+    facts = {name: str(path) for name, path in directories.items()}
+    if failures:
+        remedy = "set JAX_COMPILATION_CACHE_DIR, WARP_CACHE_PATH and RAY_TMPDIR to directories that can be written"
+        detail = f"cannot be written: {', '.join(failures)}"
+        return Check(name="caches", status="error", detail=detail, remedy=remedy, facts=facts)
+    if replaced:
+        detail, remedy = replaced.split("; ", 1)
+        return Check(name="caches", status="warning", detail=detail, remedy=remedy, facts=facts)
+    places = ", ".join(f"{name} {path}" for name, path in directories.items())
+    return Check(name="caches", status="ok", detail=f"written: {places}", facts=facts)
+
+
+def cache_directories() -> dict[str, Path]:
+    """Directories of JAX's, Warp's and Ray's files, as training finds them, by name."""
+    from kinetix_dist.telemetry.compile_cache import directory_of
+
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return {
+        "compile cache": directory_of(""),
+        "Warp cache": Path(os.environ.get("WARP_CACHE_PATH") or caches / "warp").absolute(),
+        "Ray": Path(os.environ.get("RAY_TMPDIR") or "/tmp", "ray"),
+    }
+
+
+def _why_not_written(directory: Path) -> str:
+    """Reason why no file can be written below `directory`, which is made where it is missing; empty: it can."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory) as file:
+            file.write(b"written by kinetix-dist doctor")
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
 
 
 def check_disk(run_dir: Path) -> Check:

@@ -6,17 +6,18 @@ JSON object as its last line; an exception ends the process with its message on 
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.errors import one_line
+from kinetix_dist.engine_package import ENGINE
 
+MODULE = "kinetix_dist.cli.doctor_probes"
 TIMEOUT_S = 120.0  # a first start of CUDA on a large host takes tens of seconds
 
 
@@ -26,13 +27,10 @@ class ProbeError(Exception):
 
 def run_probe(name: str) -> dict[str, Any]:
     """Runs a probe in a new process and returns what it found; raises `ProbeError`."""
-    command = [sys.executable, "-m", __name__, name]
+    command = command_of(MODULE, name)
     if name == "warp":
         # By its path: importing the package jax2d would import jax, and a broken jax is another check's finding.
-        engine = importlib.util.find_spec("jax2d")
-        if engine is None or not engine.submodule_search_locations:
-            raise ProbeError("the package jax2d is not installed")
-        command = [sys.executable, "-P", str(Path(engine.submodule_search_locations[0], "warp", "self_check.py"))]
+        command = command_of(str(ENGINE / "warp" / "self_check.py"))
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired as error:
@@ -49,8 +47,15 @@ def probe_jax() -> dict[str, Any]:
     import jax
     import jax.numpy as jnp
 
+    from kinetix_dist.errors import UserError
+    from kinetix_dist.jax_arithmetic import arithmetic_complaint
+    from kinetix_dist.jax_settings import check_settings
     from kinetix_dist.models.kernels.support import why_no_device
 
+    try:
+        check_settings()
+    except UserError as error:
+        sys.exit(str(error))
     devices = jax.devices()
     started = time.perf_counter()
     total = float(jax.jit(lambda x: (x @ x).sum())(jnp.ones((64, 64))))
@@ -61,6 +66,7 @@ def probe_jax() -> dict[str, Any]:
         "platform": devices[0].platform,
         "devices": [device.device_kind for device in devices],
         "no_kernels": why_no_device(),
+        "wrong_arithmetic": arithmetic_complaint(),
         "compile_seconds": round(time.perf_counter() - started, 2),
     }
 

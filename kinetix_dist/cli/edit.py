@@ -22,7 +22,8 @@ from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
 from kinetix_dist.editor.level_files import SUFFIX, LevelFiles
 from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.set_files import designed_files
+from kinetix_dist.level.set_files import designed_files, designed_names
+from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.server.editor_pages import EditorConfig
 
 PAGE = "#/edit"
@@ -56,9 +57,11 @@ def editor_of(given: str | None) -> EditorConfig:
     if len(designed) > 1:
         raise UserError(f"level {given!r} is in more than one size; name one of {', '.join(map(str, designed))}")
     if not designed:
-        raise UserError(
-            f"{given!r} is no designed level, level file or directory of them; `kinetix-dist levels list` names "
+        otherwise = (
+            "`kinetix-dist levels list` names "
             f"levels, and a new file has a name that ends in {SUFFIX}, in a directory that is there"
         )
+        hint = did_you_mean(given, designed_names(), otherwise)
+        raise UserError(f"{given!r} is no designed level, level file or directory of them; {hint}")
     name = designed[0].relative_to(levels_root()).with_suffix("").as_posix()
     return EditorConfig(opens=f"designed/{name}")

@@ -73,12 +73,12 @@ def run(args: Args) -> int:
     check(args)
     trained = trained_of(args)
     checkpoint = None if trained is None else trained.checkpoint
+    from kinetix_dist.cli.computing import start_computing
     from kinetix_dist.env.physics import describe
     from kinetix_dist.level.sets import load_level_set
     from kinetix_dist.level.varied_sets import base_levels
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
-    enable_compile_cache("" if trained is None else trained.config.run.compile_cache)
+    start_computing("" if trained is None else trained.config.run.compile_cache)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(args.levels, args.size)
     env = environment_of(args, trained, levels)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from kinetix_dist.cli import train
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.option_help import wants_help
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
@@ -71,7 +72,7 @@ def parse(argv: Sequence[str]) -> Args:
         known, rest = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
         raise UserError(f"{one_line(error)}; see `{PROG} --help`") from None
-    if {"-h", "--help"} & set(rest):
+    if wants_help(rest):
         print(USAGE)
         train.parse(rest, prog=PROG, default_recipe=DEFAULT_RECIPE)  # prints what there is and ends
     if known.draw is not None:
@@ -141,6 +142,7 @@ def run(args: Args) -> int:
 
 def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
     """The configuration with the size of the largest level, unless one was given or the policy plays one size only."""
+    from kinetix_dist.cli.computing import start_computing
     from kinetix_dist.env.observations import OBSERVATIONS, VECTOR
     from kinetix_dist.level.fit import capacity_of
     from kinetix_dist.level.level import SIZES
@@ -149,7 +151,8 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
     from kinetix_dist.runtime.processes.placement import PlacementError
 
     with user_errors(PlacementError):
-        hold_to_cpu(config)  # reading levels computes
+        hold_to_cpu(config)
+    start_computing(config.run.compile_cache)  # reading levels computes
     has_one_size = config.run.start_from and OBSERVATIONS[config.env.observation].gives == VECTOR
     size = config.env.size if has_size or has_one_size else None
     with user_errors(ValueError, OSError, prefix="" if size is None else f"env.size is {size!r}: "):
@@ -162,13 +165,11 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
 def _each(args: Args, config: TrainConfig) -> int:
     from kinetix_dist.finetune.each import train_each
     from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StopRequested, StopSignals
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     assert args.train is not None
     path = args.train.run or train.RUNS / f"finetune-{Path(config.curriculum.levels).stem}"
     if (path / "config.json").exists():
         raise UserError(f"{path} holds a run; give --run another directory for the results of specialists")
-    enable_compile_cache(config.run.compile_cache)
     starts = " and ".join(start.label for start in args.starts)
     print(f"one specialist a level of {config.curriculum.levels}, {starts}, in {path}", flush=True)
     if config.cut_episodes:

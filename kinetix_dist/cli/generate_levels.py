@@ -51,9 +51,9 @@ class Generate:
 def run_generate(args: Generate) -> int:
     """0 when all levels are written; nothing is written where they cannot be drawn."""
     _check(args)
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+    from kinetix_dist.cli.computing import start_computing
 
-    enable_compile_cache("")
+    start_computing("")
     with user_errors(ValueError, OSError):
         args.out.mkdir(parents=True, exist_ok=True)  # before the work, not after it
         if any(args.out.iterdir()):

@@ -22,7 +22,7 @@ def say(text: str, stream: TextIO) -> None:
     if not is_pipe:
         print(text, file=stream, flush=True)
         return
-    content = f"{text}\n".encode(errors="replace")
+    content = f"{text}\n".encode(stream.encoding or "utf-8", errors="replace")
     with contextlib.suppress(OSError):  # nobody reads any more, or the disk is full
         if _has_room(number, PATIENCE_S):
             stream.flush()

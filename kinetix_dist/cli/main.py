@@ -15,14 +15,17 @@ Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was g
 
 from __future__ import annotations
 
-import difflib
 import os
 import sys
 from collections.abc import Sequence
 
+from kinetix_dist import user_directories
 from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
 from kinetix_dist.cli.last_words import leave, say
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
+from kinetix_dist.cli.streams import prepare_streams
+from kinetix_dist.engine_package import engine_complaint
+from kinetix_dist.near_names import did_you_mean
 
 __all__ = ["COMMANDS", "main", "parse_args"]
 
@@ -45,6 +48,8 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit status."""
+    if argv is None:
+        prepare_streams()
     status = _run(list(sys.argv[1:] if argv is None else argv))
     # Others may have more to say than a slow reader has taken so far.
     if argv is None and sys.argv[1:2] in (["train"], ["finetune"]):
@@ -53,17 +58,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: list[str]) -> int:
+    user_directories.settle()  # commands that compute say what it replaced
     try:
         return _dispatch(argv)
     except UserError as error:
         say(f"{PROG}: {one_line(error)}", sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
-        print(f"{PROG}: interrupted", file=sys.stderr)
+        say(f"{PROG}: interrupted", sys.stderr)
         return EXIT_INTERRUPTED
-    except BrokenPipeError:  # `kinetix-dist levels list | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
 
 
 def _dispatch(argv: list[str]) -> int:
@@ -77,13 +80,23 @@ def _dispatch(argv: list[str]) -> int:
         return 0
     name, rest = argv[0], argv[1:]
     if name not in COMMANDS:
-        near = difflib.get_close_matches(name, COMMANDS, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"commands: {', '.join(COMMANDS)}"
+        hint = did_you_mean(name, COMMANDS, f"commands: {', '.join(COMMANDS)}")
         raise UserError(f"unknown command {name!r}; {hint}")
+    _check_current_directory()
+    if name != "doctor" and (complaint := engine_complaint()):
+        raise UserError(complaint)
     module = load_module(COMMANDS[name][0], name)
     parse = getattr(module, "parse", None)
     args = parse(rest) if parse is not None else parse_args(module.Args, rest, prog=f"{PROG} {name}")
     return int(module.run(args) or 0)
+
+
+def _check_current_directory() -> None:
+    """Raises UserError where it was removed: names of files mean nothing, and libraries ask for it as they start."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise UserError("the current directory was removed; change to one that is there") from None
 
 
 def _usage() -> str:

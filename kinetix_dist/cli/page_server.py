@@ -11,6 +11,7 @@ import webbrowser
 from typing import Any
 
 from kinetix_dist.cli.errors import UserError
+from kinetix_dist.cli.last_words import say
 from kinetix_dist.server.access import is_loopback
 from kinetix_dist.server.app import DEFAULT_PORT, ServerConfig
 from kinetix_dist.server.serving import serve
@@ -28,17 +29,15 @@ class ServerArgs:
     """Further names under which the server is reached, behind a proxy say."""
     open: bool = False
     """Open the address in a browser."""
-    no_play: bool = False
-    """Start no process that plays levels and draws them; pages that need it say so."""
+    play: bool = True
+    """Start a process that plays levels and draws them when it is needed; without it pages that need it say so."""
 
 
 def serve_pages(name: str, args: ServerArgs, **config: Any) -> int:
     """Until Ctrl-C. name: what the address is called; config: further fields of ServerConfig."""
     if not 0 <= args.port <= 65535:
         raise UserError(f"--port is {args.port}; it must be 0 to 65535")
-    server = ServerConfig(
-        port=args.port, host=args.host, allowed_hosts=args.allow_host, has_play=not args.no_play, **config
-    )
+    server = ServerConfig(port=args.port, host=args.host, allowed_hosts=args.allow_host, has_play=args.play, **config)
 
     def listening(token: str, port: int) -> None:
         address = f"http://{_in_address(args.host)}:{port}/?token={token}"
@@ -51,7 +50,7 @@ def serve_pages(name: str, args: ServerArgs, **config: Any) -> int:
             print(f"from afar  ssh -L {port}:127.0.0.1:{port} {getpass.getuser()}@{socket.gethostname()}")
         print("           Ctrl-C ends it", flush=True)
         if args.open and not webbrowser.open(address):
-            print("kinetix-dist: no browser could be opened; open the address above in one", file=sys.stderr)
+            say("kinetix-dist: no browser could be opened; open the address above in one", sys.stderr)
 
     serve(server, listening)
     return 0

@@ -17,6 +17,7 @@ import tyro
 from kinetix_dist.cli.edit import PAGE, editor_of
 from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.near_names import did_you_mean
 
 WITHOUT_A_NETWORK = ("keys", "random", "noop")
 
@@ -33,7 +34,7 @@ class Play(ServerArgs):
 
 def run_play(args: Play) -> int:
     """Serves the pages until Ctrl-C."""
-    if args.no_play:
+    if not args.play:
         raise UserError("--no-play starts no engine, which playing needs; leave it out")
     plays, runs = _player(args.policy)
     editor = dataclasses.replace(editor_of(_level_to_open(args.level)), plays=plays)
@@ -62,5 +63,6 @@ def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
     run = Path(policy)
     if is_run(run):
         return f"run:{run.resolve().name}", (run.resolve(),)
-    known = ", ".join([*WITHOUT_A_NETWORK, *pretrained_names()])
-    raise UserError(f"--policy {policy} is no run directory and none of {known}")
+    known = [*WITHOUT_A_NETWORK, *pretrained_names()]
+    hint = did_you_mean(policy, known, f"there are {', '.join(known)}")
+    raise UserError(f"--policy {policy} is no run directory and no policy; {hint}")

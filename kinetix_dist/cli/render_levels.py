@@ -109,8 +109,8 @@ def _rollouts(args: Render) -> list[Rollout]:
     import jax
 
     from kinetix_dist.cli import eval_command
+    from kinetix_dist.cli.computing import start_computing
     from kinetix_dist.evaluation.recordings import record_rollouts
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     assert args.by in ("noop", "random", "trained")
     asked = eval_command.Args(
@@ -118,7 +118,7 @@ def _rollouts(args: Render) -> list[Rollout]:
     )
     eval_command.check(asked)
     trained = eval_command.trained_of(asked)
-    enable_compile_cache("" if trained is None else trained.config.run.compile_cache)
+    start_computing("" if trained is None else trained.config.run.compile_cache)
     levels, names = _levels(args)
     env = eval_command.environment_of(asked, trained, levels)
     player = eval_command.players_of(asked, trained, env, levels)[args.by]

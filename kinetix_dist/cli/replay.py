@@ -20,7 +20,9 @@ from typing import Annotated
 
 import tyro
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.last_words import say
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
 
 
@@ -121,7 +123,7 @@ def _read(files: list[Path]) -> list[tuple[Path, int, Rollout]]:
         with user_errors(RecordingError, OSError):
             recording = read_rollouts(file)
         for problem in recording.problems:
-            print(f"kinetix-dist: {problem}", file=sys.stderr)
+            say(f"kinetix-dist: {problem}", sys.stderr)
         rollouts += [(file, index, rollout) for index, rollout in enumerate(recording.rollouts)]
     if not rollouts:
         raise UserError(f"{files[0]} holds no whole rollout; nothing to replay")
@@ -161,4 +163,4 @@ def _view(target: Path) -> int:
             f"or `rerun {target} --serve-web --bind 127.0.0.1` and a browser"
         )
     # rerun listens on all interfaces unless told otherwise.
-    return subprocess.run([sys.executable, "-m", "rerun", str(target), "--bind", "127.0.0.1"], check=False).returncode
+    return subprocess.run(command_of("rerun", target, "--bind", "127.0.0.1"), check=False).returncode

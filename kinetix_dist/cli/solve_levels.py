@@ -79,9 +79,9 @@ class ProofTask:
 def run_solve(args: Solve) -> int:
     """0, or 1 where a level is without a good proof at the end."""
     _check(args)
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+    from kinetix_dist.cli.computing import start_computing
 
-    enable_compile_cache("")
+    start_computing("")
     with user_errors(ValueError, OSError):
         tasks = proof_tasks(args)
     if args.check:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.last_words import say
 from kinetix_dist.cli.sweep_tables import arms_table, console, effects_table, print_aliases, scores_table
 
 if TYPE_CHECKING:
@@ -162,10 +163,10 @@ def _train(args: Args, design: Design, runs: list[Run], lanes: list[Lane], path:
         try:
             sweep.train(lanes, tell=_tell, must_stop=must_stop)
         except SweepStoppedError as error:
-            print(f"kinetix-dist: {error}{hint}", file=sys.stderr)
+            say(f"kinetix-dist: {error}{hint}", sys.stderr)
             status = EXIT_STOPPED
         except RunsFailedError as error:
-            print(f"kinetix-dist: {error}{hint} with these", file=sys.stderr)
+            say(f"kinetix-dist: {error}{hint} with these", sys.stderr)
             status = 1
         finally:
             sweep.close()

@@ -2,10 +2,10 @@
 policy.
 
 Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
-field of the configuration is an option; `--help` lists them with the values of the recipe. `--env.preset NAME` replaces
-all solver settings (env.physics) by those of a preset, `--curriculum.generator NAME` all parameters of random levels,
-before single fields are overridden. `--phases FILE` replaces the phases of the recipe after that, and `--from CKPT` is
-short for --run.start_from.
+field of the configuration is an option; `--help` lists everyday ones with the values of the recipe, `--help SECTION`
+those of a section. `--env.preset NAME` replaces all solver settings (env.physics) by those of a preset,
+`--curriculum.generator NAME` all parameters of random levels, before single fields are overridden. `--phases FILE`
+replaces the phases of the recipe after that, and `--from CKPT` is short for --run.start_from.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ import json
 import os
 import shlex
 import sys
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.option_help import HELP_ALL, WIDTH, options_help, wants_help
 
 if TYPE_CHECKING:
     from kinetix_dist.config import RunConfig, TrainConfig
@@ -72,18 +74,31 @@ def parse(
     from kinetix_dist.recipes import RECIPES, recipe
     from kinetix_dist.registry import import_plugins
 
-    if {"-h", "--help"} & set(overrides):
-        print(
-            f"usage: {prog} [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]\n\n"
-            f"  --recipe NAME   {', '.join(RECIPES)} (default {default_recipe})\n"
-            "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)\n"
-            "  --resume        go on with the run in --run, or with the newest run of the recipe\n"
-            "  --from CKPT     start from the parameters of a checkpoint, or of a pretrained policy by name\n"
-            "  --phases FILE   TOML or JSON: from a step on, other settings (docs/training.md, Phases)\n"
-            f"  --env.preset NAME  all of env.physics at once: {', '.join(PRESETS)}; single fields are set after it\n"
-            f"  --curriculum.generator NAME  all of curriculum.generator likewise: {', '.join(GENERATORS)}\n\n"
-            f"fields and their values in recipe {known.recipe or default_recipe!r}:\n"
+    if wants_help(overrides):
+        recipe_name = known.recipe or default_recipe
+        usage = "\n".join(
+            (
+                f"usage: {prog} [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]\n",
+                *_listed("--recipe NAME", f"{', '.join(RECIPES)} (default {default_recipe})"),
+                "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)",
+                "  --resume        go on with the run in --run, or with the newest run of the recipe",
+                "  --from CKPT     start from the parameters of a checkpoint, or of a pretrained policy by name",
+                "  --phases FILE   TOML or JSON: from a step on, other settings (docs/training.md, Phases)",
+                *_listed("--env.preset NAME", f"all of env.physics at once: {', '.join(PRESETS)}"),
+                *_listed(
+                    "--curriculum.generator NAME", f"all of curriculum.generator at once: {', '.join(GENERATORS)}"
+                ),
+                f"\noptions and their values in recipe {recipe_name!r}:\n",
+            )
         )
+        with user_errors(ValueError):
+            shown = recipe(recipe_name)
+        if HELP_ALL not in overrides:
+            text = options_help(overrides, shown, prog)
+            print(f"{usage}\n{text}")
+            raise SystemExit(0)
+        print(usage)
+        overrides = ["--help"]
     run = known.run
     if run == Path() and not known.resume:  # also what an unset variable gives
         raise UserError("--run is empty or the current directory; name a directory of the run's own, or leave it out")
@@ -132,6 +147,14 @@ def parse(
     return Args(config=config, run=run, resume=known.resume)
 
 
+def _listed(option: str, text: str) -> list[str]:
+    """Lines of an option whose values are many."""
+    indent = " " * 18
+    lines = textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent)
+    is_short = len(option) < len(indent) - 3
+    return [f"  {option:<16}{lines[0].strip()}", *lines[1:]] if is_short else [f"  {option}", *lines]
+
+
 def run(args: Args) -> int:
     from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, StopRequested, StopSignals
     from kinetix_dist.runtime.driver.training_run import RunFailedError
@@ -154,17 +177,19 @@ def run(args: Args) -> int:
 
 def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
+    from kinetix_dist.cli.computing import start_computing
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.models.kernels.support import KernelError
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
     from kinetix_dist.runtime.driver.starting import starting_point
-    from kinetix_dist.runtime.driver.training_run import hold_to_cpu, start_fork_server, train
+    from kinetix_dist.runtime.driver.training_run import check_devices, hold_to_cpu, start_fork_server, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
 
     config = args.config
+    if args.resume and _is_finished(args):
+        return
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
         with user_errors(PlacementError):  # before a directory is made; a cluster is asked when it is connected
             resolve_device(config.run.device, num_gpus=count_gpus())
@@ -175,6 +200,9 @@ def _run(args: Args, stop: StopSignals) -> None:
     try:
         with user_errors(PlacementError):
             hold_to_cpu(config)
+        start_computing(config.run.compile_cache)
+        with user_errors(PlacementError):
+            check_devices(config)
         with user_errors(ValueError, OSError):
             _check_levels(config)  # reading levels computes
         if not args.resume:
@@ -182,7 +210,6 @@ def _run(args: Args, stop: StopSignals) -> None:
                 differs = starting_point(config).differs
         with user_errors(RunDirectoryError):
             directory = _open(args)
-        enable_compile_cache(config.run.compile_cache)
         print(
             f"{'resuming' if args.resume else 'training'} {directory.path}  config {config.hash}"
             f"  physics {describe(config.env.physics)}",
@@ -203,6 +230,19 @@ def _run(args: Args, stop: StopSignals) -> None:
             directory.close()
         if fork_server is not None:
             fork_server.stop()
+
+
+def _is_finished(args: Args) -> bool:
+    """Whether the run to resume is at the end that its configuration asks for; says so, and how it goes on."""
+    from kinetix_dist.runtime.driver.finished import finished_report
+
+    assert args.run is not None
+    report = finished_report(args.run, args.config)
+    if report is None:
+        return False
+    reached = f"{report['env_steps']:,} env steps in {report['training_seconds']:.0f} s of training"
+    say(f"{args.run} is finished: {reached}; {longer(args.config.run, report)} goes on", sys.stdout)
+    return True
 
 
 def _override(base: TrainConfig, overrides: list[str], prog: str) -> TrainConfig:

@@ -19,6 +19,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.dashboard.series import SeriesTable
 from kinetix_dist.telemetry.json_lines import parse_line
 from kinetix_dist.telemetry.tail import KEPT_BYTES, Tail
@@ -54,7 +55,7 @@ def read_long(path: Path, report: Callable[[int], None]) -> LongRead | None:
     """Reads the whole lines that are there now; report(bytes) says how many are left. None: the process did not do it
     (the file is gone, or memory ran out), and nothing was read."""
     size = path.stat().st_size
-    command = [sys.executable, "-m", "kinetix_dist.dashboard.long_metrics", str(path)]
+    command = command_of("kinetix_dist.dashboard.long_metrics", path)
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         found = None

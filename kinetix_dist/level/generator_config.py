@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from kinetix_dist.near_names import did_you_mean
+
 # What the public package does that no number says. docs/level_format.md, "Random levels", says what each changes.
 PUBLISHED_DETAILS = (
     "contact_points",  # a proposal costs 1 or 2 for each polygon it overlaps, of its own body too
@@ -173,5 +175,6 @@ GENERATORS = {
 def generator(name: str) -> GeneratorConfig:
     """The parameters of that name; raises ValueError where there are none."""
     if name not in GENERATORS:
-        raise ValueError(f"unknown generator {name!r}; generators are {', '.join(GENERATORS)}")
+        hint = did_you_mean(name, GENERATORS, f"generators are {', '.join(GENERATORS)}")
+        raise ValueError(f"unknown generator {name!r}; {hint}")
     return GENERATORS[name]

@@ -15,6 +15,13 @@ def designed_sets() -> dict[str, dict[str, Any]]:
         return tomllib.load(file)
 
 
+def designed_names() -> list[str]:
+    """Names of all designed levels, with and without their size: "s/hop_home", "hop_home"."""
+    files = {file for entry in designed_sets().values() for file in entry["levels"]}
+    paths = sorted(Path(file).with_suffix("") for file in files)
+    return [*(path.as_posix() for path in paths), *(path.name for path in paths)]
+
+
 def designed_files(name: str) -> list[Path]:
     """Files of the designed level "hop_home" or "s/hop_home": none, one, or one in each size that has the name."""
     if Path(name).is_absolute():  # not below the root, whatever it is joined to

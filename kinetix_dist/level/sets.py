@@ -32,10 +32,11 @@ from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.proof import PROOF_SUFFIX
 from kinetix_dist.level.schema import LevelInfo, load_level
-from kinetix_dist.level.set_files import designed_files, designed_sets
+from kinetix_dist.level.set_files import designed_files, designed_names, designed_sets
 from kinetix_dist.level.validate import read_document
 from kinetix_dist.level.variants import variants
 from kinetix_dist.level.varied_sets import VARIED_SETS
+from kinetix_dist.near_names import did_you_mean
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
 HELD_OUT_LEVELS = 256
@@ -163,8 +164,10 @@ def files_of_set(name: str) -> list[Path]:
         if not files:
             raise FileNotFoundError(f"no .json level files in {path}; give a directory of level files")
         return files
-    known = ", ".join([*sets, *VARIED_SETS, *RANDOM_SETS, *frontier_sets()])
-    raise ValueError(f"unknown level set {name!r}; sets are {known}, or give a level file or a directory of them")
+    known = [*sets, *VARIED_SETS, *RANDOM_SETS, *frontier_sets()]
+    otherwise = f"sets are {', '.join(known)}, or give a level file or a directory of them"
+    hint = did_you_mean(name, [*known, *designed_names()], otherwise)
+    raise ValueError(f"unknown level set {name!r}; {hint}")
 
 
 def level_files(directory: Path, pattern: str) -> list[Path]:

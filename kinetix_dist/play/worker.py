@@ -16,6 +16,7 @@ from typing import IO
 
 import psutil
 
+from kinetix_dist.child_python import imported_from
 from kinetix_dist.play.wire import PROTOCOL_VERSION, ProtocolError, read
 
 IDLE_SECONDS = 900.0
@@ -35,16 +36,26 @@ def main() -> None:
     pipe = _take_stdout()
     _prepare_process()
     # jax is imported below this line, once the process is prepared for it.
+    from kinetix_dist.errors import UserError
+    from kinetix_dist.jax_arithmetic import check_arithmetic
+    from kinetix_dist.jax_settings import check_settings
     from kinetix_dist.play.hello import hello
     from kinetix_dist.play.outbox import Outbox
     from kinetix_dist.play.programs import forget_programs
     from kinetix_dist.play.service import Service
     from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
+    try:
+        check_settings()
+        check_arithmetic()
+    except UserError as error:
+        sys.exit(str(error))  # the server says so
     enable_compile_cache("")
     outbox = Outbox(pipe)
     service = Service(outbox)
-    outbox.send({"type": "hello", "version": PROTOCOL_VERSION, "pid": os.getpid(), **hello()})
+    outbox.send(
+        {"type": "hello", "version": PROTOCOL_VERSION, "pid": os.getpid(), "imports": imported_from(), **hello()}
+    )
     last_message = [time.monotonic()]
 
     def end(reason: str) -> None:

@@ -14,7 +14,6 @@ import hashlib
 import os
 import re
 import socket
-import sys
 import tempfile
 from collections.abc import AsyncIterator
 from importlib.metadata import PackageNotFoundError, version
@@ -23,6 +22,7 @@ from pathlib import Path
 import aiohttp
 from aiohttp import web
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.server.answers import error_response, json_response
 from kinetix_dist.server.level_pages import recording_path
 from kinetix_dist.server.run_service import RunService
@@ -136,8 +136,7 @@ async def _fetch(folder: Path) -> None:
     """rerun's web files from rerun itself, which is ended afterwards."""
     port, data_port = _free_port(), _free_port()
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "rerun", "--serve-web", "--bind", "127.0.0.1",
-        "--port", str(data_port), "--web-viewer-port", str(port),
+        *command_of("rerun", "--serve-web", "--bind", "127.0.0.1", "--port", data_port, "--web-viewer-port", port),
         stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL,
         start_new_session=True,
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """The engine worker as the server sees it: started when it is first needed, restarted when it died, ended with us.
 
-    page --HTTP, channel--> WorkerClient.request --pipe--> python -m kinetix_dist.play.worker
+    page --HTTP, channel--> WorkerClient.request --pipe--> kinetix_dist.play.worker
 
 The worker ends when its pipe closes, so it goes with the server however that ends. docs/play_protocol.md has the
 messages. A worker that says nothing about a request for SILENT_SECONDS is taken for hung and killed; the next request
@@ -13,11 +13,11 @@ import asyncio
 import contextlib
 import os
 import struct
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
+from kinetix_dist.child_python import command_of, difference_of_imports
 from kinetix_dist.play.wire import MAX_MESSAGE_BYTES, PROTOCOL_VERSION, Message, decode, encode
 
 SILENT_SECONDS = 120.0
@@ -26,7 +26,7 @@ END_SECONDS = 3.0
 LOG_BYTES = 4096  # of its standard error that are kept for the line that says why it ended
 GONE, HUNG, OFF = "gone", "hung", "off"  # codes of errors that are not the worker's
 
-COMMAND = (sys.executable, "-m", "kinetix_dist.play.worker")
+WORKER = "kinetix_dist.play.worker"
 
 Progress = Callable[[dict[str, Any]], None]
 Hear = Callable[[Message], None]
@@ -43,10 +43,10 @@ class WorkerError(Exception):
 class WorkerClient:
     """One worker at a time. All methods are called in the event loop."""
 
-    def __init__(self, *, is_allowed: bool = True, command: tuple[str, ...] = COMMAND) -> None:
-        """is_allowed False: no worker is ever started, and every request is refused."""
+    def __init__(self, *, is_allowed: bool = True, command: tuple[str, ...] | None = None) -> None:
+        """is_allowed False: no worker is ever started, and every request is refused. command: starts another worker."""
         self._is_allowed = is_allowed
-        self._command = command
+        self._command = command or tuple(command_of(WORKER))
         self._worker: _Worker | None = None
         self._starting = asyncio.Lock()
 
@@ -227,6 +227,9 @@ class _Worker:
         if content.get("version") != PROTOCOL_VERSION:
             text = f"the engine worker speaks version {content.get('version')}, the server {PROTOCOL_VERSION}"
             self._kill(WorkerError(GONE, f"{text}: start the server again"))
+            return
+        if differ := difference_of_imports(content["imports"]):
+            self._kill(WorkerError(GONE, f"the engine worker imports {differ}: start the server again"))
             return
         self.hello = content
         self._greeting.set_result(None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ from typing import Any
 from kinetix_dist.config import ConfigError, TrainConfig, flat, from_dict, to_dict
 from kinetix_dist.errors import one_line
 from kinetix_dist.level.sets import files_of_set, size_of_drawn_set
+from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.recipes import recipe
 from kinetix_dist.sweep.design import Design, DesignError, Options
 from kinetix_dist.sweep.factorial import TwoLevelDesign, two_level_design
@@ -128,8 +128,7 @@ def _run(design: Design, base: TrainConfig, arm: Arm, seed: int) -> Run:
         if name in SET_BY_SWEEP:
             raise DesignError(f"option {name} cannot be set in a sweep: {SET_BY_SWEEP[name]}")
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else "`kinetix-dist train --help` lists all"
+            hint = did_you_mean(name, known, "`kinetix-dist train --help-all` lists all")
             raise DesignError(f"unknown option {name!r} of arm {arm.name}; {hint}")
     try:
         config = from_dict(_with_options(to_dict(base), options))

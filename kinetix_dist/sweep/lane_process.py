@@ -12,6 +12,8 @@ import os
 import signal
 import sys
 
+from kinetix_dist.child_python import command_of
+
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
@@ -23,7 +25,7 @@ def main(cores: str, parent: int, command: list[str]) -> None:
         sys.exit(f"prctl: {os.strerror(ctypes.get_errno())}")
     if os.getppid() != parent:  # it died before this was set
         sys.exit("the sweep is gone")
-    os.execv(sys.executable, [sys.executable, "-m", "kinetix_dist.cli.main", *command])
+    os.execv(sys.executable, command_of("kinetix_dist.cli.main", *command))
 
 
 if __name__ == "__main__":

@@ -6,9 +6,9 @@ import dataclasses
 import math
 import os
 import subprocess
-import sys
 from pathlib import Path
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.errors import UserError
 
 FREE_BELOW_MIB = 1024  # of memory in use: an idle GPU's driver holds some hundred at most
@@ -80,7 +80,7 @@ def start_training(arguments: list[str], lane: Lane, log: Path) -> subprocess.Po
     """`kinetix-dist train` in a lane; what it says is added to a file. It gets SIGTERM if this process dies, and no
     Ctrl-C of this one's terminal."""
     cores = ",".join(map(str, lane.cores)) or "all"
-    command = [sys.executable, "-m", "kinetix_dist.sweep.lane_process", cores, str(os.getpid()), "train", *arguments]
+    command = command_of("kinetix_dist.sweep.lane_process", cores, os.getpid(), "train", *arguments)
     with log.open("ab") as file:
         file.write(f"$ kinetix-dist train {' '.join(arguments)}\n".encode())
         file.flush()

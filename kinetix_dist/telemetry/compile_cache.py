@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ MIN_COMPILE_VARIABLE = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"  # JAX reads
 
 
 def enable_compile_cache(setting: str) -> Path | None:
-    """Turns JAX's persistent cache on for this process; returns its directory, None when it is off.
+    """Turns JAX's persistent cache on for this process; returns its directory, None when it is off or cannot be
+    written.
 
     setting: a directory, "" for `$JAX_COMPILATION_CACHE_DIR` or else the user's cache directory, "off" for no cache.
     """
@@ -24,10 +26,12 @@ def enable_compile_cache(setting: str) -> Path | None:
     if setting == OFF:
         jax.config.update("jax_enable_compilation_cache", False)
         return None
-    directory = Path(setting or os.environ.get("JAX_COMPILATION_CACHE_DIR") or default_directory()).expanduser()
+    directory = directory_of(setting)
     try:
         directory.mkdir(parents=True, exist_ok=True)
-    except OSError:  # a read-only home is no reason not to train
+        with tempfile.TemporaryFile(dir=directory):
+            pass
+    except OSError:  # a read-only home is no reason not to train; commands say so (`cli/computing.py`)
         return None
     jax.config.update("jax_compilation_cache_dir", str(directory))
     if MIN_COMPILE_VARIABLE not in os.environ:
@@ -56,6 +60,11 @@ def _let_every_rank_write() -> None:
             distributed.global_state.process_id = rank
 
     compiler._cache_write = write_as_process_0
+
+
+def directory_of(setting: str) -> Path:
+    """Directory of the cache by its setting, which is not "off"."""
+    return Path(setting or os.environ.get("JAX_COMPILATION_CACHE_DIR") or default_directory()).expanduser()
 
 
 def default_directory() -> Path:

@@ -9,7 +9,7 @@ class UnknownEventError(ValueError):
 
 EVENTS: dict[str, str] = {
     # Processes
-    "process_started": "a process began: who, where, with how much memory",
+    "process_started": "a process began: who, where, with how much memory, which packages it imports from where",
     "process_lost": "a process died, fell silent or exceeded a time limit: which, and in which section of the run",
     "recovered": "the first new result after a loss: from and to which update, seconds since that loss",
     "resized": "nodes were lost or came: from and to how many processes of a role, and at which update",

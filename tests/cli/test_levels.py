@@ -140,7 +140,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "unknown level set 'nope'" in failure(capsys, "show", "nope")
     assert "is a set of 5 levels; name one level" in failure(capsys, "show", "designed_s")
     assert "is a set of 5 levels; name one level" in failure(capsys, "play", "designed_s")
-    assert "none of keys, random, noop, generalist" in failure(capsys, "play", "s/hop_home", "--policy", "nobody")
+    assert "there are keys, random, noop, generalist" in failure(capsys, "play", "s/hop_home", "--policy", "qqq")
     assert "starts no engine, which playing needs" in failure(capsys, "play", "s/hop_home", "--no-play")
     for drawn in ("random_s", "dev_designed_s"):
         assert "drawn when it is used" in failure(capsys, "list", drawn)

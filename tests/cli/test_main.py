@@ -60,6 +60,15 @@ def test_a_value_outside_the_choices_is_one_line_that_names_them(capsys: pytest.
     assert_one_line(capsys.readouterr().err, "'xl'", "'s', 'm', 'l'")
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_current_directory_that_was_removed_is_one_line(name, tmp_path, monkeypatch, capsys) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert main([name]) == 2
+    assert_one_line(capsys.readouterr().err, "the current directory was removed")
+
+
 def test_importing_the_command_imports_nothing_heavy() -> None:
     check = "import sys, kinetix_dist.cli.main; print([m for m in ('jax', 'ray', 'warp', 'tyro') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=REPOSITORY, check=True)

@@ -41,6 +41,7 @@ def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
     for _ in range(2):
         done = subprocess.run([sys.executable, "-c", STEP], env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
+        assert "CUDA" not in done.stderr  # Warp writes a line of its own on machines without a GPU
         printed.append(done.stdout)
         written.append(compiled_files(tmp_path))
     assert any(name.startswith("warp") for name in written[0]) and any(name.startswith("jax") for name in written[0])

@@ -82,7 +82,7 @@ def _refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ((), "--levels is missing"),
         (("--levels", ""), "--levels is missing"),
         (("--levels", "designed_s", "--from", ""), "--from is empty"),
-        (("--levels", "designed_x"), "unknown level set 'designed_x'; sets are designed_s"),
+        (("--levels", "designed_x"), "unknown level set 'designed_x'; did you mean 'designed_"),
         (("--levels", "designed_m", "--env.size", "s"), "env.size is 's': "),
         (("--levels", "designed_s", "--from", "nosuch"), "there is no checkpoint nosuch; pretrained policies here"),
         (("--levels", "designed_s", "--from", "POLICY", "--policy.encoder_size", "16"), "array params/"),

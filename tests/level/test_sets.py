@@ -131,9 +131,9 @@ def test_a_directory_of_public_levels_is_a_set(public_levels: Path) -> None:
 def test_wrong_names_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(
         ValueError,
-        match=r"unknown level set 'designed_xl'; sets are designed_s.*dev_random_l, frontier_s, frontier_m, or give",
+        match=r"unknown level set 'nosuch'; sets are designed_s.*dev_random_l, frontier_s, frontier_m, or give",
     ):
-        load_level_set("designed_xl")
+        load_level_set("nosuch")
     with pytest.raises(ValueError, match="unknown size 'xl'; sizes are s, m, l"):
         load_level_set("designed_s", "xl")
     with pytest.raises(FileNotFoundError, match=r"no \.json level files"):

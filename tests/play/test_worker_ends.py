@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from bench.worker_client import WORKER, Client
+from kinetix_dist.child_python import command_of
 from kinetix_dist.play.worker import IDLE_VARIABLE, NICE
 from tests.helpers import PATIENCE_S, REPOSITORY, python_path
 from tests.play.test_worker import LONG, document
@@ -43,7 +44,7 @@ def test_it_ends_when_its_parent_is_killed_though_the_pipe_stays_open(tmp_path: 
     reading, writing = os.pipe()
     code = (
         f"import subprocess; out = open({str(tmp_path / 'out')!r}, 'wb'); "
-        f"p = subprocess.Popen({list(WORKER)!r}, stdin={reading}, stdout=out); print(p.pid, flush=True); p.wait()"
+        f"p = subprocess.Popen({command_of(WORKER)!r}, stdin={reading}, stdout=out); print(p.pid, flush=True); p.wait()"
     )
     parent = subprocess.Popen(
         [sys.executable, "-c", code],

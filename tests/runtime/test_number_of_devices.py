@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.recipes import RECIPES, recipe
-from kinetix_dist.runtime.processes.placement import PlacementError, plan
+from kinetix_dist.runtime.processes.placement import PlacementError, check_devices_here, plan
 from tests.helpers import REPOSITORY, environment_of_cpus
 from tests.runtime.runs import tiny_config
 
@@ -69,6 +69,13 @@ def test_more_workers_than_blocks_of_worlds_are_refused_with_what_to_raise():
     config = tiny_config(num_updates=1, placement="colocated", num_workers=5)
     with pytest.raises(PlacementError, match=r"5 workers cannot share 4 blocks .* raise rollout.num_groups 4 and ppo"):
         plan(config, num_gpus=0)
+
+
+def test_more_devices_of_one_process_than_blocks_of_worlds_are_refused_with_what_to_do():
+    config = tiny_config(num_updates=1)
+    check_devices_here(config, 4)
+    with pytest.raises(PlacementError, match=r"^5 devices cannot share 4 blocks .* raise rollout.num_groups 4"):
+        check_devices_here(config, 5)
 
 
 @pytest.mark.parametrize("count", [1, 3, 4])

@@ -1,5 +1,6 @@
 """Real Ray processes on CPU: the same numbers as in one process, whoever dies in between."""
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -21,15 +22,18 @@ from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan
+from tests.runtime.foreign_checkout import foreign_checkout
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 from tests.runtime.train_process import events
 
 
 @pytest.fixture(scope="module")
-def ray_backend():
+def ray_backend(tmp_path_factory):
+    """Ray that is started in a directory with another checkout: processes import what this one does."""
     from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
-    backend = RayBackend(heartbeat_seconds=120.0)
+    with contextlib.chdir(foreign_checkout(tmp_path_factory.mktemp("foreign"))):
+        backend = RayBackend(heartbeat_seconds=120.0)
     yield backend
     backend.stop()
 

@@ -118,8 +118,8 @@ def test_resuming_what_is_not_there(capsys, tmp_path):
     assert "there is no run runs/quickstart to resume" in _refusal(capsys, "--resume")
 
 
-@pytest.mark.parametrize("name", ["r[un]", "r\\un", "r\udcffun"])
-def test_a_directory_below_which_checkpoints_could_not_be_read(capsys, tmp_path, name):
+def test_a_directory_below_which_checkpoints_could_not_be_read(capsys, tmp_path):
+    name = "r\udcffun"
     assert "choose another --run" in _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / name)
     assert not (tmp_path / name).exists()
 

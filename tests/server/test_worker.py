@@ -32,7 +32,7 @@ def say(content, body=b""):
     sys.stdout.buffer.write(wire.encode(wire.Message(content, body))); sys.stdout.buffer.flush()
 def read():
     return wire.read(sys.stdin.buffer)
-say({"type": "hello", "version": wire.PROTOCOL_VERSION, "palette": {}})
+say({"type": "hello", "version": wire.PROTOCOL_VERSION, "imports": {}, "palette": {}})
 """
     return (sys.executable, "-c", head + "\n".join(lines))
 
@@ -131,6 +131,15 @@ def test_one_of_another_version_is_refused() -> None:
         command = (sys.executable, "-c", a_worker_that()[2].replace("wire.PROTOCOL_VERSION,", "99,"))
         with pytest.raises(WorkerError, match="speaks version 99"):
             await WorkerClient(command=command).hello()
+
+    asyncio.run(talk())
+
+
+def test_one_that_imports_another_checkout_is_refused() -> None:
+    async def talk() -> None:
+        code = a_worker_that()[2].replace('"imports": {}', '"imports": {"kinetix_dist": "/other/kinetix_dist"}')
+        with pytest.raises(WorkerError, match="imports kinetix_dist from /other/kinetix_dist instead of"):
+            await WorkerClient(command=(sys.executable, "-c", code)).hello()
 
     asyncio.run(talk())
 

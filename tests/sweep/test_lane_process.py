@@ -50,7 +50,7 @@ def _start(tmp_path, parent: str = "__import__('os').getppid()"):
 def test_a_run_has_its_cores_and_is_told_to_stop_when_the_sweep_dies(tmp_path, number):
     core, sweep = _start(tmp_path)
     said = _wait_for(tmp_path / "said", "train")
-    assert f"Cpus_allowed_list:\t{core} -m kinetix_dist.cli.main train --run x" in said
+    assert f"Cpus_allowed_list:\t{core} -P " in said and "kinetix_dist.cli.main train --run x" in said
     sweep.send_signal(number)
     sweep.wait()
     _wait_for(tmp_path / "said", "stopped")

@@ -116,7 +116,7 @@ ONE_ARM = '[[arms]]\nname = "a"\noptions = {{{}}}\n'
         (FACTORIAL.replace('name = "rate"', 'name = "epochs"'), "two of them have the factor name 'epochs'"),
         (
             FACTORIAL.replace("ppo.epochs", "ppo.epohcs"),
-            "unknown option 'ppo.epohcs' of arm a1; did you mean ppo.epochs?",
+            "unknown option 'ppo.epohcs' of arm a1; did you mean 'ppo.epochs'?",
         ),
         (
             FACTORIAL.replace('{"ppo.epochs" = 2}', '{"ppo.clip" = 2}'),

@@ -15,10 +15,15 @@ class RoleClock:
     """Adds up seconds by role between laps; what no role claims is idle."""
 
     def __init__(self) -> None:
-        self.totals = dict.fromkeys((*ROLES, "idle"), 0.0)  # s, over all laps
+        self.totals = dict.fromkeys((*ROLES, "idle"), 0.0)  # s, over all laps of all sessions
         self._lap = dict.fromkeys(ROLES, 0.0)
         self._began: float | None = None
         self._lap_began = time.monotonic()
+
+    def add_earlier(self, seconds: Mapping[str, float]) -> None:
+        """Totals of earlier sessions, as they were then; before `start`."""
+        for name, value in seconds.items():
+            self.totals[name] = self.totals.get(name, 0.0) + value
 
     def start(self) -> None:
         """The first lap begins now; what was added before is kept in the totals."""

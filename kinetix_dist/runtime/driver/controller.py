@@ -50,6 +50,7 @@ from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY, RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.saving import Saver
+from kinetix_dist.runtime.driver.session_totals import DESCRIPTION, SessionTotals, totals_before
 from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
 from kinetix_dist.runtime.driver.starting import LINEAGE, starting_point
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
@@ -89,6 +90,8 @@ class Controller:
         self.stop = stop or StopSignals()
         self.num_updates = 0
         self.seconds_before = 0.0  # training time of earlier sessions
+        self._before = SessionTotals()
+        self._began = time.monotonic()
         self._warmup_before = 0.0  # s of it, see `warmup_seconds`
         self._warmup: float | None = None  # s of this session; None: its first update is not done
         self.training_seconds_at_end = 0.0
@@ -125,6 +128,9 @@ class Controller:
         if checkpoint is not None:
             self.seconds_before = checkpoint.description["training_seconds"]
             self._warmup_before = checkpoint.description.get("warmup_seconds", 0.0)  # earlier versions did not count it
+            self._before = totals_before(self.run.report_path, checkpoint.description)
+            self.clock.add_earlier(self._before.seconds_by_role)
+            self._physics.add_earlier(self._before.physics)
         try:
             with self._section("start"):
                 self._start_from(checkpoint)
@@ -176,13 +182,18 @@ class Controller:
         return self._warmup_before + (self.clock.elapsed if self._warmup is None else self._warmup)
 
     @property
+    def wall_seconds(self) -> float:
+        """Of all sessions, from the start of each to its last checkpoint or report."""
+        return self._before.wall_seconds + time.monotonic() - self._began
+
+    @property
     def lineage(self) -> list[Mapping[str, Any]]:
         """Checkpoints that the run comes from, the oldest first."""
         return list(self._lineage)
 
     @property
     def physics(self) -> dict[str, int]:
-        """Physics steps of this session and what was counted in them."""
+        """Physics steps of all sessions and what was counted in them."""
         return self._physics.totals
 
     # One update, and whatever else talks to other processes
@@ -361,6 +372,9 @@ class Controller:
                 "env_steps": self.env_steps,
                 "training_seconds": self.training_seconds,
                 "warmup_seconds": self.warmup_seconds,
+                DESCRIPTION: dataclasses.asdict(
+                    SessionTotals(self.wall_seconds, dict(self.clock.totals), self._physics.totals)
+                ),
                 **self._refreshes.description(),
                 **self._evaluations.description(),
                 **self._data.description(),

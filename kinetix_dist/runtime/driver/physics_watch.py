@@ -1,4 +1,4 @@
-"""Counters of the physics over a session, and one warning for each that should be zero and is not."""
+"""Counters of the physics over all sessions of a run, and one warning for each that should be zero and is not."""
 
 from __future__ import annotations
 
@@ -48,6 +48,14 @@ class PhysicsWatch:
     def totals(self) -> dict[str, int]:
         """For the report: physics steps of all worlds, and how often each thing happened in them."""
         return {"physics_steps": self._physics_steps, **self._counts}
+
+    def add_earlier(self, totals: Mapping[str, int]) -> None:
+        """`totals` of earlier sessions."""
+        for name, count in totals.items():
+            if name == "physics_steps":
+                self._physics_steps += count
+            else:
+                self._counts[name] = self._counts.get(name, 0) + count
 
     def add(self, metrics: Mapping[str, float], physics_steps: int) -> Iterator[tuple[str, int, str]]:
         """Takes the metrics of an update of so many physics steps; (kind, count, warning) the first time of a kind."""

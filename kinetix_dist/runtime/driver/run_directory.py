@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import glob
 import json
 import os
 import re
@@ -65,14 +66,9 @@ def _has_checkpoints(run: Path) -> bool:
 
 
 def _check_path(path: Path) -> None:
-    """Orbax takes these characters for a pattern: it writes arrays below such a path and does not find them again."""
-    name = os.fspath(path.absolute())
-    if found := sorted(set(name) & set("[]\\")):
-        raise RunDirectoryError(
-            f"{path} has {' and '.join(found)} in it, below which checkpoints cannot be read; choose another --run"
-        )
+    """Raises RunDirectoryError for a name that Orbax cannot write."""
     try:
-        name.encode()
+        os.fspath(path.absolute()).encode()
     except UnicodeEncodeError:
         raise RunDirectoryError(f"{path!r} is not UTF-8, and checkpoints need that; choose another --run") from None
 
@@ -269,7 +265,7 @@ class RunInUseError(RunDirectoryError):
 def newest_run(parent: Path, name: str) -> Path | None:
     """Of `name`, `name-2`, `name-3` ... below `parent`, the run with the highest number; None if there is none."""
     numbered = {}
-    for path in parent.glob(f"{name}*") if parent.is_dir() else []:
+    for path in parent.glob(f"{glob.escape(name)}*") if parent.is_dir() else []:
         match = re.fullmatch(re.escape(name) + r"(?:-(\d+))?", path.name)
         if match and (path / "config.json").is_file():
             numbered[int(match[1] or 1)] = path

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import socket
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,7 +41,14 @@ from kinetix_dist.runtime.driver.stopping import (
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, RayFailedError, TooManyLossesError
 from kinetix_dist.runtime.processes.fork_server import ForkServer
-from kinetix_dist.runtime.processes.placement import PlacementError, ProcessPlan, count_gpus, plan, resolve_device
+from kinetix_dist.runtime.processes.placement import (
+    PlacementError,
+    ProcessPlan,
+    check_devices_here,
+    count_gpus,
+    plan,
+    resolve_device,
+)
 from kinetix_dist.runtime.processes.ray_access import use_token
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
@@ -144,13 +150,12 @@ def _from_start_to_report(
     resume: bool,
 ) -> dict[str, Any]:
     """The report. `started` gets what ends what was started, first to last."""
-    began = time.monotonic()
     if config.cut_episodes:
         reporter.note(config.cut_episodes)
     recorder = Recorder(run)
     stored = run.config = {"hash": config.hash, "config": to_dict(config)}
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
-        _write_or_fail(run, run.config_path, stored)
+        _write_or_fail(run, run.config_path, stored, "then start the run again")
     try:
         backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
         stop.install()
@@ -164,11 +169,11 @@ def _from_start_to_report(
             run.config_path.unlink(missing_ok=True)
         raise
     if resume:  # what is refused leaves the one there is
-        _write_or_fail(run, run.config_path, stored)
+        _write_or_fail(run, run.config_path, stored, f"then --run {run.path} --resume")
     evaluations = _from_first_to_last_update(controller, run, reporter)
     controller.clock.lap()
-    report = _report(config, controller, evaluations, controller.facts(), wall_seconds=time.monotonic() - began)
-    _write_or_fail(run, run.report_path, report)
+    report = _report(config, controller, evaluations, controller.facts())
+    _write_or_fail(run, run.report_path, report, f"then --run {run.path} --resume")
     # Last, since drawing needs libraries that nothing else of a run does.
     if config.recording.num_rollouts and config.recording.make_pictures:
         if failure := recorder.make_pictures():
@@ -209,13 +214,12 @@ def _write_evaluations(run: RunDirectory, reporter: RunReporter, evaluations: di
         reporter.note(f"evaluations.json cannot be written, the run goes on: {one_line(error)}")
 
 
-def _write_or_fail(run: RunDirectory, path: Path, content: Any) -> None:
+def _write_or_fail(run: RunDirectory, path: Path, content: Any, then: str) -> None:
+    """then: how the run goes on once there is space."""
     try:
         run.write_json(path, content)
     except OSError as error:
-        raise RunFailedError(
-            f"{path} cannot be written: {one_line(error)}; free space there, then --run {run.path} --resume"
-        ) from error
+        raise RunFailedError(f"{path} cannot be written: {one_line(error)}; free space there, {then}") from error
 
 
 def hold_to_cpu(config: TrainConfig) -> None:
@@ -234,6 +238,15 @@ def hold_to_cpu(config: TrainConfig) -> None:
             f"JAX runs on {jax.default_backend()} in this process already, which is to compute on the CPU; "
             "start training from a process that has not used JAX, or set JAX_PLATFORMS=cpu"
         )
+
+
+def check_devices(config: TrainConfig) -> None:
+    """Raises PlacementError where this process is to train and has more devices than there are parts of a batch. After
+    `hold_to_cpu`."""
+    import jax
+
+    if config.run.placement == "local":
+        check_devices_here(config, len(jax.devices()))
 
 
 def start_fork_server(config: TrainConfig) -> ForkServer | None:
@@ -263,6 +276,7 @@ def _start_roles(
     fork_server: ForkServer | None,
 ) -> tuple[Backend, Trainer, Curator | None, Evaluations | None, Resizing | None]:
     hold_to_cpu(config)
+    check_devices(config)
     if config.run.placement == "local":
         from kinetix_dist.runtime.processes.local import LocalBackend
 
@@ -329,14 +343,12 @@ def _report(
     controller: Controller,
     evaluations: dict[str, Any],
     facts: dict[str, Any],
-    *,
-    wall_seconds: float,
 ) -> dict[str, Any]:
     seconds = {role: round(value, 3) for role, value in controller.clock.totals.items()}
     return {
         "recipe": config.run.name,
         "env_steps": controller.env_steps,
-        "wall_seconds": round(controller.seconds_before + wall_seconds, 3),
+        "wall_seconds": round(controller.wall_seconds, 3),
         "training_seconds": round(controller.training_seconds_at_end, 3),
         "env_steps_per_second": round(controller.env_steps / max(controller.training_seconds_at_end, 1e-9), 1),
         "policy_updates": controller.num_updates,

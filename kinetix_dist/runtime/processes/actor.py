@@ -20,6 +20,7 @@ from typing import Any
 
 import ray
 
+from kinetix_dist.child_python import imported_from
 from kinetix_dist.models.kernels.support import KernelError
 from kinetix_dist.runtime.processes.facts import facts_of, whereabouts
 from kinetix_dist.runtime.processes.failures import failure_of
@@ -99,13 +100,14 @@ class ProcessActor:
         return self._meter.read(has_device=self._core is not None)
 
     def prepare(self) -> dict[str, Any]:
-        """Before JAX starts: tells XLA how much of the GPU is its own. Returns where the process is and what it has."""
+        """Before JAX starts: tells XLA how much of the GPU is its own. Returns where the process is, what it has, and
+        where its packages come from."""
         with self._failures("prepare"):
             if self._plan.memory is not None:
                 self._budget = budget_of(self._plan.name, self._plan.memory, this_gpu())
                 os.environ.pop("XLA_PYTHON_CLIENT_MEM_FRACTION", None)  # an older name of what follows
                 os.environ.update(self._budget.environment)
-            return whereabouts(self._budget)
+            return {**whereabouts(self._budget), "imports": imported_from()}
 
     def free_address(self) -> str:
         """host:port that this process could listen on now, for the coordinator of a group."""

@@ -7,7 +7,9 @@ import socket
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.child_python import difference_of_imports
 from kinetix_dist.runtime.processes.gpu_memory import MIB, Budget
+from kinetix_dist.runtime.processes.placement import PlacementError
 
 
 def whereabouts(budget: Budget | None) -> dict[str, Any]:
@@ -18,6 +20,13 @@ def whereabouts(budget: Budget | None) -> dict[str, Any]:
         where["gpu"] = os.environ.get("CUDA_VISIBLE_DEVICES", "0")
         where["memory_mib"] = {"budget": budget.total_bytes // MIB, "reserve": budget.reserve_bytes // MIB}
     return where
+
+
+def refuse_other_imports(process: str, where: dict[str, Any]) -> None:
+    """Raises PlacementError where a process on this host imports packages from elsewhere than this one does. where:
+    what it said of itself. Nodes of a cluster are compared by their versions (`runtime/driver/nodes.py`)."""
+    if where["host"] == socket.gethostname() and (differ := difference_of_imports(where["imports"])):
+        raise PlacementError(f"{process} imports {differ}; start the command in another directory, or unset PYTHONPATH")
 
 
 def _log_of_this_process() -> str | None:

@@ -7,7 +7,7 @@
 Otherwise every process imports for 5 s of a core, at the start and in every recovery. Memory of what is imported is
 shared until it is written to.
 
-    python -m kinetix_dist.runtime.processes.fork_server DESCRIPTOR MODULE...        stdin is a pipe from the driver
+    kinetix_dist.runtime.processes.fork_server DESCRIPTOR MODULE...        stdin is a pipe from the driver
 
 consumes      requests, at a socket of the abstract namespace: of this user alone, and without a file to leave behind
 produces      processes, its own children, so that whoever looks for what a driver started finds them
@@ -40,6 +40,7 @@ from pathlib import Path
 
 import psutil
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.runtime.processes.fork_client import CAN_FORK, FORK, FORKED, SERVER, check_user
 from kinetix_dist.runtime.processes.ray_private import processes_set_up_by
 
@@ -63,7 +64,7 @@ class ForkServer:
             listener.bind("\0" + self._name)
             listener.listen(BACKLOG)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "kinetix_dist.runtime.processes.fork_server", str(listener.fileno()), *modules],
+                command_of("kinetix_dist.runtime.processes.fork_server", listener.fileno(), *modules),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -210,7 +211,7 @@ def become(request: Request) -> None:
 
     jax.config.update("jax_platforms", os.environ.get(PLATFORMS) or None)
     sys.argv = request.command
-    sys.path[0] = str(Path(sys.argv[0]).parent)
+    sys.path.insert(0, str(Path(sys.argv[0]).parent))
     runpy.run_path(sys.argv[0], run_name="__main__")
 
 

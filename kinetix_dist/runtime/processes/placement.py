@@ -101,6 +101,16 @@ def _of_split(config: TrainConfig) -> list[_Roles]:
     return learners + [[("rollout", index)] for index in range(run.num_rollout_actors)]
 
 
+def check_devices_here(config: TrainConfig, num_devices: int) -> None:
+    """Raises PlacementError where local mode has more devices than parts of a batch to give them."""
+    if num_devices > config.num_blocks:
+        raise PlacementError(
+            f"{num_devices} devices cannot share {config.num_blocks} blocks of worlds: some would have none; show "
+            "fewer to this process (CUDA_VISIBLE_DEVICES, or --xla_force_host_platform_device_count of XLA_FLAGS), or "
+            f"raise rollout.num_groups {config.rollout.num_groups} and ppo.virtual_shards {config.ppo.virtual_shards}"
+        )
+
+
 def _check_blocks(config: TrainConfig, number: int, role: str) -> None:
     if number > config.num_blocks:
         raise PlacementError(

@@ -20,12 +20,14 @@ from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
 from kinetix_dist.runtime.processes.backend import Group
+from kinetix_dist.runtime.processes.facts import refuse_other_imports
 from kinetix_dist.runtime.processes.failures import RayFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.fork_server import ForkServer
 from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
 from kinetix_dist.runtime.processes.ray_access import joining, secure_token
 from kinetix_dist.runtime.processes.ray_private import (
+    job_of_this_import_path,
     own_servers,
     own_signals,
     print_nothing,
@@ -136,6 +138,7 @@ class RayBackend:
         address = os.environ.get("RAY_ADDRESS")
         # log_to_driver: actors log to Ray's session directory; what fails is raised here.
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
+        options["job_config"] = job_of_this_import_path()
         if address:
             self._loopback = "0"
             self.has_joined_a_cluster = True
@@ -316,6 +319,7 @@ class RayBackend:
             self._note_started(handle, where)
 
     def _note_started(self, handle: RayHandle, where: dict[str, Any]) -> None:
+        refuse_other_imports(handle.plan.name, where)
         self.losses.started(handle.plan.name, where)
         self._on_event("process_started", process=handle.plan.name, **where)
 

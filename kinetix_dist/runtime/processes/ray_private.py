@@ -7,12 +7,16 @@ import functools
 import os
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import psutil
 
+from kinetix_dist.child_python import import_path
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.processes.failures import RayFailedError
+
+if TYPE_CHECKING:
+    from ray.job_config import JobConfig
 
 # Methods of Ray's node that start processes which nothing here asks: the autoscaler's monitor, what passes logs of
 # actors on to the driver (`log_to_driver` is off), and the server of the dashboard and of `ray job`.
@@ -26,6 +30,20 @@ def print_nothing() -> None:
     from ray._private import worker
 
     worker.print_to_stdstream = lambda data, ignore_prefix: None
+
+
+def job_of_this_import_path() -> JobConfig:
+    """For `ray.init`: processes import what this one does. Ray would put the current directory of the driver first,
+    where another checkout or a jax.py may lie."""
+    from ray.job_config import JobConfig
+
+    class _Job(JobConfig):
+        def _serialize(self) -> str:
+            # Ray has added its directories by now. A process inserts one after the other: the last comes first.
+            self._py_driver_sys_path = import_path()[::-1]
+            return super()._serialize()
+
+    return _Job()
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """Ends what a killed driver leaves behind.
 
-    python -m kinetix_dist.runtime.processes.watchdog PID        stdin is a pipe from the driver
+    kinetix_dist.runtime.processes.watchdog PID        stdin is a pipe from the driver
 
 Ray ends its servers and actors with the driver, but its agents can outlive a SIGKILL for minutes. This process
 remembers the descendants of the driver; when the pipe closes, whichever way the driver went, it kills those that are
@@ -19,6 +19,8 @@ import subprocess
 import sys
 import time
 
+from kinetix_dist.child_python import command_of
+
 LOOK_EVERY_S = 1.0
 GRACE_S = 8.0  # for Ray to end its own processes in order
 
@@ -28,7 +30,7 @@ class Watchdog:
 
     def __init__(self, driver_pid: int) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "kinetix_dist.runtime.processes.watchdog", str(driver_pid)],
+            command_of("kinetix_dist.runtime.processes.watchdog", driver_pid),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -1,0 +1,56 @@
+"""Start of Warp in a process: where its compiled kernels are kept, and what it says."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import sys
+import tempfile
+from collections.abc import Generator
+
+import warp as wp
+
+# Warp's library writes this line to descriptor 2 on every machine without a GPU, whatever its log level.
+_NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
+_READ_BYTES = 1 << 20
+
+
+@functools.cache
+def start() -> None:
+    """Initialises Warp, without its line about a missing GPU: whoever asks for one hears of that from JAX.
+
+    A process without a home directory keeps kernels in a temporary directory of its own: Warp would make one that is
+    called `~`.
+    """
+    names_a_directory = "WARP_CACHE_PATH" in os.environ or "XDG_CACHE_HOME" in os.environ
+    if wp.config.kernel_cache_dir is None and not names_a_directory and not os.path.isabs(os.path.expanduser("~")):
+        wp.config.kernel_cache_dir = tempfile.mkdtemp(prefix="jax2d-warp-")
+    with without_line_about_no_driver():
+        wp.init()
+
+
+@contextlib.contextmanager
+def without_line_about_no_driver() -> Generator[None]:
+    """Passes on whatever is written to descriptor 2 inside, at the end, but for the line about a missing driver."""
+    try:
+        stderr = os.dup(2)
+    except OSError:  # it is closed: nobody reads that line
+        yield
+        return
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)  # more than a pipe holds would be lost rather than wait for us
+    os.dup2(writing, 2)
+    os.close(writing)
+    try:
+        yield
+    finally:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        os.dup2(stderr, 2)  # the last descriptor of the pipe to write to
+        os.close(stderr)
+        with os.fdopen(reading, "rb") as pipe:
+            said = pipe.read(_READ_BYTES)
+        os.write(2, b"".join(line for line in said.splitlines(keepends=True) if not line.startswith(_NO_DRIVER)))

@@ -1,0 +1,27 @@
+"""Runs that are at their configured end, with a report: there is nothing to go on with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.checkpoint import newest_good
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.driver.clock import is_over
+from kinetix_dist.runtime.driver.session_totals import read_report
+
+
+def finished_report(path: Path, config: TrainConfig) -> dict[str, Any] | None:
+    """Report of the run in `path` where `config` asks for no more than it has done, and its last checkpoint is good.
+
+    None where training goes on, or where the report or the last checkpoint is missing or damaged: resuming makes them
+    again. Reads only.
+    """
+    report = read_report(path / "report.json")
+    if report is None or report["config_hash"] != config.hash:
+        return None
+    if not is_over(config.run, env_steps=report["env_steps"], training_seconds=report["training_seconds"]):
+        return None
+    checkpoint, _ = newest_good(path / "checkpoints")
+    is_last = checkpoint is not None and checkpoint.description["num_updates"] == report["policy_updates"]
+    return report if is_last else None

@@ -1,0 +1,75 @@
+"""Standard streams that are closed, that nobody reads, and that take ASCII alone."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+
+import pytest
+
+from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import _for_any_reader
+from tests.cli.test_main import run_command
+from tests.helpers import PATIENCE_S, REPOSITORY
+
+COMMAND = [sys.executable, "-m", "kinetix_dist"]
+
+
+def _pipe_without_reader():
+    reads, writes = os.pipe()
+    os.close(reads)
+    return writes
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_leaves_early_is_no_failure(unbuffered):
+    """As in `kinetix-dist levels list | head -1`."""
+    writes = _pipe_without_reader()
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(
+        [*COMMAND, "levels", "list"],
+        stdout=writes, stderr=subprocess.PIPE, env=environment, cwd=REPOSITORY, timeout=PATIENCE_S,
+    )  # fmt: skip
+    os.close(writes)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", ">&- 2>&- <&-"])
+def test_closed_streams_are_no_failure(closed, tmp_path):
+    """Nor does a file that the command opens get the number of one of them, and what is printed."""
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" {closed}', "sh", *COMMAND, "--version"],
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert done.returncode == 0 and done.stderr == ""
+    assert ("kinetix-dist" in done.stdout) == (not closed.startswith(">"))
+
+
+def test_a_closed_stderr_leaves_the_exit_status_of_a_mistake():
+    command = ["sh", "-c", 'exec "$@" 2>&-', "sh", *COMMAND, "trian"]
+    assert subprocess.run(command, cwd=REPOSITORY, timeout=PATIENCE_S).returncode == 2
+
+
+@pytest.mark.parametrize("arguments", [["levels", "--help"], ["levels", "list"]])
+def test_what_ascii_cannot_show_is_replaced(arguments, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    done = run_command(*arguments)
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout.isascii() and len(done.stdout) > 200
+
+
+def test_a_stream_drops_what_nobody_reads_also_when_it_is_flushed():
+    pipe = io.TextIOWrapper(os.fdopen(_pipe_without_reader(), "wb"), encoding="ascii")
+    stream = _for_any_reader(pipe)
+    print("one \u2022", file=stream, flush=True)
+    stream.write("two" * 10_000)
+    stream.flush()
+
+
+def test_last_words_are_in_the_encoding_of_their_stream(tmp_path):
+    reads, writes = os.pipe()
+    with os.fdopen(writes, "w", encoding="ascii") as stream:
+        say("a \u2022 b", stream)
+    with os.fdopen(reads, "rb") as pipe:
+        assert pipe.read() == b"a ? b\n"
