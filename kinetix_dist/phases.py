@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
-import json
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from kinetix_dist.text_files import read_json, read_toml
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
@@ -99,8 +99,7 @@ def read_phases(path: Path) -> list[dict[str, Any]]:
     """The phases in a file, as plain values: TOML with a table `[[phases]]` for each, or JSON, {"phases": [...]} or the
     list alone. Raises ValueError or OSError, one line each."""
     try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        content: Any = read_json(path) if path.suffix == ".json" else read_toml(path)
     except ValueError as error:
         raise ValueError(f"{path} cannot be read as {'JSON' if path.suffix == '.json' else 'TOML'}: {error}") from error
     if isinstance(content, dict) and set(content) == {"phases"}:

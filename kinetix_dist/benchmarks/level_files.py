@@ -25,6 +25,7 @@ from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_level
 from kinetix_dist.level.kinetix_format import export_kinetix, load_kinetix
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.sets import data_files
 
 CHECKOUT = Path(kinetix_dist.__file__).resolve().parent.parent
 NUM_RANDOM_LEVELS = 32  # a size, where the public ones are absent
@@ -79,7 +80,7 @@ def level_files(size: str, levels: Path | None, seed: int) -> Iterator[tuple[lis
     """
     usual = [os.environ.get("KINETIX_LEVELS"), CHECKOUT.parent / "shared" / "kinetix_levels"]
     for directory in usual if levels is None else [levels]:
-        files = sorted(Path(directory, size).glob("*.json")) if directory else []
+        files = data_files(Path(directory, size), "*.json") if directory else []
         if files:
             yield files, "the public Kinetix levels"
             return

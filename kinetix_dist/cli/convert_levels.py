@@ -60,11 +60,14 @@ def run_import(args: Import) -> int:
         return 0
     if args.name is not None:
         raise UserError("--name is for one file; levels of a directory are named after their files")
+    from kinetix_dist.level.foreign_files import foreign_files
     from kinetix_dist.level.sets import level_files
 
-    files = level_files(args.source, "**/*.json")
+    with user_errors(*_EXPECTED):
+        files = level_files(args.source, "**/*.json")
     if not files:
-        raise UserError(f"no .json files in {args.source}; give a directory of public level files")
+        found = foreign_files(args.source)
+        raise UserError(f"no .json files in {args.source}; give a directory of public level files{found}")
     _check_directory(args.out)
 
     def convert(file: Path) -> str:
@@ -138,7 +141,7 @@ def _export_file(file: Path, out: Path, size: str | None) -> str:
     _refuse_same(file, out)
     size = size or info.size
     try:
-        document = export_kinetix(fit_level(level, capacity_of_size(size)))
+        document = export_kinetix(fit_level(level, capacity_of_size(size)), info.public_walls)
     except ValueError as error:
         raise ValueError(f"{file}: {one_line(error)}") from error
     out.write_text(json.dumps(document), encoding="utf-8")

@@ -12,13 +12,13 @@ Reads what the package's `save_pretrained_checkpoint` writes: params.safetensors
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.text_files import read_json
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
@@ -128,7 +128,7 @@ def _model_options(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     with user_errors(ValueError, OSError, prefix=f"{path}: "):
-        content = json.loads(path.read_text())
+        content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("model"), dict):
         raise UserError(f"{path} has no options of a network under 'model'")
     return content["model"]

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.text_files import read_json
 
 _FAR = 4.5  # standard errors; 80 statistics exceed it by chance once in 1,500 reports
 
@@ -71,7 +72,7 @@ def read_described(file: Path, size: str) -> dict[str, Any]:
     """Statistics of a size from a JSON file. Raises ValueError for a file without them."""
     from kinetix_dist.level.statistics import read
 
-    document = json.loads(file.read_text(encoding="utf-8"))
+    document = read_json(file)
     sizes = document.get("sizes") if isinstance(document, dict) else None
     if not isinstance(sizes, dict) or size not in sizes:
         raise ValueError(f"{file} has no statistics of size {size}; `levels stats --size {size} --json` writes them")

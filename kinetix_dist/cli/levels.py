@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.generate_levels import Generate, run_generate
 from kinetix_dist.cli.level_stats import Stats, run_stats
 from kinetix_dist.cli.play_level import Play, run_play
@@ -43,10 +43,15 @@ class Show:
 
 @dataclasses.dataclass(frozen=True)
 class Validate:
-    """Check files of levels and of proofs; exit status 1 when one is wrong, with one line for each."""
+    """Check files of levels and of proofs; exit status 1 when one is wrong, with one line for each. What is odd about
+    the start of a valid level is a warning, by the same rules as in the editor."""
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """Files of levels or proofs, or directories of them."""
+    strict: bool = False
+    """A level with a warning is wrong too."""
+    play: bool = True
+    """Also play each level while nobody acts: that it solves itself is a warning."""
 
 
 Args = (
@@ -128,10 +133,11 @@ def _show(args: Show) -> None:
     from kinetix_dist.level.document import level_to_json
     from kinetix_dist.level.kinetix_format import is_kinetix_document
     from kinetix_dist.level.sets import file_of_level
+    from kinetix_dist.level.structure import read_document
 
     path = file_of_level(args.level)
     level, info = _read(path)
-    document = json.loads(path.read_text(encoding="utf-8"))
+    document = read_document(path)
     if is_kinetix_document(document):
         document = level_to_json(level, info)
     about = [info.title, f"size {info.size}", info.difficulty, ", ".join(info.tags)]
@@ -163,30 +169,60 @@ def _text(value: Any) -> str:
 
 
 def _validate(args: Validate) -> int:
-    from kinetix_dist.level.proof import is_proof_document, read_proof
+    from kinetix_dist.level.foreign_files import foreign_files
     from kinetix_dist.level.sets import data_files
-    from kinetix_dist.level.validate import read_document
 
     files: list[Path] = []
+    foreign = ""
     for given in args.files:
         if not given.exists():
             raise UserError(f"there is no {given}; give files of levels or proofs, or directories of them")
-        files += data_files(given, "**/*.json") if given.is_dir() else [given]
+        with user_errors(*_EXPECTED):
+            files += data_files(given, "**/*.json") if given.is_dir() else [given]
+        foreign = foreign or (foreign_files(given) if given.is_dir() else "")
     if not files:
-        raise UserError("no level files to check; give files or directories that hold .json files")
-    num_wrong = 0
+        raise UserError(f"no level files to check; give files or directories that hold .json files{foreign}")
+    num_wrong = num_warned = 0
     for path in files:
         try:
-            if is_proof_document(read_document(path)):
-                read_proof(path)
-            else:
-                _read(path)
+            warnings = _warnings_of(path, plays=args.play)
         except _EXPECTED as error:
             num_wrong += 1
-            text = " ".join(str(error).split())
-            print(text if str(path) in text else f"{path}: {text}")
-    print(f"{len(files) - num_wrong} of {len(files)} files are valid")
+            text = one_line(error)
+            print(text if str(path) in text else f"{path}: {text}", flush=True)
+            continue
+        num_warned += bool(warnings)
+        num_wrong += bool(warnings) and args.strict
+        for warning in warnings:
+            print(f"{path}: {'' if args.strict else 'warning: '}{warning}", flush=True)
+    also = f", {num_warned} with warnings" if num_warned and not args.strict else ""
+    print(f"{len(files) - num_wrong} of {len(files)} files are valid{also}")
     return 1 if num_wrong else 0
+
+
+def _warnings_of(path: Path, *, plays: bool) -> list[str]:
+    """Of a valid level; says what was mended of a public file. Raises _EXPECTED for what is wrong."""
+    from kinetix_dist.env.env_config import EnvConfig
+    from kinetix_dist.level.fit import capacity_of_size, fit_level
+    from kinetix_dist.level.proof import is_proof_document, read_proof
+    from kinetix_dist.level.sets import read_level_file
+    from kinetix_dist.level.start_warnings import noop_warning, start_warnings
+    from kinetix_dist.level.structure import read_document
+    from kinetix_dist.play.attempts import steps_until_noop_solves
+    from kinetix_dist.play.programs import environment
+
+    if is_proof_document(read_document(path)):
+        read_proof(path)
+        return []
+    file = read_level_file(path)
+    if file.notes:
+        print(f"{path}: {'; '.join(file.notes)}")
+    found = start_warnings(file.level, file.document)
+    if plays:
+        size = file.info.size
+        in_its_arrays = fit_level(file.level, capacity_of_size(size))
+        found += noop_warning(steps_until_noop_solves(environment(EnvConfig(size=size)), in_its_arrays))
+    return [warning.text for warning in found]
 
 
 def _read(path: Path) -> tuple[Any, Any]:

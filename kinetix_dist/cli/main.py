@@ -15,9 +15,12 @@ Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was g
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from kinetix_dist import user_directories
 from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
@@ -25,6 +28,7 @@ from kinetix_dist.cli.last_words import leave, say
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
 from kinetix_dist.cli.streams import prepare_streams
 from kinetix_dist.engine_package import engine_complaint
+from kinetix_dist.level.structure import LevelNote
 from kinetix_dist.near_names import did_you_mean
 
 __all__ = ["COMMANDS", "main", "parse_args"]
@@ -59,6 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: list[str]) -> int:
     user_directories.settle()  # commands that compute say what it replaced
+    others = warnings.showwarning
+    warnings.showwarning = functools.partial(_show_warning, others)
     try:
         return _dispatch(argv)
     except UserError as error:
@@ -67,6 +73,16 @@ def _run(argv: list[str]) -> int:
     except KeyboardInterrupt:
         say(f"{PROG}: interrupted", sys.stderr)
         return EXIT_INTERRUPTED
+    finally:
+        warnings.showwarning = others
+
+
+def _show_warning(others: Callable[..., None], message: Any, category: type[Warning], *place: Any) -> None:
+    """A note about a level file as one line on stderr; `others` shows warnings of other kinds."""
+    if issubclass(category, LevelNote):
+        say(f"{PROG}: {one_line(message)}", sys.stderr)
+    else:
+        others(message, category, *place)
 
 
 def _dispatch(argv: list[str]) -> int:

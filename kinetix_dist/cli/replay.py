@@ -24,6 +24,7 @@ from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.cli.last_words import say
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
+from kinetix_dist.text_files import is_hidden
 
 
 @dataclasses.dataclass
@@ -99,10 +100,14 @@ def recording_files(source: Path) -> list[Path]:
     if not source.is_dir():
         raise UserError(f"{source} does not exist; give a recording (*.mcap) or a run directory")
     folder = source / "recordings"
-    files = sorted((folder if folder.is_dir() else source).glob("*.mcap"), key=lambda file: file.stat().st_mtime_ns)
+    files = sorted(_recordings(folder if folder.is_dir() else source), key=lambda file: file.stat().st_mtime_ns)
     if not files:
         raise UserError(f"{source} holds no recordings (recordings/*.mcap); train with recording on, or give a file")
     return files
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return [path for path in folder.glob("*.mcap") if not is_hidden(path, folder)]
 
 
 def describe(rollout: Rollout) -> str:

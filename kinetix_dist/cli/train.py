@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.last_words import say
 from kinetix_dist.cli.option_help import HELP_ALL, WIDTH, options_help, wants_help
+from kinetix_dist.text_files import read_json
 
 if TYPE_CHECKING:
     from kinetix_dist.config import RunConfig, TrainConfig
@@ -270,7 +271,7 @@ def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
         raise UserError(no_run_in(run))
     with user_errors(ValueError, prefix=f"{path}: "):
         try:
-            content = json.loads(path.read_text())
+            content = read_json(path)
             if not isinstance(content, dict):
                 raise TypeError(f"it holds a {type(content).__name__} and no configuration")
             return run, from_dict(content["config"])

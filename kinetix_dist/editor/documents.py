@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.editor.start_warnings import StartWarning, shape_paths, start_warnings
+from kinetix_dist.level.control import obeying_motors, pushing_thrusters
 from kinetix_dist.level.fit import capacity_of_size, usage
 from kinetix_dist.level.kinetix_format import is_kinetix_document
 from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
 from kinetix_dist.level.schema import level_from_json
+from kinetix_dist.level.start_warnings import StartWarning, paths_in, start_warnings
 from kinetix_dist.level.validate import LevelFormatError, problems_of
 
 MAX_THINGS = 1000  # shapes, joints or thrusters of a document that is looked at: the largest size has 16
@@ -63,11 +64,10 @@ def facts_of(level: Level, document: dict[str, Any]) -> dict[str, Any]:
     inverse_mass = np.asarray(scene.shapes.inverse_mass, float)
     masses = {
         path: 1 / inverse_mass[slot] if inverse_mass[slot] > 0 else None
-        for slot, path in shape_paths(level, document).items()
+        for slot, path in paths_in(level, document).shapes.items()
         if slot >= NUM_WALLS
     }
-    driven = np.asarray(scene.joints.active) & np.asarray(scene.joints.motor_on) & ~np.asarray(level.motor_auto)
-    pushed = np.asarray(scene.thrusters.active)
+    driven, pushed = obeying_motors(level), pushing_thrusters(level)
     return {
         "counts": used | {"polygons": used["polygons"] - NUM_WALLS},
         "room": {kind: getattr(capacity, kind) - count for kind, count in used.items()},

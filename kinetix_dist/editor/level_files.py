@@ -13,6 +13,8 @@ import os
 import tempfile
 from pathlib import Path
 
+from kinetix_dist.text_files import decode_text
+
 SUFFIX = ".json"
 MAX_FILE_BYTES = 4 << 20  # of a level file; the largest public one has 60 kB
 MAX_LISTED = 2000
@@ -62,7 +64,7 @@ class LevelFiles:
         if len(content) > MAX_FILE_BYTES:
             raise FileNameError(f"{name} has more than {MAX_FILE_BYTES >> 20} MiB; a level file has a few kB")
         try:
-            text = content.decode("utf-8")
+            text = decode_text(content)
         except UnicodeDecodeError as error:
             raise FileNameError(f"{name} is no text ({error.reason} at byte {error.start})") from error
         return LevelFile(name=name, text=text, hash=hash_of(content))

@@ -33,6 +33,7 @@ from kinetix_dist.level.level import Level
 from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.run_directory import LOCK_NAME, RunDirectoryError, lock_directory
 from kinetix_dist.telemetry.json_lines import replace_file
+from kinetix_dist.text_files import read_json
 
 FORMAT = 1
 DESIGN_NAME = "design.json"
@@ -196,7 +197,7 @@ def _read_json(file: Path) -> Record:
     is_design = file.name == DESIGN_NAME
     advice = "choose another directory" if is_design else "remove it, and its specialist is trained again"
     try:
-        content = json.loads(file.read_text())
+        content = read_json(file)
     except (OSError, ValueError) as error:
         raise UserError(f"{file} cannot be read ({one_line(error)}); {advice}") from None
     if not isinstance(content, dict):

@@ -11,6 +11,7 @@ import numpy as np
 
 from jax2d.scene import JointKind
 from kinetix_dist.level.fit import capacity_of, smallest_size
+from kinetix_dist.level.kinetix_walls import USUAL_WALLS, PublicWalls
 from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.roles import ROLE_NAMES
 from kinetix_dist.level.walls import WALL_NAMES
@@ -32,6 +33,7 @@ class LevelInfo:
     source: str = ""
     tags: tuple[str, ...] = ()
     difficulty: str = ""  # expected: "easy", "medium" or "hard"
+    public_walls: PublicWalls = USUAL_WALLS  # those of the public file that it was imported from
 
 
 def level_to_json(level: Level, info: LevelInfo | None = None) -> dict[str, Any]:
@@ -50,6 +52,7 @@ def level_to_json(level: Level, info: LevelInfo | None = None) -> dict[str, Any]
         **({"source": info.source} if info.source else {}),
         **({"tags": list(info.tags)} if info.tags else {}),
         **({"difficulty": info.difficulty} if info.difficulty else {}),
+        **({"public_walls": walls} if (walls := info.public_walls.to_json()) else {}),
         "gravity": _numbers(scene.gravity),
     }
     walls = {name: _surface(level, slot) for slot, name in enumerate(WALL_NAMES)}

@@ -26,6 +26,7 @@ from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.paths import levels_root
+from kinetix_dist.text_files import read_json
 
 FRONTIER_STREAM = 0x46524F4E  # "FRON": a key of its own
 FRONTIER_FILE = "frontier_sets.json"
@@ -57,7 +58,7 @@ def frontier_sets() -> dict[str, FrontierSet]:
 def read_frontier_sets(file: Path) -> dict[str, FrontierSet]:
     """By size. Raises OSError and ValueError."""
     sets = {}
-    for size, content in json.loads(file.read_text()).items():
+    for size, content in read_json(file).items():
         fields = {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
         sets[size] = FrontierSet(size=size, **fields)
     return sets

@@ -1,18 +1,20 @@
 """Is a public level file one that can be read without loss? Every complaint is one line: which field, what, what to do.
 
 Checked is what `kinetix_format.py` reads and nothing else: a file may hold anything in slots that are not active and in
-its caches of impulses. What files here cannot hold is refused, not changed: walls elsewhere, units of another size.
+its caches of impulses. What files here cannot hold is refused: units of another size, walls elsewhere but for the two
+kinds that `kinetix_walls.py` mends.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.kinetix_params import check_params
+from kinetix_dist.level.kinetix_walls import PublicWalls, check_nothing_falls_out, read_walls
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
 from kinetix_dist.level.roles import Role
 from kinetix_dist.level.structure import LevelFormatError, number_problems, raise_first
-from kinetix_dist.level.walls import COLLIDES_WITH_ALL, FLOOR_TOP_M, WALL_NAMES
+from kinetix_dist.level.walls import COLLIDES_WITH_ALL
 
 VERSION = "kinetix-env 3.0.2"
 _EXPORT_AGAIN = f"this file is of another version; write it again with {VERSION}"
@@ -28,21 +30,11 @@ _JOINT_FIELDS = (
 _THRUSTER_FIELDS = ("object_index", "relative_position", "rotation", "power", "thruster_binding")
 _FLAGS = ("is_fixed_joint", "motor_on", "motor_has_joint_limits")
 _PAIRS = ("position", "velocity", "a_relative_pos", "b_relative_pos", "relative_position")
-# What numbers of a level mean: a level of other units would move otherwise here.
-UNITS = {
-    "dt": 1 / 60,
-    "base_motor_speed": 6.0,
-    "base_motor_power": 900.0,
-    "base_thruster_power": 10.0,
-    "base_friction": 0.4,
-}
-# Of each wall: the coordinate of the side that faces the box, and which of its corners' coordinates that is.
-_WALL_FACES = ((1, max, FLOOR_TOP_M), (0, max, 0.0), (0, min, WORLD_SIZE_M), (1, min, WORLD_SIZE_M))
-_WALL_TOLERANCE_M = 1e-3
 
 
-def check_kinetix(document: dict[str, Any]) -> None:
-    """Raises `LevelFormatError` for the first thing in a public document that keeps it from being read."""
+def check_kinetix(document: dict[str, Any]) -> PublicWalls:
+    """How the walls of a public document are. Raises `LevelFormatError` for the first thing that keeps the document
+    from being read."""
     state = document["env_state"]
     if not isinstance(state, dict):
         raise LevelFormatError("env_state", f"is {type(state).__name__}", _EXPORT_AGAIN)
@@ -62,7 +54,9 @@ def check_kinetix(document: dict[str, Any]) -> None:
     slots = {*shapes["polygon"], *(num_polygons + slot for slot in shapes["circle"])}
     for path, shape in shapes["polygon"].values():
         _check_corners(shape, path)
-    _check_walls(shapes["polygon"])
+    walls = read_walls(shapes["polygon"])
+    for rows in shapes.values():
+        check_nothing_falls_out(rows, walls)
     for path, joint in _active_rows(state, "joint", _JOINT_FIELDS).values():
         for end in ("a_index", "b_index"):
             _check_shape(joint[end], f"{path}.{end}", slots)
@@ -76,7 +70,8 @@ def check_kinetix(document: dict[str, Any]) -> None:
     if "gravity" not in state:
         raise LevelFormatError("env_state.gravity", "is missing", _EXPORT_AGAIN)
     _check_pair(state["gravity"], "env_state.gravity")
-    _check_units(document)
+    check_params(document)
+    return walls
 
 
 def _active_rows(state: dict[str, Any], part: str, fields: tuple[str, ...]) -> dict[int, tuple[str, dict[str, Any]]]:
@@ -142,34 +137,3 @@ def _check_corners(shape: dict[str, Any], path: str) -> None:
         if not isinstance(corners, dict) or str(corner) not in corners:
             raise LevelFormatError(f"{path}.vertices.{corner}", "is missing", _EXPORT_AGAIN)
         _check_pair(corners[str(corner)], f"{path}.vertices.{corner}")
-
-
-def _check_walls(polygons: dict[int, tuple[str, dict[str, Any]]]) -> None:
-    """The first four polygons are the box that every level here is played in."""
-    for slot, (axis, side, face) in enumerate(_WALL_FACES[:NUM_WALLS]):
-        path = f"env_state.polygon[{slot}]"
-        remedy = f"levels here are played in a box of {WORLD_SIZE_M:g} x {WORLD_SIZE_M:g} m; restore that wall"
-        if slot not in polygons:
-            raise LevelFormatError(path, f"is not active, but is the {WALL_NAMES[slot]}", remedy)
-        wall = polygons[slot][1]
-        cos, sin = math.cos(wall["rotation"]), math.sin(wall["rotation"])
-        corners = [wall["vertices"][str(corner)] for corner in range(wall["n_vertices"])]
-        turned = [(cos * c["0"] - sin * c["1"], sin * c["0"] + cos * c["1"]) for c in corners]
-        found = side(corner[axis] for corner in turned) + wall["position"][str(axis)]
-        is_wall = abs(found - face) <= _WALL_TOLERANCE_M and wall["inverse_mass"] == 0
-        if not is_wall or wall["collision_mode"] != COLLIDES_WITH_ALL:
-            raise LevelFormatError(path, f"is not the {WALL_NAMES[slot]} of the usual box", remedy)
-
-
-def _check_units(document: dict[str, Any]) -> None:
-    params = document.get("env_params", {})
-    if not isinstance(params, dict):
-        raise LevelFormatError("env_params", f"is {type(params).__name__}", _EXPORT_AGAIN)
-    for name, usual in UNITS.items():
-        if name not in params:
-            continue
-        _check_number(params[name], f"env_params.{name}")
-        if not math.isclose(params[name], usual, rel_tol=1e-5):
-            raise LevelFormatError(
-                f"env_params.{name}", f"is {params[name]}", f"levels here are played with {usual:.6g}; scale the level"
-            )

@@ -6,13 +6,15 @@ What differs there, and what is done about it:
 - masses and inertias in a file are not those of its shapes (discs have half their inertia): they are computed again
   from geometry and density; what has zero inverse mass there stays fixed;
 - `friction` is a raw coefficient, multiplied by the engine's base friction; joint `rotation` is angle_b - angle_a at
-  rest; a motor drives b relative to a towards +speed. All as in `Scene`.
+  rest; a motor drives b relative to a towards +speed. All as in `Scene`;
+- walls of two kinds of files are not where they are here: see `kinetix_walls.py`.
 
 Slots are kept: shape i of the file is shape i of the level.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -23,8 +25,10 @@ import numpy as np
 from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.fit import capacity_of
-from kinetix_dist.level.kinetix_checks import UNITS, check_kinetix
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
+from kinetix_dist.level.kinetix_checks import check_kinetix
+from kinetix_dist.level.kinetix_params import param_notes, public_params, public_static_params
+from kinetix_dist.level.kinetix_walls import USUAL_WALLS, PublicWalls, mended_wall, wall_of_file
+from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.validate import LevelFormatError, check_polygon, read_document
 from kinetix_dist.level.walls import empty_level, pad_vertices
 
@@ -38,44 +42,21 @@ _EMPTY_MANIFOLD = {
     "acc_impulse_tangent": 0.0,
     "restitution_velocity_target": 0.0,
 }
-_ENV_PARAMS = {
-    **UNITS,
-    "slop": 0.01,
-    "baumgarte_coefficient_joints_v": 2.0,
-    "baumgarte_coefficient_joints_p": 0.7,
-    "baumgarte_coefficient_fjoint_av": 2.0,
-    "baumgarte_coefficient_rjoint_limit_av": 5.0,
-    "baumgarte_coefficient_collision": 0.2,
-    "joint_stiffness": 0.6,
-    "clip_position": 15,
-    "clip_velocity": 100,
-    "clip_angular_velocity": 50,
-    "motor_decay_coefficient": 0.1,
-    "motor_joint_limit": 0.1,
-    "max_timesteps": 256,
-    "pixels_per_unit": 100,
-    "dense_reward_scale": 0.1,
-    "num_shape_roles": 4,
-}
-_STATIC_PARAMS = {
-    "max_polygon_vertices": 4,
-    "num_solver_iterations": 10,
-    "solver_batch_size": 16,
-    "do_warm_starting": True,
-    "num_static_fixated_polys": NUM_WALLS,
-    "screen_dim": {"0": 500, "1": 500},
-    "downscale": 4,
-    "frame_skip": 2,
-    "max_shape_size": 2,
-    "num_motor_bindings": NUM_MOTOR_COLOURS,
-    "num_thruster_bindings": NUM_THRUSTER_COLOURS,
-}
 _PARTS = ("polygon", "circle", "joint", "thruster")
 
 
 def is_kinetix_document(document: Any) -> bool:
     """Whether a JSON document is a level file of the public package."""
     return isinstance(document, dict) and "env_state" in document
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PublicLevel:
+    """A public document as it is read."""
+
+    level: Level  # numpy, with the capacity of the document's own arrays
+    walls: PublicWalls  # as the document has them; those of the level are the usual box
+    notes: tuple[str, ...]  # what was mended or is played otherwise here, a phrase each
 
 
 def load_kinetix(path: str | Path) -> Level:
@@ -90,14 +71,21 @@ def load_kinetix(path: str | Path) -> Level:
 
 def import_kinetix(document: Any) -> Level:
     """The level (numpy) of a public document, with the capacity of the document's own arrays."""
+    return read_kinetix(document).level
+
+
+def read_kinetix(document: Any) -> PublicLevel:
+    """The same, and what was mended on the way. Raises `LevelFormatError`."""
     if not is_kinetix_document(document):
         raise LevelFormatError("env_state", "is missing", "this is no level file of the public Kinetix package")
-    check_kinetix(document)
-    return _read_state(document["env_state"])
+    walls = check_kinetix(document)
+    notes = (*walls.notes, *param_notes(document))
+    return PublicLevel(level=_read_state(document["env_state"], walls), walls=walls, notes=notes)
 
 
-def _read_state(state: dict[str, Any]) -> Level:
+def _read_state(state: dict[str, Any], walls: PublicWalls) -> Level:
     polygons, circles, joints, thrusters = (state[part] for part in _PARTS)
+    polygons = [mended_wall(wall, slot, walls) for slot, wall in enumerate(polygons[:NUM_WALLS])] + polygons[NUM_WALLS:]
     max_corners = max((shape["n_vertices"] for shape in polygons if shape["active"]), default=4)
     capacity = Capacity(
         polygons=len(polygons),
@@ -159,9 +147,10 @@ def _read_state(state: dict[str, Any]) -> Level:
     return complete(level, is_fixed)
 
 
-def export_kinetix(level: Level) -> dict[str, Any]:
+def export_kinetix(level: Level, walls: PublicWalls = USUAL_WALLS) -> dict[str, Any]:
     """A public document of one level. Impulse caches are empty; masses are ours (see the module docstring).
 
+    walls: those of the file that the level was imported from, which the document gets again.
     Raises `LevelFormatError` for a level with a slider, which the public format does not have.
     """
     level = jax.tree.map(np.asarray, level)
@@ -181,14 +170,11 @@ def export_kinetix(level: Level) -> dict[str, Any]:
         "acc_cc_manifolds": [_EMPTY_MANIFOLD] * _pairs(circles),
         "gravity": _point(scene.gravity),
     }
-    static = {
-        "num_polygons": polygons,
-        "num_circles": circles,
-        "num_joints": capacity.joints,
-        "num_thrusters": capacity.thrusters,
-        **_STATIC_PARAMS,
-    }
-    return {"env_state": state, "env_params": dict(_ENV_PARAMS), "static_env_params": static}
+    state["polygon"][:NUM_WALLS] = [
+        wall_of_file(wall, slot, walls) for slot, wall in enumerate(state["polygon"][:NUM_WALLS])
+    ]
+    static = public_static_params(polygons, circles, capacity.joints, capacity.thrusters)
+    return {"env_state": state, "env_params": public_params(), "static_env_params": static}
 
 
 def _pairs(count: int) -> int:

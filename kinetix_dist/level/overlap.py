@@ -25,15 +25,30 @@ def separation(corners_a: Array, radius_a: Array, corners_b: Array, radius_b: Ar
     from the centre to the corners of the other. Exact in sign; the value is a lower bound of the distance.
     """
 
-    def edge_normals(corners: Array) -> Array:
-        edge = jnp.roll(corners, -1, axis=0) - corners
-        return jnp.stack([edge[:, 1], -edge[:, 0]], axis=-1)
-
     # Corner-to-corner axes matter only where one side is a circle, whose corners are all its centre.
     towards = corners_b - corners_a[:1]
     back = corners_a - corners_b[:1]
     is_round = (radius_a > 0.0) | (radius_b > 0.0)
-    axes = jnp.concatenate([edge_normals(corners_a), edge_normals(corners_b), towards * is_round, back * is_round])
+    axes = jnp.concatenate([_edge_normals(corners_a), _edge_normals(corners_b), towards * is_round, back * is_round])
+    return _largest_gap(axes, corners_a, corners_b) - radius_a - radius_b
+
+
+def surface_distance(corners_a: Array, radius_a: Array, corners_b: Array, radius_b: Array) -> Array:
+    """Distance (m) of the surfaces of two shapes, given as for `separation`. Exact where they do not overlap, since the
+    shortest way between convex shapes is along the normal of an edge or from corner to corner; negative where they do.
+    """
+    between = (corners_b[None, :, :] - corners_a[:, None, :]).reshape(-1, 2)
+    axes = jnp.concatenate([_edge_normals(corners_a), _edge_normals(corners_b), between])
+    return _largest_gap(axes, corners_a, corners_b) - radius_a - radius_b
+
+
+def _edge_normals(corners: Array) -> Array:
+    edge = jnp.roll(corners, -1, axis=0) - corners
+    return jnp.stack([edge[:, 1], -edge[:, 0]], axis=-1)
+
+
+def _largest_gap(axes: Array, corners_a: Array, corners_b: Array) -> Array:
+    """Of the corners of two shapes along any of the axes `[k, 2]`; those of length 0 do not count."""
     length = jnp.sqrt(jnp.sum(axes * axes, axis=-1))
     usable = length > 1e-6  # zero-length edges of padding and of circles
     axes = axes / jnp.where(usable, length, 1.0)[:, None]
@@ -46,7 +61,7 @@ def separation(corners_a: Array, radius_a: Array, corners_b: Array, radius_b: Ar
         along_b.min(axis=-1) - along_a.max(axis=-1),
         along_a.min(axis=-1) - along_b.max(axis=-1),
     )
-    return jnp.max(jnp.where(usable, gap, -jnp.inf)) - radius_a - radius_b
+    return jnp.max(jnp.where(usable, gap, -jnp.inf))
 
 
 def contact_points(

@@ -23,6 +23,7 @@ from kinetix_dist.level.canonical import in_order, turn_round, turned_colours
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo, dump_document, level_to_json
 from kinetix_dist.level.fit import capacity_of_size
+from kinetix_dist.level.kinetix_walls import PublicWalls
 from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.roles import ROLE_NAMES
 from kinetix_dist.level.validate import LevelFormatError, read_document, validate_document
@@ -97,7 +98,8 @@ def document_info(document: dict[str, Any]) -> LevelInfo:
     """What a valid document says of a level besides the level."""
     names = [field.name for field in dataclasses.fields(LevelInfo)]
     given = {name: document[name] for name in names if name in document}
-    return LevelInfo(**given | {"tags": tuple(given.get("tags", ()))})
+    made = {"tags": tuple(given.get("tags", ())), "public_walls": PublicWalls.from_json(given.get("public_walls", {}))}
+    return LevelInfo(**given | made)
 
 
 def _assemble(document: dict[str, Any], capacity: Capacity) -> tuple[Level, np.ndarray]:

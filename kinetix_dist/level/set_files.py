@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from kinetix_dist.level.paths import levels_root
+from kinetix_dist.text_files import read_toml
 
 
 def designed_sets() -> dict[str, dict[str, Any]]:
     """levels/sets.toml: for each set its description, size and level files (relative to levels/)."""
-    with (levels_root() / "sets.toml").open("rb") as file:
-        return tomllib.load(file)
+    return read_toml(levels_root() / "sets.toml")
 
 
 def designed_names() -> list[str]:

@@ -15,8 +15,10 @@ sets to develop with, which share no random level with them: else what is publis
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -24,19 +26,22 @@ import numpy as np
 from jax2d.scene import Array, stack_worlds
 from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fit import LevelSizeError, capacity_of_size, fit_level, smallest_size
+from kinetix_dist.level.foreign_files import REMEDY, foreign_files, is_zarr_store
 from kinetix_dist.level.frontier import FRONTIER_FILE, frontier_levels, frontier_sets
 from kinetix_dist.level.generator_config import generator
-from kinetix_dist.level.kinetix_format import is_kinetix_document, load_kinetix
+from kinetix_dist.level.kinetix_format import is_kinetix_document, read_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.proof import PROOF_SUFFIX
 from kinetix_dist.level.schema import LevelInfo, load_level
 from kinetix_dist.level.set_files import designed_files, designed_names, designed_sets
-from kinetix_dist.level.validate import read_document
+from kinetix_dist.level.structure import LevelNote
+from kinetix_dist.level.validate import LevelFormatError, read_document
 from kinetix_dist.level.variants import variants
 from kinetix_dist.level.varied_sets import VARIED_SETS
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.text_files import is_hidden
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
 HELD_OUT_LEVELS = 256
@@ -118,22 +123,52 @@ def size_of_drawn_set(name: str) -> str | None:
     return made.size if made else None
 
 
-def read_level(path: Path) -> tuple[Level, LevelInfo]:
-    """One level of a file in either format, in arrays of the size the file says, and what is known about it."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LevelFile:
+    """What a file of either format holds."""
+
+    level: Level  # numpy, in arrays of the size the file says
+    info: LevelInfo
+    document: Any  # of the file's own format
+    notes: tuple[str, ...] = ()  # what was mended or is not read, a phrase each
+
+
+def read_level_file(path: Path) -> LevelFile:
+    """Raises `LevelFormatError`, `LevelSizeError` or OSError, one line."""
     document = read_document(path)
-    if not is_kinetix_document(document):
-        return load_level(path)
-    return read_public_level(path)
+    if is_kinetix_document(document):
+        return _public_file(path, document)
+    level, info = load_level(path)
+    return LevelFile(level=level, info=info, document=document)
+
+
+def _public_file(path: Path, document: Any) -> LevelFile:
+    try:
+        public = read_kinetix(document)
+        size = smallest_size(public.level)
+    except LevelFormatError as error:
+        raise error.in_file(path) from None
+    except LevelSizeError as error:
+        raise LevelSizeError(f"{path}: {error}") from None
+    info = LevelInfo(name=path.stem, size=size, source=PUBLIC_SOURCE, public_walls=public.walls)
+    return LevelFile(level=public.level, info=info, document=document, notes=public.notes)
+
+
+def read_level(path: Path) -> tuple[Level, LevelInfo]:
+    """One level of a file in either format, in arrays of the size the file says, and what is known about it. Warns with
+    a `LevelNote` of what was mended. Raises as `read_level_file`."""
+    return _with_note(path, read_level_file(path))
 
 
 def read_public_level(path: Path) -> tuple[Level, LevelInfo]:
-    """The same of a file of the public package."""
-    level = load_kinetix(path)
-    try:
-        size = smallest_size(level)
-    except LevelSizeError as error:
-        raise LevelSizeError(f"{path}: {error}") from None
-    return level, LevelInfo(name=path.stem, size=size, source=PUBLIC_SOURCE)
+    """The same of a file of the public package; no other is read."""
+    return _with_note(path, _public_file(path, read_document(path)))
+
+
+def _with_note(path: Path, file: LevelFile) -> tuple[Level, LevelInfo]:
+    if file.notes:
+        warnings.warn(LevelNote(f"{path}: {'; '.join(file.notes)}"), stacklevel=3)
+    return file.level, file.info
 
 
 def is_public_level(path: Path) -> bool:
@@ -162,7 +197,7 @@ def files_of_set(name: str) -> list[Path]:
     if path.is_dir():
         files = level_files(path, "*.json") or level_files(path, "*/*.json")
         if not files:
-            raise FileNotFoundError(f"no .json level files in {path}; give a directory of level files")
+            raise FileNotFoundError(f"no .json level files in {path}; give a directory of them{foreign_files(path)}")
         return files
     known = [*sets, *VARIED_SETS, *RANDOM_SETS, *frontier_sets()]
     otherwise = f"sets are {', '.join(known)}, or give a level file or a directory of them"
@@ -176,8 +211,11 @@ def level_files(directory: Path, pattern: str) -> list[Path]:
 
 
 def data_files(directory: Path, pattern: str) -> list[Path]:
-    """Files of a directory that should hold levels or proofs: all but those of the level data that describe them."""
-    found = sorted(path for path in directory.glob(pattern) if path.is_file())
+    """Files of a directory that should hold levels or proofs: all but hidden ones and those of the level data that
+    describe them. Raises LevelFormatError for a store of another format."""
+    if is_zarr_store(directory):
+        raise LevelFormatError(str(directory), "is a zarr store of arrays", REMEDY)
+    found = sorted(path for path in directory.glob(pattern) if path.is_file() and not is_hidden(path, directory))
     return [path for path in found if path.name not in ("schema.json", FRONTIER_FILE)]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from jax2d.scene import Array, JointKind
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
-from kinetix_dist.level.overlap import separation, world_corners
+from kinetix_dist.level.overlap import separation, surface_distance, world_corners
 from kinetix_dist.level.roles import ROLE_NAMES, Role
 
 NUM_POINTS = 19  # at which a distribution is described
@@ -290,12 +290,24 @@ def _joined(levels: Level) -> np.ndarray:
 
 def separations(level: Level) -> Array:
     """[n, n] m, of all pairs of shapes of one level, active or not: negative where they overlap. Pure."""
+    corners, radius = _corners_and_radii(level)
+    against = jax.vmap(separation, in_axes=(None, None, 0, 0))
+    return jax.vmap(lambda own, r: against(own, r, corners, radius))(corners, radius)
+
+
+def _corners_and_radii(level: Level) -> tuple[Array, Array]:
+    """[n, V, 2] corners in the world and [n] radii, as `separation` takes them."""
     shapes, capacity = level.scene.shapes, capacity_of(level)
     vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
     radius = jnp.concatenate([jnp.zeros(capacity.polygons), shapes.radius])
-    corners = world_corners(jnp.asarray(level.position), jnp.asarray(level.angle), vertices)
-    against = jax.vmap(separation, in_axes=(None, None, 0, 0))
-    return jax.vmap(lambda own, r: against(own, r, corners, radius))(corners, radius)
+    return world_corners(jnp.asarray(level.position), jnp.asarray(level.angle), vertices), radius
+
+
+def point_distances(level: Level, point: Array) -> Array:
+    """[n] m, of a point of the world [2] from all shapes of one level, active or not: negative inside. Pure."""
+    corners, radius = _corners_and_radii(level)
+    at = jnp.broadcast_to(jnp.asarray(point, corners.dtype), corners.shape[1:])
+    return jax.vmap(surface_distance, in_axes=(0, 0, None, None))(corners, radius, at, 0.0)
 
 
 def overlaps(levels: Level) -> np.ndarray:

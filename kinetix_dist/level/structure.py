@@ -12,6 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.level.foreign_files import REMEDY, kind_of_bytes
+from kinetix_dist.text_files import decode_text, read_json
+
 MAX_NUMBER = 1e6  # of any field, in its unit; float32 positions beyond it are 6 cm apart and coarser
 _BOUNDS = {
     "minimum": "at least",
@@ -33,6 +36,10 @@ class LevelFormatError(ValueError):
         return LevelFormatError(f"{file}: {self.path}" if self.path else str(file), self.problem, self.remedy)
 
 
+class LevelNote(UserWarning):
+    """A level file was read otherwise than it is written; one line says how."""
+
+
 def raise_first(problems: Iterator[LevelFormatError]) -> None:
     """Raises the first complaint, if there is one."""
     for problem in problems:
@@ -41,8 +48,11 @@ def raise_first(problems: Iterator[LevelFormatError]) -> None:
 
 def read_document(path: Path) -> Any:
     """The JSON document of a level file of either format; raises `LevelFormatError` naming the file."""
+    content = path.read_bytes()
+    if kind := kind_of_bytes(content):
+        raise LevelFormatError(str(path), f"is {kind}", REMEDY)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(decode_text(content))
     except (ValueError, RecursionError) as error:  # also text that is not UTF-8, whole numbers of 4,300 digits
         raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
 
@@ -81,7 +91,7 @@ def check_structure(document: Any, schema_file: Path, *, see: str) -> None:
 def _structure_validator(schema_file: Path) -> Any:
     import jsonschema
 
-    return jsonschema.Draft202012Validator(json.loads(schema_file.read_text(encoding="utf-8")))
+    return jsonschema.Draft202012Validator(read_json(schema_file))
 
 
 def _problems_of_error(error: Any, see: str) -> Iterator[LevelFormatError]:

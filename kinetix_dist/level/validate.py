@@ -30,7 +30,7 @@ from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_NAMES
 __all__ = ["LevelFormatError", "check_polygon", "problems_of", "read_document", "validate_document"]
 
 MIN_AREA_M2 = 1e-6  # a square of 1 mm
-MAX_ANCHOR_GAP_M = 0.1  # two ends of a joint farther apart than this are a mistake, not rounding
+MAX_ANCHOR_GAP_M = 0.3  # ends of a joint farther apart are a mistake; people draw gaps of 0.15 m in the web editor
 _PARTS = ("shapes", "joints", "thrusters")
 
 

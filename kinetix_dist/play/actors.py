@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from kinetix_dist.play import programs
 from kinetix_dist.play.players import Trained, checkpoint_at, env_config_of, newest_checkpoint_of
 from kinetix_dist.play.session import PERSON_SPACE, Actor
 from kinetix_dist.play.wire import BAD_REQUEST, NOT_FOUND, RequestError
+from kinetix_dist.text_files import read_json
 
 KEYS, RANDOM, NOOP = "keys", "random", "noop"
 # Of a request, besides "run": numbers by their types, and a preset of the solver.
@@ -109,7 +109,7 @@ def _env_of_run(given: Any, size: str) -> EnvConfig:
         raise RequestError(BAD_REQUEST, f"env.run is {given!r}; give an absolute path")
     path = Path(given) / "config.json"
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
     except OSError as error:
         raise RequestError(NOT_FOUND, f"{path} cannot be read ({error.strerror})") from error
     except ValueError as error:

@@ -13,7 +13,6 @@ import numpy as np
 from jax2d.display_list import DisplayList, display_list
 from jax2d.scene import Array, Capacity
 from kinetix_dist.editor.documents import check_document
-from kinetix_dist.editor.start_warnings import noop_warning
 from kinetix_dist.level.document import LevelInfo, level_to_json
 from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fit import capacity_of
@@ -22,6 +21,7 @@ from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.mutators import MUTATORS, apply, mutate
 from kinetix_dist.level.noop import noop_solved
+from kinetix_dist.level.start_warnings import noop_warning
 from kinetix_dist.play import programs
 from kinetix_dist.play.actors import env_of
 from kinetix_dist.play.attempts import steps_until_noop_solves
@@ -146,7 +146,9 @@ def rrd(request: Request) -> Answer:
 def convert(request: Request) -> Answer:
     to = request.choice("to", FORMATS)
     given = level_of_document(request.fields.get("document"))
-    return {"document": document_of(given) if to == FORMATS[0] else export_kinetix(given.level)}, b""
+    return {
+        "document": document_of(given) if to == FORMATS[0] else export_kinetix(given.level, given.info.public_walls)
+    }, b""
 
 
 def mutate_level(request: Request) -> Answer:

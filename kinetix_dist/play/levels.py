@@ -18,7 +18,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.evaluation.recordings import read_rollouts
 from kinetix_dist.level.document import level_to_json
 from kinetix_dist.level.fit import capacity_of, fit_level, smallest_size
-from kinetix_dist.level.kinetix_format import import_kinetix, is_kinetix_document
+from kinetix_dist.level.kinetix_format import is_kinetix_document, read_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.schema import LevelInfo, document_info, level_from_json
 from kinetix_dist.play.wire import BAD_REQUEST, NOT_FOUND, RequestError
@@ -59,9 +59,10 @@ def level_of_document(document: Any) -> GivenLevel:
     """A document of either format. Raises RequestError with the first thing that is wrong with it."""
     try:
         if is_kinetix_document(document):
-            level = import_kinetix(document)
-            info = LevelInfo(name="public", size=smallest_size(level), source="public Kinetix level file")
-            return GivenLevel(level=fit_level(level, SIZES[info.size]), info=info)
+            public = read_kinetix(document)
+            size = smallest_size(public.level)
+            info = LevelInfo(name="public", size=size, source="public Kinetix level file", public_walls=public.walls)
+            return GivenLevel(level=fit_level(public.level, SIZES[size]), info=info)
         return GivenLevel(level=level_from_json(document), info=document_info(document), document=document)
     except ValueError as error:  # LevelFormatError, LevelSizeError
         raise RequestError(BAD_REQUEST, one_line(error)) from error

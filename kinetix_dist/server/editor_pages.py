@@ -23,6 +23,7 @@ from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.set_files import designed_sets
 from kinetix_dist.server.answers import BadRequestError, error_response, json_response
 from kinetix_dist.server.worker_client import WorkerClient
+from kinetix_dist.text_files import read_text
 
 MAX_GALLERY = 500  # files whose texts are sent at once
 
@@ -76,7 +77,7 @@ class EditorPages:
         return json_response(
             {
                 "levels": [
-                    {"name": file.removesuffix(".json"), "text": (root / file).read_text(encoding="utf-8")}
+                    {"name": file.removesuffix(".json"), "text": read_text(root / file)}
                     for file in sets[name]["levels"]
                 ]
             }

@@ -15,13 +15,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from kinetix_dist.config import ConfigError, build, check_finite
 from kinetix_dist.errors import one_line
+from kinetix_dist.text_files import read_toml
 
 FORMAT = 1
 MIN_FACTORS = 2
@@ -208,8 +208,8 @@ class Design:
 def read_design(path: Path) -> Design:
     """Raises DesignError for a file that is no design, one line that names it."""
     try:
-        data = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        data = read_toml(path)
+    except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else one_line(error)
         raise DesignError(f"{path} cannot be read as a design ({reason})") from error
     try:

@@ -95,7 +95,7 @@ def test_a_set_goes_out_and_comes_back(tmp_path: Path, capsys: pytest.CaptureFix
     assert main(["levels", "export", "designed_m", str(tmp_path / "public")]) == 0
     assert "exported 5 of 5 files" in capsys.readouterr().out
     assert main(["levels", "import", str(tmp_path / "public"), str(tmp_path / "ours")]) == 0
-    assert main(["levels", "validate", str(tmp_path / "ours")]) == 0
+    assert main(["levels", "validate", "--no-play", str(tmp_path / "ours")]) == 0
     capsys.readouterr()
     assert main(["levels", "export", "sliders", str(tmp_path / "x.json")]) == 2  # it has one level
     assert "is prismatic, which public files cannot hold" in capsys.readouterr().err
@@ -111,10 +111,37 @@ def test_validate_names_each_wrong_file_and_fails(tmp_path: Path, capsys: pytest
     document["joints"][0]["a"] = "nobody"
     (tmp_path / "bad.json").write_text(json.dumps(document))
     (tmp_path / "good.json").write_text(json.dumps(cart_document()))
-    assert main(["levels", "validate", str(tmp_path)]) == 1
+    assert main(["levels", "validate", "--no-play", str(tmp_path)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2 and "bad.json: joints[0].a: there is no shape 'nobody'" in lines[0]
     assert lines[1] == "1 of 2 files are valid"
+
+
+def test_validate_warns_of_what_the_editor_warns_of_and_strict_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = cart_document()
+    document["joints"][0]["motor"]["speed"] = 0.0
+    file = tmp_path / "odd.json"
+    file.write_text(json.dumps(document))
+    says = "joints[0] has a motor of speed 0: actions can make it brake, and never move"
+    assert main(["levels", "validate", "--no-play", str(file)]) == 0
+    found = capsys.readouterr().out.splitlines()
+    assert found == [f"{file}: warning: {says}", "1 of 1 files are valid, 1 with warnings"]
+    assert main(["levels", "validate", "--no-play", "--strict", str(file)]) == 1
+    assert capsys.readouterr().out.splitlines() == [f"{file}: {says}", "0 of 1 files are valid"]
+
+
+def test_validate_plays_a_level_to_see_whether_it_solves_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = cart_document()
+    document["shapes"][3] |= {"position": [1.0, 0.5], "radius": 0.1}  # the goal is where the chassis falls
+    document["shapes"][2]["position"] = document["joints"][0]["anchor"] = [0.6, 1.2]
+    file = tmp_path / "itself.json"
+    file.write_text(json.dumps(document))
+    assert main(["levels", "validate", str(file)]) == 0
+    assert f"{file}: warning: is solved by doing nothing, after " in capsys.readouterr().out
 
 
 def test_proofs_and_the_schema_beside_level_files_are_no_levels(
@@ -132,8 +159,8 @@ def test_proofs_and_the_schema_beside_level_files_are_no_levels(
 
 
 def test_all_shipped_levels_are_valid(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["levels", "validate", str(levels_root())]) == 0
-    capsys.readouterr()
+    assert main(["levels", "validate", "--strict", "--no-play", str(levels_root())]) == 0
+    assert capsys.readouterr().out == "148 of 148 files are valid\n"
 
 
 def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -95,6 +95,11 @@ def test_what_is_wrong_is_one_line(level_file: Path, tmp_path: Path, capsys: pyt
     assert "none" in missing
     document = cart_document() | {"joints": [], "thrusters": []}
     level_file.write_text(json.dumps(document))
-    assert "no action does anything in it" in refusal(capsys, level)
+    assert "no action moves anything in it" in refusal(capsys, level)
+    document = cart_document() | {"thrusters": []}
+    document["joints"][0]["motor"]["speed"] = 0.0
+    level_file.write_text(json.dumps(document))
+    assert "no action moves anything in it" in (said := refusal(capsys, level))
+    assert "a motor of speed 0 can only brake" in said
     level_file.write_text("{}")
     assert "size: is missing" in refusal(capsys, level)

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from kinetix_dist.editor.documents import check_document
-from kinetix_dist.editor.start_warnings import noop_warning
+from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.schema import level_from_json
+from kinetix_dist.level.start_warnings import noop_warning, start_warnings
 
 DESIGNED = sorted(levels_root().glob("[sml]/*.json"))
 
@@ -80,16 +81,16 @@ def test_green_that_touches_blue_or_red_at_the_start() -> None:
     def onto_red(document: dict[str, Any]) -> None:
         document["walls"] = {"floor": {"role": "red"}}
         for shape in (document["shapes"][0], document["shapes"][2]):
-            shape["position"][1] = 0.64  # the box reaches 0.01 m into the floor
+            shape["position"][1] = 0.63  # the box reaches 0.02 m into the floor
 
-        document["joints"][0]["anchor"] = [1.5, 0.64]
+        document["joints"][0]["anchor"] = [1.5, 0.63]
         document["thrusters"][0]["anchor"] = [1.0, 0.5]
 
     kinds = [kind for kind, _ in warnings_of(onto_red)]
     assert kinds == ["already_failed", "overlap"]
 
 
-@pytest.mark.parametrize("motor", [None, {"on": False}, {"auto": True}])
+@pytest.mark.parametrize("motor", [None, {"on": False}, {"auto": True}, {"speed": 0.0}, {"power": 0.0}])
 def test_a_level_that_nobody_can_control(motor: Any) -> None:
     def change(document: dict[str, Any]) -> None:
         document["thrusters"] = []
@@ -98,7 +99,7 @@ def test_a_level_that_nobody_can_control(motor: Any) -> None:
         else:
             document["joints"][0]["motor"] = motor
 
-    assert warnings_of(change) == [("uncontrollable", ())]
+    assert [kind for kind, _ in warnings_of(change) if kind != "idle"] == ["uncontrollable"]
 
 
 def test_a_thruster_on_what_is_fixed_controls_nothing() -> None:
@@ -125,6 +126,85 @@ def test_limits_that_are_not_met_at_the_start() -> None:
         document["joints"][0]["limits"] = [-0.1, 0.31]
 
     assert warnings_of(within) == []
+
+
+@pytest.mark.parametrize(
+    ("motor", "says"),
+    [
+        ({"speed": 0.0}, "motor of speed 0: actions can make it brake"),
+        ({"power": 0.0}, "motor of power 0: it does nothing"),
+    ],
+)
+def test_a_motor_that_drives_nothing(motor: dict[str, float], says: str) -> None:
+    document = level_document()
+    document["joints"][0]["motor"] = motor
+    (warning,) = check_document(document).warnings
+    assert (warning.kind, warning.paths) == ("idle", ("joints[0]",)) and says in warning.text
+
+
+def test_a_joint_between_two_fixed_shapes_and_a_thruster_that_pushes_nothing() -> None:
+    def change(document: dict[str, Any]) -> None:
+        document["shapes"][0] |= {"fixed": True}
+        document["shapes"][2] |= {"fixed": True}
+
+    assert warnings_of(change) == [("uncontrollable", ()), ("idle", ("joints[0]",)), ("idle", ("thrusters[0]",))]
+
+    def to_a_wall(document: dict[str, Any]) -> None:
+        document["shapes"][2] |= {"fixed": True}
+        document["joints"][0]["a"] = "left_wall"
+
+    assert warnings_of(to_a_wall)[0] == ("idle", ("joints[0]",))
+    assert warnings_of(lambda d: d["thrusters"][0].update(power=0.0)) == [("idle", ("thrusters[0]",))]
+
+
+def test_an_anchor_far_from_both_shapes() -> None:
+    assert warnings_of(lambda d: d["joints"][0].update(anchor=[1.5, 4.9])) == [("anchor", ("joints[0]",))]
+    # 0.2 m off, as axles that are not drawn are, and far from one of the two alone.
+    assert warnings_of(lambda d: d["joints"][0].update(anchor=[1.5, 2.4])) == []
+    assert warnings_of(lambda d: d["shapes"][2].update(position=[3.5, 2.0], width=0.2)) == []
+
+
+def test_ends_of_a_joint_that_are_apart() -> None:
+    def change(document: dict[str, Any]) -> None:
+        del document["joints"][0]["anchor"]
+        document["joints"][0] |= {"anchor_a": [0.5, 0.0], "anchor_b": [-0.3, 0.15]}
+
+    document = level_document()
+    change(document)
+    (warning,) = check_document(document).warnings
+    assert (warning.kind, warning.paths) == ("anchor", ("joints[0]",)) and "0.15 m apart" in warning.text
+
+
+def test_the_same_joint_twice() -> None:
+    def change(document: dict[str, Any]) -> None:
+        document["joints"].append(document["joints"][0] | {"a": "arm", "b": "box"})
+
+    assert warnings_of(change) == [("twice", ("joints[0]", "joints[1]"))]
+
+    def elsewhere(document: dict[str, Any]) -> None:
+        document["joints"].append(document["joints"][0] | {"anchor": [1.52, 2.05]})
+
+    assert warnings_of(elsewhere) == []
+
+
+def test_a_fixed_shape_may_reach_into_a_wall() -> None:
+    """A ramp that is half in the floor, as people draw them; one that is all in it is a mistake."""
+    assert warnings_of(lambda d: d["shapes"][1].update(position=[4.0, 0.3], fixed=True)) == []
+    assert warnings_of(lambda d: d["shapes"][1].update(position=[4.0, 0.05], fixed=True)) == [
+        ("outside", ("shapes[1]",))
+    ]
+
+
+def test_public_files_name_their_own_parts() -> None:
+    document = level_document()
+    document["joints"][0]["motor"] = {"speed": 0.0}
+    document["shapes"][1]["position"] = [4.8, 1.0]
+    public = export_kinetix(level_from_json(document))
+    found = start_warnings(import_kinetix(public), public)
+    assert [(warning.kind, warning.paths) for warning in found] == [
+        ("overlap", ("env_state.polygon[2]", "env_state.circle[0]")),
+        ("idle", ("env_state.joint[0]",)),
+    ]
 
 
 def test_a_shape_outside_of_the_box() -> None:

@@ -49,13 +49,37 @@ def test_every_method_opens_the_trapdoor(env: Environment, method: str) -> None:
 
 
 def test_a_level_out_of_reach_is_not_solved_and_all_methods_say_how_near_they_came(env: Environment) -> None:
-    """A cart that cannot fly, and a goal at the ceiling: 0.35 m + 0.2 m apart at the very least, nearly 4 m in fact."""
+    """A cart that cannot fly, and a goal at the ceiling: nearly 4 m apart."""
     document = document_of("drag_cart")
     document["shapes"][2]["position"] = [4.5, 4.5]
     found = solved(env, document, seconds=3.0)
     assert found.proof is None and [line.split(":")[0] for line in found.tried] == ["random", "cem", "best_first"]
     near = [float(line.split("within ")[1].split(" m")[0]) for line in found.tried]
     assert all(2.5 < metres < 4.5 for metres in near)
+
+
+def test_how_near_green_came_is_the_distance_of_the_surfaces(env: Environment) -> None:
+    """Of a disc and the corner of a box that is as high as the middle of the disc."""
+    document = {
+        "format": "kinetix-dist-level", "version": 1, "name": "near", "size": "s", "gravity": [0.0, 0.0],
+        "shapes": [
+            {"id": "disc", "type": "circle", "radius": 0.3, "position": [1.0, 2.0], "role": "green"},
+            {"id": "box", "type": "box", "width": 1.0, "height": 2.0, "position": [3.0, 1.0], "role": "blue"},
+        ],
+        "thrusters": [{"shape": "disc", "position": [0.0, 0.0], "angle": 3.14159265, "power": 0.01}],
+    }  # fmt: skip
+    worlds = Worlds(env, level_from_json(document), NUM_WORLDS)
+    played = worlds.play(worlds.start, np.zeros((1, NUM_WORLDS, 6), np.int32), budget := Budget(1.0))
+    np.testing.assert_allclose(played.min_gap, 3.0 - 0.5 - 1.0 - 0.3, atol=1e-5)  # from the disc to the corner
+    np.testing.assert_allclose(played.min_distance, np.hypot(2.0, 1.0), atol=1e-5)
+    assert budget.min_gap == pytest.approx(1.2, abs=1e-5)
+
+
+def test_a_motor_without_a_speed_brakes_both_ways_alike() -> None:
+    document = cart_document()
+    document["joints"][0]["motor"]["speed"] = 0.0
+    actions = useful_actions(level_from_json(document))
+    assert len(actions) == 4 and sorted(set(actions[:, 3].tolist())) == [0, 1]  # the brake, and a thruster
 
 
 def test_only_actions_that_differ_in_effect_are_tried() -> None:
@@ -67,7 +91,7 @@ def test_only_actions_that_differ_in_effect_are_tried() -> None:
     assert len(of(cart_document())) == 6  # a motor and a thruster
     document = document_of("kick")
     document["joints"][0]["motor"]["auto"] = True
-    with pytest.raises(ValueError, match="no action does anything in it"):
+    with pytest.raises(ValueError, match="no action moves anything in it"):
         of(document)
 
 

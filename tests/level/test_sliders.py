@@ -56,7 +56,7 @@ def test_anchors_of_a_slider_may_be_apart_along_its_axis_only() -> None:
     document = slider_document(**along, axis=axis)
     del document["joints"][0]["anchor"]
     level_from_json(document)
-    document["joints"][0]["axis"] = axis + 0.1
+    document["joints"][0]["axis"] = axis + 0.25
     with pytest.raises(LevelFormatError, match=r"joints\[0\]: its anchors are 0\.\d+ m apart across its axis"):
         level_from_json(document)
 

@@ -100,7 +100,7 @@ def test_commands_run_in_an_empty_directory(installed: Path, tmp_path: Path) -> 
 
     assert "designed_s" in kinetix_dist("levels", "list")
     levels = next(installed.glob("lib/*/site-packages/kinetix_dist/data/levels"))
-    assert "files are valid" in kinetix_dist("levels", "validate", str(levels))
+    assert "files are valid" in kinetix_dist("levels", "validate", "--no-play", str(levels))
     rates = kinetix_dist(
         "eval", "--checkpoint", "generalist", "--levels", "s/hop_home", "--attempts", "1", "--no-baselines"
     )

@@ -23,7 +23,7 @@ from kinetix_dist.evaluation.search.from_stored import from_stored
 from kinetix_dist.evaluation.search.policy_search import policy_search
 from kinetix_dist.evaluation.search.polish import polish, rank, robustness
 from kinetix_dist.evaluation.search.random_search import random_search
-from kinetix_dist.evaluation.search.worlds import Budget, Worlds
+from kinetix_dist.evaluation.search.worlds import Budget, Worlds, useful_actions
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.proof import Proof, level_hash
 
@@ -67,7 +67,7 @@ def solve(
 
     methods: of METHODS, by default all, "policy" where there is a `player` and "stored" where actions [t, 6] are given
     that solve it or did so once. Raises ValueError for a level in which
-    no action does anything, for an environment of other actions than multi-discrete ones and for unknown methods.
+    no action moves anything, for an environment of other actions than multi-discrete ones and for unknown methods.
     """
     if env.action_space.name != "multi_discrete":
         raise ValueError(f"proofs are multi-discrete actions; the environment has {env.action_space.name!r}")
@@ -82,6 +82,7 @@ def solve(
         raise ValueError(
             f"methods are {list(methods)}; choose of {', '.join(searches)} (policy needs a player, stored a proof)"
         )
+    useful_actions(level)  # raises before anything is compiled
     worlds = Worlds(env, level, num_worlds)
     rng = np.random.default_rng(seed)
     methods = [method for method in SHARES if method in methods]
@@ -94,7 +95,7 @@ def solve(
         is_last = method == methods[-1]
         budget = Budget(whole.seconds_left * (1.0 if is_last else SHARES[method]))
         found = searches[method](worlds, rng, budget)
-        tried.append(f"{method}: {budget.num_steps:,} steps, green came within {budget.min_distance:.2f} m of blue")
+        tried.append(f"{method}: {budget.num_steps:,} steps, green came within {budget.min_gap:.2f} m of blue")
         if found:
             actions, _ = polish(worlds, found, rng, Budget(POLISH_SHARE * seconds))
             # From starts of their own: from those by which the best was chosen, it looks better than it is.
