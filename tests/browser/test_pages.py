@@ -155,7 +155,10 @@ def test_a_level_of_the_buffer_is_played_in_place(trained_server: Server, open_p
     drawer.get_by_text("▶ play").click()
     mind = drawer.locator(".mind")
     mind.wait_for()
-    assert "value" in mind.inner_text()
+    drawer.locator(".play-state:not([data-outcome=''])").wait_for()  # its last values stay
+    assert "value" in mind.inner_text() and "NaN" not in mind.inner_text()
+    shares = [float(text.split()[-2]) for text in mind.locator(".chance").all_inner_texts()]
+    assert sum(shares) == pytest.approx(100 * mind.locator(".heads > div").count(), abs=1)
     drawer.get_by_role("button", name="stop").click()
     picture = drawer.locator("canvas.world")
     drawer.get_by_label("who plays").select_option("keys")
