@@ -84,8 +84,8 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
         CurriculumPages(service),
         LevelPages(service, worker),
         EditorPages(config.editor, worker),
-        rerun,
         StaticFiles(),
+        rerun,
     ):
         app.add_routes(pages.routes())
     app.add_routes([web.get("/channel", open_channel)])
