@@ -147,6 +147,13 @@ def test_levels_are_pictures_and_one_of_them_opens(trained_server: Server, open_
     assert document["shapes"], "a level file of our format"
 
 
+def test_what_links_no_icon_has_one_too(trained_server: Server, open_page: OpenPage) -> None:
+    """A browser with a window then asks for /favicon.ico, and complains where there is none (`open_page` hears it)."""
+    page = open_page(trained_server)
+    page.goto(f"http://127.0.0.1:{trained_server.port}/api/runs")
+    page.wait_for_timeout(1000)
+
+
 def test_a_level_of_the_buffer_is_played_in_place(trained_server: Server, open_page: OpenPage) -> None:
     """By the checkpoint of its run, by keys, 64 times; and what became of it."""
     page = open_page(trained_server, "#/run/tiny/levels")
