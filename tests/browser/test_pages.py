@@ -229,9 +229,14 @@ def test_a_row_on_disk_is_shown_and_a_resumed_run_goes_back(tmp_path: Path, open
 def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
     run = write_run(tmp_path / "a", 5)
     with (run / "metrics" / "metrics.jsonl").open("ab") as file:
-        file.write(b"\0\0garbage\n")
+        file.write(b'{"update": 6, "train/solve_rate": NaN}\n')
+    write_run(tmp_path / "b", 5)
     server = serve(tmp_path)
-    page = open_page(server, "#/run/a/overview")
+    page = open_page(server)
+    row = page.locator("table.runs tr", has_text="the last line of metrics.jsonl is damaged (train/solve_rate is nan")
+    row.wait_for()
+    assert page.locator("table.runs tbody tr").count() == 2
+    row.get_by_role("link", name="a", exact=True).click()
     page.get_by_text("1 line is damaged in metrics/metrics.jsonl and left out").wait_for()
     end(server.process)
     page.get_by_text("disconnected").wait_for()
@@ -243,10 +248,10 @@ def test_an_older_run_says_what_it_lacks(tmp_path: Path, open_page: OpenPage, se
     write_run(tmp_path / "a", 5)
     server = serve(tmp_path)
     page = open_page(server, "#/run/a/curriculum")
-    page.get_by_text("This run has no snapshots of its curriculum").wait_for()
-    page.get_by_text("This run has no counts of its training episodes").wait_for()
+    page.get_by_text("No snapshots of its curriculum so far").wait_for()
+    page.get_by_text("No counts of its training episodes so far").wait_for()
     for name, text in (
-        ("levels", "This run has no snapshots of its curriculum"),
+        ("levels", "No snapshots of its curriculum so far"),
         ("evaluation", "No evaluation so far"),
         ("replays", "No rollouts so far"),
         ("overview", "This run has no processes.jsonl"),
