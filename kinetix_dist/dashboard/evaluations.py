@@ -6,11 +6,12 @@ and after training, without levels; `without_levels` then says so. Nothing is ma
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from kinetix_dist.dashboard import run_files
-from kinetix_dist.dashboard.run_files import last_row, read_object
+from kinetix_dist.dashboard.run_files import last_row, member, read_object
 from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
 from kinetix_dist.level.varied_sets import base_levels
 from kinetix_dist.telemetry.json_lines import read_lines
@@ -74,10 +75,14 @@ def _point(row: dict[str, Any], name: str, result: dict[str, Any]) -> dict[str, 
 def newest_rates(path: Path) -> dict[str, dict[str, Any]]:
     """{set: {rate, low, high, interval_over_levels, attempts}} of the policy's last evaluation, before, in or after
     training, by the ends of files; empty where there is none. Raises RunFileError."""
-    row = last_row(path / run_files.EVALUATION_LINES, max_bytes=LAST_BYTES)
-    if row is None:
-        return ((read_object(path / run_files.REPORT) or {}).get("solve_rate") or {}).get("after") or {}
-    if not _is_evaluation(row) or row["phase"] == PHASES[0]:
+    last = last_row(path / run_files.EVALUATION_LINES, is_row=_is_evaluation, max_bytes=LAST_BYTES)
+    if last.problem is not None:
+        raise run_files.RunFileError(last.problem)
+    if last.row is None:
+        stored = member(read_object(path / run_files.REPORT) or {}, "solve_rate", dict, file=run_files.REPORT) or {}
+        return _rates(stored, "after", file=run_files.REPORT)
+    row = last.row
+    if row["phase"] == PHASES[0]:
         return {}
     points = {name: _point(row, name, result) for name, result in row["sets"].items()}
     kept = ("rate", "low", "high", "interval_over_levels")
@@ -92,22 +97,34 @@ def _sets_without_levels(path: Path) -> dict[str, dict[str, Any]]:
     report = read_object(path / run_files.REPORT) or {}
     sets: dict[str, dict[str, Any]] = {}
     for phase in PHASES:
-        for name, rate in (stored.get(phase) or {}).items():
+        for name, rate in _rates(stored, phase, file=run_files.EVALUATIONS).items():
             is_last = phase == "after"
             point = {
                 "phase": phase,
-                "update": report.get("policy_updates") if is_last else 0,
-                "env_steps": report.get("env_steps") if is_last else 0,
+                "update": member(report, "policy_updates", int, file=run_files.REPORT) if is_last else 0,
+                "env_steps": member(report, "env_steps", int, file=run_files.REPORT) if is_last else 0,
                 "solved": None,
                 "attempts": None,
                 "rate": rate["rate"],
                 "low": rate["low"],
                 "high": rate["high"],
-                "interval_over_levels": rate.get("interval_over_levels"),
+                "interval_over_levels": rate["interval_over_levels"],
                 "episodes": rate["attempts"],
             }
             sets.setdefault(name, {"names": None, "points": []})["points"].append(point)
     return sets
+
+
+def _rates(stored: Mapping[str, Any], phase: str, *, file: str) -> dict[str, dict[str, Any]]:
+    """{set: {rate, low, high, attempts, interval_over_levels}} of a phase, None for what is not there. Raises
+    RunFileError."""
+    found = {}
+    sets = member(stored, phase, dict, file=file) or {}
+    for name in sets:
+        entry = member(sets, name, dict, file=file) or {}
+        found[name] = {key: member(entry, key, (int, float), file=file) for key in ("rate", "low", "high", "attempts")}
+        found[name]["interval_over_levels"] = member(entry, "interval_over_levels", list, file=file)
+    return found
 
 
 def _is_evaluation(row: dict[str, Any]) -> bool:
@@ -117,9 +134,10 @@ def _is_evaluation(row: dict[str, Any]) -> bool:
         or not isinstance(row.get("sets"), dict)
     ):
         return False
-    return "env_steps" in row and all(
+    return isinstance(row.get("env_steps"), int) and all(
         isinstance(entry, dict)
         and isinstance(entry.get("names"), list)
+        and all(isinstance(name, str) for name in entry["names"])
         and isinstance(entry.get("solved"), list)
         and len(entry["names"]) == len(entry["solved"])
         and isinstance(entry.get("attempts"), int)

@@ -21,7 +21,9 @@ import numpy as np
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.dashboard.series import SeriesTable
+from kinetix_dist.telemetry import strict_json
 from kinetix_dist.telemetry.json_lines import parse_line
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.tail import KEPT_BYTES, Tail
 
 LONG_BYTES = 32 << 20  # from here on it pays to start a process: a second
@@ -29,11 +31,6 @@ PIECE_BYTES = 32 << 20
 BLOCK_BYTES = 8 << 20  # of a piece, for a thread of Arrow
 
 ROW_BYTES = np.dtype(np.float64).itemsize
-
-
-def is_metrics_row(row: dict[str, Any]) -> bool:
-    """Whether a JSON object is a row of metrics; others count as damaged."""
-    return isinstance(row.get("update"), int)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,12 +133,14 @@ def _columns(piece: bytes) -> dict[str, np.ndarray] | None:
     is_whole = table.num_rows == piece.count(b"\n") and "update" in table.column_names
     if not is_whole or table["update"].type != pa.int64() or table["update"].null_count:
         return None
-    numbers = {}
+    numbers: dict[str, np.ndarray] = {}
     for name in table.column_names:
         kind = table[name].type
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
             chunks = table[name].cast(pa.float64(), safe=False).chunks
             numbers[name] = np.concatenate([_values_of(chunk) for chunk in chunks if len(chunk)])
+            if (np.abs(numbers[name]) > strict_json.MAX_INTEGER).any():  # 1e999 is infinite here
+                return None
     return numbers
 
 

@@ -140,7 +140,7 @@ def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
     all_finished = arrays["candidates/finished"].astype(np.int64)
     described |= {
         "first_batch": int(arrays["first_batch"]),
-        "scoring_seconds": float(arrays["scoring_seconds"]),
+        "scoring_seconds": _mean(np.atleast_1d(arrays["scoring_seconds"])),
         "buffer": _group(solved, finished),
         "candidates": _group(all_solved, all_finished),
         "by_feature": rates_by_feature(
@@ -298,7 +298,10 @@ def _is_window(row: dict[str, Any]) -> bool:
     counts = [row.get("solved", []), row.get("finished", [])]
     if not all(isinstance(values, list) and all(isinstance(v, int) for v in values) for values in counts):
         return False
-    pairs = [*zip(*counts, strict=False), *((c.get("solved"), c.get("finished")) for c in row["sources"].values())]
+    sources = row["sources"].values()
+    if not all(isinstance(source, dict) for source in sources):
+        return False
+    pairs = [*zip(*counts, strict=False), *((source.get("solved"), source.get("finished")) for source in sources)]
     return len(counts[0]) == len(counts[1]) and all(
         isinstance(solved, int) and isinstance(finished, int) and 0 <= solved <= finished for solved, finished in pairs
     )

@@ -5,13 +5,16 @@ A shared lock, even for a moment, would refuse a driver that starts.
 
 from __future__ import annotations
 
-import json
+import dataclasses
 import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from kinetix_dist.telemetry import curriculum_log, status
-from kinetix_dist.telemetry.json_lines import parse_line
+from kinetix_dist.telemetry import curriculum_log, status, strict_json
+from kinetix_dist.telemetry.json_lines import Row, parse_row
+
+T = TypeVar("T")
 
 CONFIG = "config.json"
 METRICS = "metrics/metrics.jsonl"
@@ -45,12 +48,31 @@ def read_object(path: Path) -> dict[str, Any] | None:
     if len(content) > MAX_JSON_BYTES:
         raise RunFileError(f"{path.name} is larger than {MAX_JSON_BYTES >> 20} MiB; it is none of ours")
     try:
-        found = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise RunFileError(f"{path.name} is damaged ({' '.join(str(error).split())})") from error
+        found = strict_json.loads(content)
+    except ValueError as error:
+        raise RunFileError(f"{path.name} is damaged ({error})") from error
     if not isinstance(found, dict):
         raise RunFileError(f"{path.name} holds a {type(found).__name__}, not an object")
     return found
+
+
+def member(content: Mapping[str, Any], name: str, kind: type[T] | tuple[type[T], ...], *, file: str) -> T | None:
+    """The value of a field; None where it is missing, or null. Raises RunFileError for one of another type."""
+    value = content.get(name)
+    if value is None or isinstance(value, kind):
+        return value
+    kinds = " or ".join(one.__name__ for one in (kind if isinstance(kind, tuple) else (kind,)))
+    raise RunFileError(f"{file} is damaged ({name} is a {type(value).__name__}, not {kinds})")
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The configuration in the config.json of a run directory; empty where there is none. Raises RunFileError."""
+    return member(read_object(path / CONFIG) or {}, "config", dict, file=CONFIG) or {}
+
+
+def is_event(row: Row) -> bool:
+    """Whether a JSON object is a row of events.jsonl."""
+    return isinstance(row.get("event"), str)
 
 
 def is_run(path: Path) -> bool:
@@ -74,17 +96,39 @@ def size_of(path: Path) -> int | None:
         return None
 
 
-def last_row(path: Path, *, max_bytes: int = LAST_BYTES) -> dict[str, Any] | None:
-    """The last whole row of a file of JSON lines, read from its end; None where there is none, or it cannot be read."""
+@dataclasses.dataclass(frozen=True)
+class LastRow:
+    """The last whole row of a file, and why there is none, or lines behind it were passed over; None: nothing is
+    wrong."""
+
+    row: dict[str, Any] | None
+    problem: str | None = None
+
+
+def last_row(path: Path, *, is_row: Callable[[Row], bool], max_bytes: int = LAST_BYTES) -> LastRow:
+    """Reads a file of JSON lines from its end. An absent file has no row, and an unfinished last line is no damage."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(max(size - max_bytes, 0))
             content = file.read(max_bytes)
-    except OSError:
-        return None
-    for line in reversed(content.split(b"\n")):
-        row = parse_line(line) if line else None
-        if row is not None:
-            return row
-    return None
+    except (FileNotFoundError, NotADirectoryError):
+        return LastRow(None)
+    except OSError as error:
+        return LastRow(None, f"{path.name} cannot be read ({error.strerror})")
+    lines, problem = content.split(b"\n"), None
+    for number, line in reversed([*enumerate(lines)]):
+        if not line:
+            continue
+        is_unfinished = number == len(lines) - 1
+        is_cut = number == 0 and size > max_bytes
+        try:
+            row = parse_row(line)
+            if is_row(row):
+                return LastRow(row, problem)
+            found = "it is no row of this file"
+        except ValueError as error:
+            found = str(error)
+        if problem is None and not is_unfinished and not is_cut:
+            problem = f"the last line of {path.name} is damaged ({found})"
+    return LastRow(None, problem)

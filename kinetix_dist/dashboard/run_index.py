@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from kinetix_dist.dashboard import run_files
 from kinetix_dist.dashboard.evaluations import newest_rates
 from kinetix_dist.dashboard.run_files import RunFileError, last_row, read_object
 from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.status import (
     FAILED,
     FINISHED,
@@ -33,6 +34,15 @@ from kinetix_dist.telemetry.utc import utc_seconds
 DEPTH = 2  # levels of directories below a path in which runs are looked for
 MAX_RUNS = 5000
 
+SETTINGS_OF_CONFIG = {  # by their names in the table of runs: section, field, type
+    "name": ("run", "name", str),
+    "size": ("env", "size", str),
+    "curriculum": ("curriculum", "name", str),
+    "placement": ("run", "placement", str),
+    "total_env_steps": ("run", "total_env_steps", int),
+}
+SETTINGS = ("hash", *SETTINGS_OF_CONFIG)
+
 NO_RUN = "is no run (it has no config.json) and holds none; name a run directory, or a directory of runs"
 
 
@@ -47,6 +57,7 @@ class RunStatus:
     update: int | None = None
     env_steps: int | None = None
     seconds_left: float | None = None
+    problem: str | None = None  # of the file that should say it
 
 
 class RunIndex:
@@ -100,40 +111,42 @@ class RunIndex:
 
 
 def summary(run_id: str, path: Path) -> dict[str, Any]:
-    """One row of the table of runs: what its small files say. `problems` has a line for each that cannot be read."""
-    problems: list[str] = []
+    """One row of the table of runs: what its small files say. `problems` has a line for each that cannot be read, or is
+    damaged at its end."""
+    problems: list[str | None] = []
 
-    def read(name: str) -> dict[str, Any]:
+    def read(of_run: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
         try:
-            return read_object(path / name) or {}
+            return of_run(path)
         except RunFileError as error:
             problems.append(str(error))
             return {}
 
-    config_file = read(run_files.CONFIG)
-    config = config_file.get("config") if isinstance(config_file.get("config"), dict) else {}
-    last = last_row(path / run_files.METRICS)
+    settings = read(_settings)
+    last = last_row(path / run_files.METRICS, is_row=is_metrics_row)
     status = status_of(path)
-    evaluated: dict[str, Any] = {}
-    try:
-        evaluated = newest_rates(path)
-    except RunFileError as error:
-        problems.append(str(error))
+    problems += [last.problem, status.problem]
     return {
         "id": run_id,
         "path": str(path),
-        "name": _get(config, "run", "name"),
-        "size": _get(config, "env", "size"),
-        "curriculum": _get(config, "curriculum", "name"),
-        "placement": _get(config, "run", "placement"),
-        "hash": config_file.get("hash"),
-        "total_env_steps": _get(config, "run", "total_env_steps"),
+        **{name: settings.get(name) for name in SETTINGS},
         "status": dataclasses.asdict(status),
         "modified": run_files.modified_at(path / run_files.METRICS) or run_files.modified_at(path / run_files.CONFIG),
-        "last": last,
-        "evaluated": evaluated,
-        "problems": problems,
+        "last": None if last.row is None else {k: v for k, v in last.row.items() if isinstance(v, int | float)},
+        "evaluated": read(newest_rates),
+        "problems": [*dict.fromkeys(problem for problem in problems if problem is not None)],
     }
+
+
+def _settings(path: Path) -> dict[str, Any]:
+    """What the table shows of config.json. Raises RunFileError."""
+    content = read_object(path / run_files.CONFIG) or {}
+    config = run_files.member(content, "config", dict, file=run_files.CONFIG) or {}
+    found: dict[str, Any] = {"hash": run_files.member(content, "hash", str, file=run_files.CONFIG)}
+    for name, (section, field, kind) in SETTINGS_OF_CONFIG.items():
+        values = run_files.member(config, section, dict, file=run_files.CONFIG) or {}
+        found[name] = run_files.member(values, field, kind, file=run_files.CONFIG)
+    return found
 
 
 def status_of(path: Path) -> RunStatus:
@@ -141,7 +154,8 @@ def status_of(path: Path) -> RunStatus:
     try:
         status = read_status(path / run_files.STATUS)
     except (StatusError, OSError) as error:
-        return dataclasses.replace(_status_by_files(path), text=one_line(error))
+        problem = one_line(error).replace(f"{path / run_files.STATUS}", run_files.STATUS)
+        return dataclasses.replace(_status_by_files(path), text=problem, problem=problem)
     if status is None:
         return _status_by_files(path)
     state = judged(status)
@@ -163,7 +177,7 @@ def status_of(path: Path) -> RunStatus:
 
 def _status_by_files(path: Path) -> RunStatus:
     metrics = run_files.modified_at(path / run_files.METRICS)
-    last_event = last_row(path / run_files.EVENTS) or {}
+    last_event = last_row(path / run_files.EVENTS, is_row=run_files.is_event).row or {}
     if last_event.get("event") in ("run_failed", "stopped"):
         state = FAILED if last_event["event"] == "run_failed" else STOPPED
         return RunStatus(state=state, text=_text_of(last_event), source=run_files.EVENTS)
@@ -183,7 +197,7 @@ def _is_reported(path: Path) -> bool:
         report = read_object(path / run_files.REPORT)
     except RunFileError:
         return False
-    last = last_row(path / run_files.METRICS) or {}
+    last = last_row(path / run_files.METRICS, is_row=is_metrics_row).row or {}
     return report is not None and report.get("policy_updates") == last.get("update")
 
 
@@ -203,11 +217,6 @@ def _checked(path: Path) -> Path:
 def _may_come(root: Path) -> bool:
     """An empty directory may get its first run; one that holds other things is a mistake."""
     return not any(root.iterdir())
-
-
-def _get(config: dict[str, Any], section: str, field: str) -> Any:
-    values = config.get(section)
-    return values.get(field) if isinstance(values, dict) else None
 
 
 def _text_of(event: dict[str, Any]) -> str:

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.dashboard import run_files
-from kinetix_dist.dashboard.long_metrics import LONG_BYTES, is_metrics_row, read_long
+from kinetix_dist.dashboard.long_metrics import LONG_BYTES, read_long
 from kinetix_dist.dashboard.series import SeriesTable
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.tail import Tail
 from kinetix_dist.telemetry.utc import utc_seconds
 
@@ -47,7 +48,7 @@ class RunReader:
         self.problems: dict[str, str] = {}  # by file
         self.lock = threading.Lock()  # held while polling and while reading what a poll changes
         self._metrics = Tail(path / run_files.METRICS, is_row=is_metrics_row)
-        self._events = Tail(path / run_files.EVENTS, is_row=lambda row: isinstance(row.get("event"), str))
+        self._events = Tail(path / run_files.EVENTS, is_row=run_files.is_event)
 
     def read_first(self, report: Callable[[int], None]) -> None:
         """Reads everything that is there now; report(bytes) says how many are left. Nobody else may use it meanwhile.

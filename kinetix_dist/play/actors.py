@@ -55,7 +55,7 @@ class GivenPolicy:
             "kind": self.kind,
             "path": str(self.trained.checkpoint.path),
             "num_updates": self.trained.num_updates,
-            "heads": programs.heads_of(player.policy),
+            "heads": programs.heads_of(player.policy) | {"controls": programs.controls_of_outputs(env.action_space)},
             "passed_over": list(self.passed_over),
         }
         return Actor(env=env, player=player, about=about)

@@ -35,7 +35,7 @@ class FrameSizes:
     shapes: int
     joints: int
     thrusters: int
-    outputs: int = 0  # numbers of the policy's distribution; 0 without a policy
+    outputs: int = 0  # numbers of the policy's distribution, in frames of states in which it acted
 
     @property
     def arrays(self) -> tuple[tuple[str, tuple[int, ...]], ...]:
@@ -68,18 +68,25 @@ class Frame:
     seq: int = 0  # of the last input that acted
     reward: float = 0.0
     total_reward: float = 0.0  # the return so far
-    value: float = math.nan
+    value: float = 0.0  # by the policy; 0 without one
     distance: float = 0.0  # m, of green and blue
 
 
 def encode(frame: Frame) -> bytes:
+    """Raises ValueError for a number that is not finite: a page can show none."""
+    names = [name for _, name in FIELDS[1:]] + ["poses", "motor", "thruster", "colours", "outputs"]
+    if bad := [name for name in names if not np.isfinite(getattr(frame, name)).all()]:
+        raise ValueError(f"{', '.join(bad)} of step {frame.step} is not finite")
     header = HEADER.pack(FRAME_VERSION, *(getattr(frame, name) for _, name in FIELDS[1:]))
     arrays = (frame.poses, frame.motor, frame.thruster, frame.colours, frame.outputs)
     return header + b"".join(np.ascontiguousarray(array, "<f4").tobytes() for array in arrays)
 
 
 def decode(data: bytes, sizes: FrameSizes) -> Frame:
-    """The inverse. Raises ValueError for bytes of another version or of other sizes."""
+    """The inverse; without outputs where no policy acted. Raises ValueError for bytes of another version or of other
+    sizes."""
+    if len(data) == sizes.num_bytes - 4 * sizes.outputs:
+        sizes = dataclasses.replace(sizes, outputs=0)
     if len(data) != sizes.num_bytes:
         raise ValueError(f"a frame has {len(data)} bytes; one of {sizes} has {sizes.num_bytes}")
     values = dict(zip((name for _, name in FIELDS), HEADER.unpack_from(data)))

@@ -15,6 +15,7 @@ import numpy as np
 
 from jax2d.effects import names_of_bits
 from jax2d.scene import Array
+from kinetix_dist.env.action_spaces.space import ActionSpace
 from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.env_config import EnvConfig
@@ -61,7 +62,7 @@ class Choice(NamedTuple):
 
     actions: Array  # [W, ...] of the environment's action space
     memory: Array | None  # after it
-    value: Array  # [W], NaN of a policy that has none
+    value: Array  # [W], 0 of a policy that has none
     outputs: Array  # [W, P] see `heads_of`
 
 
@@ -136,7 +137,7 @@ def choose(
     seen = env.observe(prepared, obs)
     actions, next_memory = act(policy, params, seen, keys, memory)
     if not isinstance(policy, NetworkPolicy):
-        return Choice(actions, next_memory, jnp.full(1, jnp.nan), jnp.zeros((1, 0)))
+        return Choice(actions, next_memory, jnp.zeros(1), jnp.zeros((1, 0)))
     # The same application of the network as in `act`, which XLA computes once.
     outputs, value, *_ = policy.module.apply(params, seen, *(() if memory is None else (memory,)))
     if isinstance(policy.distribution, TruncatedNormal):
@@ -152,3 +153,31 @@ def heads_of(policy: Policy) -> dict[str, Any]:
         return {"kind": "none", "sizes": []}
     kind = "mean_spread" if isinstance(policy.distribution, TruncatedNormal) else "probabilities"
     return {"kind": kind, "sizes": list(policy.distribution.head_sizes)}
+
+
+@functools.cache
+def controls_of_outputs(space: ActionSpace) -> tuple[tuple[int | None, float | None], ...]:
+    """(colour, value) of each output of a policy in a space: which colour it is about, as in a frame's `colours`, and
+    what its choice tells that colour. Read off `colour_values`, so that it is that of any space.
+
+    colour None: a choice that drives none, or several. value None: a number (means, then spreads), no choice.
+    """
+    dimensions = range(space.num_dimensions)
+    if space.is_integer:
+        low, high = (np.asarray(ends, int) for ends in (space.low, space.high))
+        choices = [(d, value) for d in dimensions for value in range(low[d], high[d] + 1)]
+    else:
+        choices = [(d, space.high[d]) for d in dimensions]
+    actions = np.array(space.noop_actions(len(choices))).reshape(len(choices), space.num_dimensions)
+    for row, (dimension, value) in zip(actions, choices, strict=True):
+        row[dimension] = value
+    given = actions[:, 0] if space.is_flat else actions
+    told = np.concatenate([np.asarray(part) for part in space.colour_values(given, space.in_range(given))], axis=-1)
+    driven = [[int(c) for c in np.flatnonzero(told[[d == own for d, _ in choices]].any(axis=0))] for own in dimensions]
+    if not space.is_integer:
+        return tuple((colours[0] if len(colours) == 1 else None, None) for colours in driven) * 2
+    found = []
+    for row, (dimension, _) in zip(told, choices, strict=True):
+        colours = driven[dimension] if len(driven[dimension]) == 1 else np.flatnonzero(row).tolist()
+        found.append((colours[0], float(row[colours[0]])) if len(colours) == 1 else (None, float(np.abs(row).max())))
+    return tuple(found)

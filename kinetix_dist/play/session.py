@@ -11,7 +11,6 @@ knows no threads and no clock; `session_loop.py` runs several.
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import jax
@@ -53,7 +52,10 @@ class Moment:
     reward: float = 0.0
     flags: int = 0
     seq: int = 0
+    distance: float  # of green and blue, m
     choice: programs.Choice | None = None  # what the actor will do; None: a person, or the end
+    shown: programs.Choice | None = None  # what is shown of it; at the end: of what the actor did last
+    actor: Actor | None = None  # whose choice that is
 
     @property
     def is_done(self) -> bool:
@@ -85,6 +87,7 @@ class Session:
             motor=np.zeros(num_joints, np.float32),
             thruster=np.zeros(num_thrusters, np.float32),
             colours=zeros,
+            distance=float(env_state.distance[0]),
         )
         self.actor = Actor(env=self.person_env, player=None, about={"kind": "keys"})
         self.moments = [self._start]
@@ -179,9 +182,8 @@ class Session:
     def frame(self) -> bytes:
         """The state that is shown."""
         moment = self.moments[self.shown]
-        state, choice = moment.env_state, moment.choice
         again = frames.AGAIN if self.was_sought else 0
-        outputs = np.zeros(self.num_outputs, np.float32) if choice is None else np.asarray(choice.outputs)[0]
+        shown = moment.shown if moment.actor is self.actor else None  # not what another one made of it
         return frames.encode(
             frames.Frame(
                 session=self.number,
@@ -190,18 +192,18 @@ class Session:
                 motor=moment.motor,
                 thruster=moment.thruster,
                 colours=moment.colours,
-                outputs=outputs,
+                outputs=np.zeros(0, np.float32) if shown is None else np.asarray(shown.outputs)[0],
                 flags=moment.flags | again,
                 seq=moment.seq,
                 reward=moment.reward,
-                total_reward=float(state.episode_return[0]),
-                value=math.nan if choice is None else float(choice.value[0]),
-                distance=float(state.distance[0]),
+                total_reward=float(moment.env_state.episode_return[0]),
+                value=0.0 if shown is None else float(shown.value[0]),
+                distance=moment.distance,
             )
         )
 
     def _play(self) -> Moment:
-        """The state after the last one."""
+        """The state after the last one. One that has diverged has no places: those before it stay, with its flag."""
         moment, player = self.moments[-1], self.actor.player
         actions = self.action if moment.choice is None else moment.choice.actions
         stepped = programs.step(self.actor.env, self.prepared, moment.env_state, actions)
@@ -209,19 +211,23 @@ class Session:
         seen = jax.device_get(stepped._replace(env_state=None, obs=None))
         ended = ((frames.DONE, seen.done), (frames.SOLVED, seen.info.solved), (frames.FAILED, seen.info.failed))
         flags = sum(flag for flag, is_so in (*ended, (frames.UNSTABLE, seen.info.unstable)) if is_so[0])
+        has_diverged = bool(flags & frames.UNSTABLE)
         after = Moment(
             env_state=stepped.env_state,
             obs=stepped.obs,
             memory=None if moment.choice is None else moment.choice.memory,
-            poses=seen.poses[0],
+            poses=moment.poses if has_diverged else seen.poses[0],
             motor=seen.motor[0],
             thruster=seen.thruster[0],
             colours=seen.colours[0],
             reward=float(seen.reward[0]),
             flags=flags,
             seq=self.seq if player is None else 0,
+            distance=moment.distance if has_diverged else float(stepped.env_state.distance[0]),
         )
-        return after if after.is_done else self._with_choice(after)
+        if after.is_done:
+            return dataclasses.replace(after, shown=moment.choice, actor=self.actor)
+        return self._with_choice(after)
 
     def warm_up(self, actor: Actor) -> None:
         """Compiles what an actor needs to play here; changes nothing, so that any thread may call it."""
@@ -236,11 +242,15 @@ class Session:
         """With what the actor makes of it."""
         player = self.actor.player
         choice = None if player is None else self._choice(self.actor, player, moment)
-        return dataclasses.replace(moment, choice=choice)
+        return dataclasses.replace(moment, choice=choice, shown=choice, actor=self.actor)
 
     def _choice(self, actor: Actor, player: Player, moment: Moment) -> programs.Choice:
-        """Drawn by the number of the state and the seed alone."""
+        """Drawn by the number of the state and the seed alone. Raises RequestError for a network whose numbers are
+        none."""
         step = int(moment.env_state.num_steps[0])
-        return programs.choose(
+        choice = programs.choose(
             actor.env, player.policy, player.params, self.prepared, moment.obs, self.seed, step, moment.memory
         )
+        if not (np.isfinite(choice.value).all() and np.isfinite(choice.outputs).all()):
+            raise RequestError(BAD_REQUEST, "the policy answers with numbers that are not finite; choose another one")
+        return choice

@@ -180,9 +180,12 @@ class SessionLoop:
         running.due = max(running.due + running.period, time.monotonic())
 
     def _fail(self, running: Running, error: Exception) -> None:
-        """A mistake of ours ends the session that it happened in."""
-        traceback.print_exception(error)
-        number = running.session.number
-        text = f"session {number} ended by a mistake in the worker: {type(error).__name__}; its log says more"
+        """Ends the session: by a mistake of ours, or with what is wrong with its policy."""
+        number, code, text = running.session.number, FAILED, str(error)
+        if isinstance(error, RequestError):
+            code = error.code
+        else:
+            traceback.print_exception(error)
+            text = f"session {number} ended by a mistake in the worker: {type(error).__name__}; its log says more"
         self.close(running)
-        self._outbox.send({"type": "error", "session": number, "code": FAILED, "text": text})
+        self._outbox.send({"type": "error", "session": number, "code": code, "text": text})

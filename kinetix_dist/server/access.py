@@ -19,6 +19,10 @@ from urllib.parse import urlsplit
 from aiohttp import web
 
 TOKEN_BYTES = 24
+# A browser with a window asks for the icon of every page: for the one that is linked, else for /favicon.ico.
+ICON = "static/icon.svg"
+ICON_LINK = f'<link rel="icon" href="{ICON}" type="image/svg+xml" />'
+ICON_PATHS = ("/favicon.ico", f"/{ICON}")  # answered to everybody: a page without access has an icon too
 LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
 
 CONTENT_POLICY = (
@@ -48,14 +52,14 @@ class Access:
         open_paths: Iterable[str] = (),
         first_page: str = "",
     ):
-        """host: that is listened on; open_paths: prefixes of paths that carry a ticket of their own instead of the
-        cookie; first_page: "#/edit", where the address with the token leads."""
+        """host: that is listened on; open_paths: further prefixes of paths that are answered without the cookie, as
+        those that carry a ticket of their own; first_page: "#/edit", where the address with the token leads."""
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self.cookie_name = f"kinetix_dist_{port}"
         self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
         self._allowed = {name.lower() for name in allowed_hosts}
         self._own_names = LOOPBACK_NAMES | {socket.gethostname().lower() if _is_any(host) else host.lower()}
-        self._open_paths = tuple(open_paths)
+        self._open_paths = (*ICON_PATHS, *open_paths)
         self._first_page = first_page
 
     @property
@@ -107,9 +111,9 @@ class Access:
                 status=401, text="wrong token: it is new with every start; use the address that was printed last\n"
             )
         there = f"./{self._first_page}"
+        refresh = f'<meta http-equiv="refresh" content="0;url={there}">'
         response = web.Response(
-            text=f'<!doctype html><meta http-equiv="refresh" content="0;url={there}"><a href="{there}">go on</a>',
-            content_type="text/html",
+            text=f'<!doctype html>{ICON_LINK}{refresh}<a href="{there}">go on</a>', content_type="text/html"
         )
         response.set_cookie(self.cookie_name, self._cookie, httponly=True, samesite="Strict", path="/")
         return response

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 
@@ -34,6 +35,7 @@ from kinetix_dist.server.static_files import StaticFiles
 from kinetix_dist.server.worker_client import WorkerClient, WorkerError
 from kinetix_dist.telemetry.curriculum_log import SnapshotError
 
+LOG = logging.getLogger(__name__)
 DEFAULT_PORT = 8650
 MAX_BODY_BYTES = 8 << 20
 
@@ -82,8 +84,8 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
         CurriculumPages(service),
         LevelPages(service, worker),
         EditorPages(config.editor, worker),
-        rerun,
         StaticFiles(),
+        rerun,
     ):
         app.add_routes(pages.routes())
     app.add_routes([web.get("/channel", open_channel)])
@@ -95,7 +97,8 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 
 @web.middleware
 async def _errors_are_lines(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """What was wrong with a request or a file, as one line. Anything else is a bug, and keeps its traceback."""
+    """What was wrong with a request or a file, as one line. Anything else is a bug: the console gets its traceback, and
+    the page a line that says so."""
     try:
         return await handler(request)
     except UnknownRunError as error:
@@ -106,6 +109,11 @@ async def _errors_are_lines(request: web.Request, handler: Handler) -> web.Strea
         return worker_error_response(error)
     except (RunFileError, SnapshotError) as error:
         return error_response(422, str(error))
+    except web.HTTPException:
+        raise
+    except Exception as error:
+        LOG.exception("a request was not answered: %s", request.path)
+        return error_response(500, f"a mistake of the server ({type(error).__name__}: {error}); its console says more")
 
 
 def _new_runs_are_found(service: RunService) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:

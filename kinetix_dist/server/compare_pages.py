@@ -7,9 +7,8 @@ from typing import Any
 
 from aiohttp import web
 
-from kinetix_dist.dashboard import run_files
 from kinetix_dist.dashboard.compare import STATISTICS, config_differences, flat_config, group_by, group_curve
-from kinetix_dist.dashboard.run_files import RunFileError, read_object
+from kinetix_dist.dashboard.run_files import RunFileError, read_config
 from kinetix_dist.dashboard.run_reader import RunReader
 from kinetix_dist.dashboard.series import AXES, AxisError, axis_values, decimate, to_json
 from kinetix_dist.server.answers import BadRequestError, json_response, number
@@ -54,7 +53,7 @@ def _compare(
     metrics: dict[str, None] = {}
     for name, reader in readers.items():
         try:
-            configs[name] = (read_object(reader.path / run_files.CONFIG) or {}).get("config") or {}
+            configs[name] = read_config(reader.path)
         except RunFileError as error:
             configs[name] = {}
             problems.append(f"{name}: {error}")

@@ -101,11 +101,13 @@ def _describe_run(reader: RunReader) -> dict[str, Any]:
     except RunFileError as error:
         evaluated = None
         problems.append(str(error))
+    status = status_of(path)
+    problems += [status.problem] if status.problem is not None else []
     with reader.lock:
         problems += reader.problems.values()
         return {
             "path": str(path),
-            "status": dataclasses.asdict(status_of(path)),
+            "status": dataclasses.asdict(status),
             "config": read(run_files.CONFIG),
             "report": read(run_files.REPORT),
             "metrics": {name: _describe_metric(name) for name in reader.table.names},

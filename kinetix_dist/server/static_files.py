@@ -18,6 +18,7 @@ CONTENT_TYPES = {
     ".css": "text/css",
     ".json": "application/json",
     ".svg": "image/svg+xml",
+    ".ico": "image/x-icon",
     ".png": "image/png",
     ".txt": "text/plain",
     ".ts": "text/plain",  # declarations of types, for the checker
@@ -38,10 +39,19 @@ class StaticFiles:
                 self._files[file.relative_to(directory).as_posix()] = (content, small, CONTENT_TYPES[file.suffix], tag)
 
     def routes(self) -> list[web.RouteDef]:
-        return [web.get("/", self.index), web.get("/static/{name:.+}", self.file)]
+        return [
+            web.get("/", self.index),
+            web.get("/favicon.ico", self.icon),
+            web.get("/rerun/favicon.ico", self.icon),  # rerun's page asks for it beside itself
+            web.get("/static/{name:.+}", self.file),
+        ]
 
     async def index(self, request: web.Request) -> web.Response:
         return self._answer(request, "index.html")
+
+    async def icon(self, request: web.Request) -> web.Response:
+        """Where a browser looks for the icon of what links none, as a text or JSON. The picture of icon.svg."""
+        return self._answer(request, "favicon.ico")
 
     async def file(self, request: web.Request) -> web.Response:
         return self._answer(request, request.match_info["name"])

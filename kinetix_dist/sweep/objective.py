@@ -21,6 +21,7 @@ from kinetix_dist.level.set_files import designed_files, designed_sets
 from kinetix_dist.level.sets import RANDOM_SETS, development_sets, files_of_set, is_public_level, size_of_drawn_set
 from kinetix_dist.sweep.design import DesignError, Objective
 from kinetix_dist.telemetry.json_lines import read_lines
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 
 LAST_VALUES = 3  # of the curve, whose mean is the second objective
 
@@ -54,14 +55,14 @@ def training_seconds(row: Mapping[str, float]) -> float:
 
 def seconds_so_far(run: Path) -> float:
     """Of training after its warm-up, by the last row of metrics; 0 where there is none."""
-    row = last_row(run / METRICS)
+    row = last_row(run / METRICS, is_row=is_metrics_row).row
     return training_seconds(row) if row is not None and "progress/warmup_seconds" in row else 0.0
 
 
 def read_curve(run: Path, objective: Objective) -> Curve:
     """What a run directory holds so far. An evaluation without a row of metrics of its update (a disk that was full)
     is left out. Raises RunFileError where a file cannot be read."""
-    rows = read_lines(run / METRICS, lambda row: isinstance(row.get("update"), int)).rows
+    rows = read_lines(run / METRICS, is_metrics_row).rows
     seconds_at = {row["update"]: training_seconds(row) for row in rows if "progress/warmup_seconds" in row}
     seconds_at[0] = 0.0
     sets = evaluations(run)["sets"]

@@ -1,8 +1,8 @@
 """Files of JSON objects, one a line, that survive a kill at any byte.
 
-A line is whole when it parses, since an object ends with its last character. What does not parse is damaged: it is set
-aside into a file beside, never lost and never joined with what is written next. Rewriting goes through a draft that is
-flushed to the disk and then renamed, so that at every moment the old or the new file is there.
+A line is whole when it parses (`strict_json`), since an object ends with its last character. What does not parse is
+damaged: it is set aside into a file beside, never lost and never joined with what is written next. Rewriting goes
+through a draft that is flushed to the disk and then renamed, so that at every moment the old or the new file is there.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.telemetry import strict_json
 from kinetix_dist.telemetry.whole_writes import WholeWrites
 
 Row = dict[str, Any]
@@ -125,10 +126,17 @@ def replace_file(path: Path, content: bytes, *, is_shared: bool = False) -> None
 def parse_line(line: bytes) -> Row | None:
     """The JSON object of a line; None: it is damaged."""
     try:
-        row = json.loads(line)
-    except (ValueError, RecursionError):  # no JSON, no text, or brackets without end
+        return parse_row(line)
+    except ValueError:
         return None
-    return row if isinstance(row, dict) else None
+
+
+def parse_row(line: bytes) -> Row:
+    """The JSON object of a line. Raises ValueError: why it is damaged, in one line."""
+    row = strict_json.loads(line)
+    if not isinstance(row, dict):
+        raise ValueError(f"it holds a {type(row).__name__}, not an object")
+    return row
 
 
 def _encode(row: Mapping[str, Any]) -> bytes:

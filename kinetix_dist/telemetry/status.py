@@ -8,8 +8,9 @@ import os
 import socket
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
+from kinetix_dist.telemetry import strict_json
 from kinetix_dist.telemetry.json_lines import replace_file
 from kinetix_dist.telemetry.utc import utc_seconds
 
@@ -55,19 +56,33 @@ def read_status(path: Path) -> Status | None:
     """None where there is no file: an older run, or one that has not started. Raises StatusError, and OSError where it
     cannot be read."""
     try:
-        content: Any = json.loads(path.read_bytes())
+        content = strict_json.loads(path.read_bytes())
     except FileNotFoundError:
         return None
-    except (ValueError, RecursionError) as error:
-        raise StatusError(f"{path} is damaged: {' '.join(str(error).split())}") from None
+    except ValueError as error:
+        raise StatusError(f"{path} is damaged: {error}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else None
         raise StatusError(f"{path} has format {found}; this version reads format {FORMAT}")
-    fields = {field.name for field in dataclasses.fields(Status)}
+    types = get_type_hints(Status)
     try:
-        return Status(**{name: value for name, value in content.items() if name in fields})
-    except TypeError as error:
+        status = Status(
+            **{name: _checked(name, value, types[name]) for name, value in content.items() if name in types}
+        )
+        utc_seconds(status.time)
+        utc_seconds(status.started)
+    except (TypeError, ValueError) as error:
         raise StatusError(f"{path} is damaged: {error}") from None
+    if status.state not in STATES:
+        raise StatusError(f"{path} is damaged: state {status.state} is none of {', '.join(STATES)}")
+    return status
+
+
+def _checked(name: str, value: Any, expected: Any) -> Any:
+    """The value of a field. Raises TypeError where it is of another type; an integer is a float, too."""
+    if isinstance(value, expected) or (isinstance(value, int) and isinstance(float(value), expected)):
+        return value
+    raise TypeError(f"{name} is {value!r:.40}, not {getattr(expected, '__name__', expected)}")
 
 
 def judged(status: Status, now: float | None = None) -> str:
@@ -95,4 +110,6 @@ def _is_alive(pid: int) -> bool:
         return False
     except PermissionError:  # of another user
         return True
+    except OverflowError:  # no process has such a number
+        return False
     return True

@@ -1,6 +1,6 @@
-"""A headless Chromium, real runs, and pages that may neither complain nor ask anybody but their server.
+"""Browsers without a window, real runs, and pages that may neither complain nor ask anybody but their server.
 
-The browser is that of `make browser`, or `chromium` of the path. Without one these tests are skipped, unless
+Tests run once in each kind of browser that is found (browsers.py). Without one they are skipped, unless
 KINETIX_BROWSER_TESTS=required (continuous integration).
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -17,21 +16,12 @@ from typing import Any
 
 import pytest
 
-from tests.helpers import PATIENCE_S, REPOSITORY, python_path
+from tests.browser.browsers import OPTIONS, found_browsers
+from tests.helpers import PATIENCE_S, python_path
 from tests.server.serving import Server, serving
 
-FETCHED = REPOSITORY / ".cache" / "browser"
 REQUIRED = os.environ.get("KINETIX_BROWSER_TESTS") == "required"
-# One process, no sandbox (containers have no user namespaces), WebGL in software.
-OPTIONS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu-compositing",
-    "--disable-accelerated-2d-canvas",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
+FOUND = {browser.kind: browser for browser in found_browsers()}
 TIMEOUT_MS = 1000 * PATIENCE_S
 TRAINED_VARIABLE = "KINETIX_TRAINED_RUNS"
 
@@ -42,23 +32,21 @@ def _missing(reason: str) -> None:
     pytest.skip(reason)
 
 
-@pytest.fixture(scope="module")  # Playwright keeps an event loop running: files of other tests have their own
-def browser() -> Iterator[Any]:
+# Of a module: Playwright keeps an event loop running, and files of other tests have their own.
+@pytest.fixture(scope="module", params=list(FOUND) or ["none"])
+def browser(request: pytest.FixtureRequest) -> Iterator[Any]:
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
         _missing("playwright is not installed")
         return
-    fetched = FETCHED / "chromium"
-    program = str(fetched) if fetched.is_file() else shutil.which("chromium")
-    if program is None:
+    if not FOUND:
         _missing("there is no Chromium here; `make browser` fetches one")
         return
-    environment: dict[str, str | float | bool] = {**os.environ, "LANG": "en_US.UTF-8"}
-    if fetched.is_file():  # with its own libraries and fonts, for machines that have none
-        environment |= {"LD_LIBRARY_PATH": str(FETCHED / "lib"), "FONTCONFIG_PATH": str(FETCHED)}
+    found = FOUND[request.param]
+    environment: dict[str, str | float | bool] = {**os.environ, "LANG": "en_US.UTF-8", **dict(found.environment)}
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=OPTIONS, env=environment)
+        browser = playwright.chromium.launch(executable_path=found.program, args=[*OPTIONS], env=environment)
         yield browser
         browser.close()
 

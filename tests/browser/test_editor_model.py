@@ -14,7 +14,7 @@ import pytest
 
 from jax2d.display_list import display_list
 from kinetix_dist.level.document import dump_document, level_to_json
-from kinetix_dist.level.schema import document_info, level_from_json
+from kinetix_dist.level.schema import document_info, level_from_json, turned_colours_of
 from kinetix_dist.level.sets import files_of_set
 from kinetix_dist.play.hello import hello
 from tests.helpers import REPOSITORY
@@ -30,6 +30,12 @@ DRAW = """async ([documents, engine]) => {
 WRITE = """async (texts) => {
   const { documentText } = await import(new URL("static/editor/document.js", location.href));
   return texts.map((text) => documentText(JSON.parse(text)));
+}"""
+
+
+WHEELS = """async (documents) => {
+  const { wheelOf } = await import(new URL("static/editor/motors.js", location.href));
+  return documents.map((document) => (document.joints ?? []).map((joint) => wheelOf(document, joint)));
 }"""
 
 
@@ -180,3 +186,21 @@ def test_500_random_gestures_are_undone_to_the_first_byte_and_redone(
         done = page.evaluate(GESTURES, [start, json.loads(json.dumps(hello())), 500, seed])
         assert done["first"] and done["last"] and all(done["undone"]) and all(done["redone"]), done
         assert len(done["undone"]) == len(done["redone"]) == done["steps"] > 150 and len(done["used"]) > 30, done
+
+
+def test_a_wheel_is_what_the_engine_takes_for_one(server: Server, open_page: Callable[..., Any]) -> None:
+    """Colours are turned round where all of their wheels have negative speeds: the editor's wheels give the same."""
+    drawn = [json.loads(file.read_text()) for file in FILES]
+    documents = drawn + [turned_and_reversed(document) for document in drawn]
+    num_turned = 0
+    for document, wheels in zip(documents, open_page(server, "#/edit").evaluate(WHEELS, documents), strict=True):
+        speeds: dict[int, list[float]] = {}
+        for joint, wheel in zip(document.get("joints", []), wheels, strict=True):
+            motor = joint.get("motor", {"on": False})
+            if wheel is not None and motor.get("on", True) and not motor.get("auto", False):
+                speed = motor.get("speed", 1.0)
+                speeds.setdefault(motor.get("colour", 0), []).append(speed if wheel == "b" else -speed)
+        expected = [colour in speeds and max(speeds[colour]) < 0 for colour in range(4)]
+        assert turned_colours_of(document).tolist() == expected, document["name"]
+        num_turned += sum(expected)
+    assert num_turned > 10

@@ -147,6 +147,13 @@ def test_levels_are_pictures_and_one_of_them_opens(trained_server: Server, open_
     assert document["shapes"], "a level file of our format"
 
 
+def test_what_links_no_icon_has_one_too(trained_server: Server, open_page: OpenPage) -> None:
+    """A browser with a window then asks for /favicon.ico, and complains where there is none (`open_page` hears it)."""
+    page = open_page(trained_server)
+    page.goto(f"http://127.0.0.1:{trained_server.port}/api/runs")
+    page.wait_for_timeout(1000)
+
+
 def test_a_level_of_the_buffer_is_played_in_place(trained_server: Server, open_page: OpenPage) -> None:
     """By the checkpoint of its run, by keys, 64 times; and what became of it."""
     page = open_page(trained_server, "#/run/tiny/levels")
@@ -155,7 +162,10 @@ def test_a_level_of_the_buffer_is_played_in_place(trained_server: Server, open_p
     drawer.get_by_text("▶ play").click()
     mind = drawer.locator(".mind")
     mind.wait_for()
-    assert "value" in mind.inner_text()
+    drawer.locator(".play-state:not([data-outcome=''])").wait_for()  # its last values stay
+    assert "value" in mind.inner_text() and "NaN" not in mind.inner_text()
+    shares = [float(text.split()[-2]) for text in mind.locator(".chance").all_inner_texts()]
+    assert sum(shares) == pytest.approx(100 * mind.locator(".heads > div").count(), abs=1)
     drawer.get_by_role("button", name="stop").click()
     picture = drawer.locator("canvas.world")
     drawer.get_by_label("who plays").select_option("keys")
@@ -219,9 +229,14 @@ def test_a_row_on_disk_is_shown_and_a_resumed_run_goes_back(tmp_path: Path, open
 def test_a_damaged_line_is_said_and_a_server_that_ends_too(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
     run = write_run(tmp_path / "a", 5)
     with (run / "metrics" / "metrics.jsonl").open("ab") as file:
-        file.write(b"\0\0garbage\n")
+        file.write(b'{"update": 6, "train/solve_rate": NaN}\n')
+    write_run(tmp_path / "b", 5)
     server = serve(tmp_path)
-    page = open_page(server, "#/run/a/overview")
+    page = open_page(server)
+    row = page.locator("table.runs tr", has_text="the last line of metrics.jsonl is damaged (train/solve_rate is nan")
+    row.wait_for()
+    assert page.locator("table.runs tbody tr").count() == 2
+    row.get_by_role("link", name="a", exact=True).click()
     page.get_by_text("1 line is damaged in metrics/metrics.jsonl and left out").wait_for()
     end(server.process)
     page.get_by_text("disconnected").wait_for()
@@ -233,10 +248,10 @@ def test_an_older_run_says_what_it_lacks(tmp_path: Path, open_page: OpenPage, se
     write_run(tmp_path / "a", 5)
     server = serve(tmp_path)
     page = open_page(server, "#/run/a/curriculum")
-    page.get_by_text("This run has no snapshots of its curriculum").wait_for()
-    page.get_by_text("This run has no counts of its training episodes").wait_for()
+    page.get_by_text("No snapshots of its curriculum so far").wait_for()
+    page.get_by_text("No counts of its training episodes so far").wait_for()
     for name, text in (
-        ("levels", "This run has no snapshots of its curriculum"),
+        ("levels", "No snapshots of its curriculum so far"),
         ("evaluation", "No evaluation so far"),
         ("replays", "No rollouts so far"),
         ("overview", "This run has no processes.jsonl"),

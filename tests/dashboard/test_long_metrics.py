@@ -23,6 +23,8 @@ FILES = {
     "text and truth": [json.dumps(row | {"d": "text", "e": row["update"] > 9}) for row in PLAIN],
     "numbers and text": [json.dumps(row | {"d": "x" if row["update"] > 300 else 2}) for row in PLAIN],
     "not finite": [json.dumps(row | {"d": float("nan") if row["update"] % 2 else float("inf")}) for row in PLAIN],
+    "infinite in float64": [*map(json.dumps, PLAIN), '{"update": 400, "a": 1e999}', '{"update": 401, "a": 1.0}'],
+    "more than 64 bits": [*map(json.dumps, PLAIN), f'{{"update": 400, "a": {10**30}}}', '{"update": 401, "a": 1}'],
     "one unfinished line": [],
 }
 

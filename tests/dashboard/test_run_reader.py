@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from kinetix_dist.dashboard import run_files
-from kinetix_dist.dashboard.run_files import last_row
+from kinetix_dist.dashboard.run_files import LastRow, last_row
 from kinetix_dist.dashboard.run_index import RunIndex, status_of, summary
 from kinetix_dist.dashboard.run_reader import RunReader
 from kinetix_dist.errors import UserError
 from kinetix_dist.telemetry.json_lines import append_line
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from tests.dashboard.runs_for_tests import solve_rate, write_config, write_rows, write_run
 
 
@@ -100,16 +101,23 @@ def test_a_damaged_config_is_a_line_in_the_table(run: Path, content: bytes) -> N
     (run / "config.json").write_bytes(content)
     row = summary("a", run)
     assert row["last"]["update"] == 20
-    assert bool(row["problems"]) == (content != b'{"config": 3}')
+    assert len(row["problems"]) == 1 and row["problems"][0].startswith("config.json ")
     json.dumps(row, allow_nan=False)
 
 
 def test_the_last_row_is_read_from_the_end(run: Path) -> None:
-    with (run / run_files.METRICS).open("ab") as file:
-        file.write(b"garbage\n" + b'{"update": 21, "half')
-    row = last_row(run / run_files.METRICS)
-    assert row is not None and row["update"] == 20
-    assert last_row(run / "nothing") is None
+    file = run / run_files.METRICS
+    with file.open("ab") as out:
+        out.write(b'{"update": 21, "half')
+    found = last_row(file, is_row=is_metrics_row)
+    assert found.row is not None and found.row["update"] == 20
+    assert found.problem is None, "it is being written"
+    with file.open("ab") as out:
+        out.write(b"\n" + b'{"update": 22, "half')
+    found = last_row(file, is_row=is_metrics_row)
+    assert found.row is not None and found.row["update"] == 20
+    assert found.problem is not None and found.problem.startswith("the last line of metrics.jsonl is damaged (")
+    assert last_row(run / "nothing", is_row=is_metrics_row) == LastRow(None)
 
 
 def test_how_a_run_is_follows_from_its_files(run: Path) -> None:

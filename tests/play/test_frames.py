@@ -42,10 +42,15 @@ def test_bytes_are_those_of_the_documentation() -> None:
     assert "276 at L" in (REPOSITORY / "docs" / "play_protocol.md").read_text()
 
 
-def test_a_world_that_has_diverged_is_shown_as_it_is() -> None:
-    poses = np.full((16, 3), np.nan, np.float32)
-    again = frames.decode(frames.encode(drawn(poses=poses, value=math.nan)), SIZES)
-    assert np.isnan(again.poses).all() and math.isnan(again.value)
+@pytest.mark.parametrize("changes", [{"value": math.nan}, {"poses": np.full((16, 3), np.nan, np.float32)}])
+def test_no_number_is_sent_that_is_none(changes: dict) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(changes))} of step 70000 is not finite"):
+        frames.encode(drawn(**changes))
+
+
+def test_a_state_in_which_no_policy_acted_has_no_outputs() -> None:
+    data = frames.encode(drawn(outputs=np.zeros(0, np.float32)))
+    assert len(frames.decode(data, SIZES).outputs) == 0
 
 
 def test_bytes_of_other_sizes_or_another_version_are_refused() -> None:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 
 from jax2d.scene import stack_worlds
+from kinetix_dist.env.action_spaces.continuous import Continuous
+from kinetix_dist.env.action_spaces.discrete import Discrete
+from kinetix_dist.env.action_spaces.multi_discrete import MultiDiscrete
+from kinetix_dist.env.action_spaces.space import ActionSpace
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
@@ -163,9 +168,72 @@ def test_a_checkpoint_plays_as_in_recorded_rollouts_and_says_its_probabilities()
         np.testing.assert_array_equal(shown(session).poses[:, :2], rollout.position[step])
     # A person goes on from here, in the same world.
     session.set_actor(policy_of("keys").actor(config, level()))
-    assert np.isnan(shown(session).value) and session.sizes.outputs == 0
+    assert shown(session).value == 0 and session.sizes.outputs == 0
+    session.seek(5)
+    assert len(shown(session).outputs) == 0, "that is not what a person made of it"
+    session.seek(40)
     np.testing.assert_array_equal(shown(session).poses[:, :2], rollout.position[40])
     assert session.step() and shown(session).step == 41
+
+
+def test_at_the_end_a_policys_last_values_stay() -> None:
+    given = policy_of({"checkpoint": "generalist"})
+    assert given.trained is not None
+    config = dataclasses.replace(given.trained.env_config("s"), max_steps=3)
+    session = Session(1, config, level(), seed=3)
+    session.set_actor(given.actor(config, level()))
+    played = [shown(session)]
+    while session.step():
+        played.append(shown(session))
+    assert [bool(frame.flags & frames.DONE) for frame in played] == [False, False, False, True]
+    np.testing.assert_array_equal(played[-1].outputs, played[-2].outputs)
+    assert played[-1].value == played[-2].value != played[0].value
+
+
+def test_a_world_that_diverges_keeps_the_places_that_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session(1, CONFIG, level(), seed=0)
+    session.step()
+    before = shown(session)
+
+    def diverged(*args: Any) -> programs.Stepped:
+        found = step(*args)
+        yes = np.ones(1, bool)
+        return found._replace(
+            poses=np.full_like(found.poses, np.nan),
+            env_state=dataclasses.replace(found.env_state, distance=np.full(1, np.nan)),
+            done=yes,
+            info=dataclasses.replace(found.info, unstable=yes),
+        )
+
+    step = programs.step
+    monkeypatch.setattr(programs, "step", diverged)
+    session.step()
+    after = shown(session)
+    assert after.flags == frames.DONE | frames.UNSTABLE and session.outcome == "unstable"
+    np.testing.assert_array_equal(after.poses, before.poses)
+    assert after.distance == before.distance
+
+
+@pytest.mark.parametrize(
+    ("space", "expected"),
+    [
+        (MultiDiscrete(), [[c, v] for c in range(4) for v in (0, 1, -1)] + [[c, v] for c in (4, 5) for v in (0, 1)]),
+        (Discrete(), [[c, v] for c in range(4) for v in (-1, 1)] + [[None, 0], [4, 1], [5, 1]]),
+        (Continuous(), [[c, None] for c in range(6)] * 2),
+    ],
+)
+def test_outputs_of_a_policy_say_which_colour_they_are_about(space: ActionSpace, expected: list) -> None:
+    assert [*map(list, programs.controls_of_outputs(space))] == expected
+    assert len(expected) == sum(space.distribution.head_sizes)
+
+
+def test_a_policy_that_gives_no_numbers_is_an_error_and_no_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session(1, CONFIG, level(), seed=0)
+    actor = policy_of("random").actor(CONFIG, level())
+    choose = programs.choose
+    monkeypatch.setattr(programs, "choose", lambda *args: choose(*args)._replace(value=np.full(1, np.nan)))
+    with pytest.raises(RequestError, match="numbers that are not finite; choose another"):
+        session.set_actor(actor)
 
 
 def test_reset_plays_the_same_episode_again() -> None:

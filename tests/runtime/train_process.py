@@ -44,15 +44,15 @@ def start(run: Path, *options: str, device: str = "cpu", new_session: bool = Fal
     )
 
 
-def finish(process: subprocess.Popen[str], *, limit_s: float = LIMIT_S) -> str:
-    """Waits for the end; what was said on stderr. Fails unless the exit status is 0."""
+def finish(process: subprocess.Popen[str], *, limit_s: float = LIMIT_S, status: int = 0) -> str:
+    """Waits for the end; what was said on stderr. Fails unless the exit status is the given one."""
     try:
         _, errors = process.communicate(timeout=limit_s)
     except subprocess.TimeoutExpired:
         raise AssertionError(f"the run did not end in {limit_s:.0f} s; it said last: {_last_words(process)}") from None
     finally:
         process.kill()
-    assert process.returncode == 0, errors
+    assert process.returncode == status, errors
     return errors
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from kinetix_dist.server.access import Access
 from tests.dashboard.runs_for_tests import write_run
@@ -39,6 +41,22 @@ def test_the_token_is_exchanged_for_a_cookie_that_no_script_reads(server: Server
 def test_nothing_is_answered_without_it(server: Server, path: str) -> None:
     status, _, content = without_cookie(server, path)
     assert status == 401 and "open the address with its token" in content
+
+
+@pytest.mark.parametrize("path", ["/favicon.ico", "/static/icon.svg"])
+def test_everybody_gets_the_icon(server: Server, path: str) -> None:
+    """A browser asks for it with every page, also with the one that says that there is no access."""
+    status, headers, content = server.ask(path, headers={"Cookie": ""})
+    assert status == 200 and headers["Content-Type"].startswith("image/") and 0 < len(content) < 2000
+
+
+def test_every_page_links_its_icon(server: Server) -> None:
+    """Relative to the page, so that it is found below the prefix of a proxy."""
+    for page in (f"/?token={server.token}", "/"):
+        content = server.ask(page)[2].decode()
+        assert '<link rel="icon" href="static/icon.svg" type="image/svg+xml" />' in content, page
+    with Image.open(io.BytesIO(server.ask("/rerun/favicon.ico")[2])) as icon:
+        assert icon.format == "ICO" and {(16, 16), (32, 32)} <= icon.info["sizes"]
 
 
 @pytest.mark.parametrize("token", ["", "x", "é"])

@@ -47,7 +47,7 @@ class JsonlSink(LinesSink):
     def __init__(self, path: Path, *, resume_at: int | None = 0) -> None:
         """resume_at None: this session has written to it already, and goes on."""
         keep = None if resume_at is None else lambda row: row["update"] <= resume_at
-        super().__init__(path, is_row=_is_metrics, keep=keep)
+        super().__init__(path, is_row=is_metrics_row, keep=keep)
 
     def write(self, update: int, row: Mapping[str, float], /) -> None:
         """One line, whole or not at all. A value that is not finite is written as null: JSON has no nan."""
@@ -57,8 +57,9 @@ class JsonlSink(LinesSink):
 
 def read_jsonl(path: Path) -> list[dict[str, Any]]:
     """Rows of a metrics file; damaged lines and an unfinished last one are left out."""
-    return read_lines(path, _is_metrics).rows
+    return read_lines(path, is_metrics_row).rows
 
 
-def _is_metrics(row: dict[str, Any]) -> bool:
+def is_metrics_row(row: dict[str, Any]) -> bool:
+    """Whether a JSON object is a row of metrics; others count as damaged."""
     return isinstance(row.get("update"), int)

@@ -10,8 +10,8 @@ import { Panel } from "../charts/panel.js";
 import { Notes } from "./parts.js";
 import { useRunChanges } from "./run_changes.js";
 
-const NO_SNAPSHOTS = "This run has no snapshots of its curriculum (curriculum/refresh_*.npz, buffer_*.npz): it is of an older version, its curriculum keeps no levels that change, or curriculum_log.max_snapshots is 0.";
-const NO_OUTCOMES = "This run has no counts of its training episodes (curriculum/outcomes.jsonl): it is of an older version, or curriculum_log.outcomes_every is 0.";
+const NO_SNAPSHOTS = "No snapshots of its curriculum so far (curriculum/refresh_*.npz, buffer_*.npz); the first comes with the first refresh or checkpoint. There are none where curriculum_log.max_snapshots is 0, of curricula that keep no levels that change, and of runs of older versions.";
+const NO_OUTCOMES = "No counts of its training episodes so far (curriculum/outcomes.jsonl); the first come after curriculum_log.outcomes_every updates. There are none where that is 0, and of runs of older versions.";
 const MOVES = ["never solved", "sometimes", "always"];
 
 /** @param {{ run: string }} props */

@@ -57,7 +57,7 @@ export function LevelsPage({ run }) {
   if (!all.data) return html`<main><${Notes} notes=${notes} /></main>`;
   return html`<main>
     <${Notes} notes=${notes} />
-    ${snapshots.length ? null : html`<p class="missing">This run has no snapshots of its curriculum (curriculum/*.npz): it is of an older version, or its curriculum keeps no levels that change.</p>`}
+    ${snapshots.length ? null : html`<p class="missing">No snapshots of its curriculum so far (curriculum/*.npz); the first comes with the first refresh or checkpoint. Curricula that keep no levels that change, and runs of older versions, have none.</p>`}
     ${chosen ? html`<div class="row bar">
       <label>snapshot <select onChange=${(/** @type {any} */ e) => setQuery({ of: e.target.value, offset: null, level: null })}>
         ${snapshots.map((/** @type {any} */ s) => html`<option key=${nameOf(s)} value=${nameOf(s)} selected=${s === chosen}>${s.kind} ${s.number}${s.has_levels ? "" : " (levels left out)"}</option>`)}</select></label>

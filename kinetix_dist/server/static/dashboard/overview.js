@@ -34,7 +34,7 @@ export function OverviewPage({ run }) {
     }, DESCRIBE_MS);
   }
   const data = about.data;
-  const notes = [about.error, error, ...(problems ?? data?.problems ?? [])].filter(Boolean);
+  const notes = [...new Set([about.error, error, ...(data?.problems ?? []), ...(problems ?? [])])].filter(Boolean);
   if (bytesLeft) notes.push(`reading metrics, ${short(bytesLeft)}B left`);
   if (!data) return html`<main><${Notes} notes=${notes} />${about.error ? "" : html`<p class="missing">reading ${run} ...</p>`}</main>`;
   const chart = (/** @type {import("./metric_panels.js").MetricPanel} */ panel) =>

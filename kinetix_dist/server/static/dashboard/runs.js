@@ -47,7 +47,7 @@ export function RunsPage() {
       <tbody>${rows.map((run) => html`<tr key=${run.id}>
         <td><input type="checkbox" checked=${chosen.includes(run.id)} onChange=${() => choose(run.id)} aria-label=${`compare ${run.id}`} /></td>
         <td><a href=${addressOf(["run", run.id, "overview"])} title=${run.path}>${run.id}</a>
-          ${run.problems.length ? html` <span class="bad" title=${run.problems.join("; ")}>damaged file</span>` : null}</td>
+          ${run.problems.map((/** @type {string} */ problem) => html`<div key=${problem} class="bad problem">${problem}</div>`)}</td>
         <td><${State} status=${run.status} /></td>
         <td>${run.name ?? "-"}</td>
         <td class="number">${short(run.last?.["progress/env_steps"])}${progress(run)}</td>

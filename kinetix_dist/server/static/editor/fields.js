@@ -2,7 +2,7 @@
 
 /**
  * @typedef {{ name: string, label?: string, kind: "text" | "number" | "point" | "choice" | "flag" | "words", unit?: string, options?: string[],
- *   missing?: any, required?: boolean, step?: number, low?: number }} Field
+ *   missing?: any, required?: boolean, step?: number, low?: number, help?: string }} Field
  *   name: "motor.speed" is one within another; missing: what holds if it is left out
  */
 
@@ -47,7 +47,7 @@ const OF_TYPE = {
 
 /** @type {Field[]} */
 const MOTOR = [
-  { name: "motor.speed", kind: "number", missing: 1, step: 0.1 },
+  { name: "motor.speed", kind: "number", missing: 1, step: 0.1, help: "forward turns b counter-clockwise against a, with a negative speed clockwise: a wheel that is b rolls to the right where it is negative; 1 is 6 rad/s, of a slider 2 m/s" },
   { name: "motor.power", kind: "number", missing: 1, low: 0, step: 0.1 },
   { name: "motor.colour", kind: "choice", options: ["0", "1", "2", "3"], missing: 0 },
   { name: "motor.auto", kind: "flag", missing: false },

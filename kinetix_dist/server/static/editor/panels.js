@@ -4,6 +4,7 @@ import { COMMANDS } from "./commands.js";
 import { PARTS, parsePath, thingAt, withThing } from "./document.js";
 import { renamed } from "./edits.js";
 import { fieldsOf, LEVEL_FIELDS, SHAPE_FIELDS, valueOf, withValue } from "./fields.js";
+import { forwardWords, newMotor } from "./motors.js";
 
 /** @typedef {import("./state.js").Editor} Editor */
 const ALIGNMENTS = COMMANDS.filter((command) => /^(Align|Distribute)/.test(command.label));
@@ -40,7 +41,7 @@ function parseNumber(text) {
 function FieldInput({ field, thing, commit }) {
   const value = valueOf(thing, field);
   const label = field.label ?? field.name.replace("motor.", "motor ");
-  const title = `${field.name}${field.unit ? `, ${field.unit}` : ""}${field.missing === undefined ? "" : `; ${JSON.stringify(field.missing)} if left out`}`;
+  const title = `${field.name}${field.unit ? `, ${field.unit}` : ""}${field.missing === undefined ? "" : `; ${JSON.stringify(field.missing)} if left out`}${field.help ? `; ${field.help}` : ""}`;
   let input;
   if (field.kind === "choice") {
     const options = field.options ?? [];
@@ -89,19 +90,20 @@ export function SelectionPanel({ editor }) {
   const change = (/** @type {any} */ next) => editor.commit(withThing(editor.settled, path, next));
   return html`<section class="panel" data-panel="selection"><header><h3>${nameOf(document, path)}</h3><span class="help">${path}</span></header>
     <div class="fields">${fieldsOf(found.part, thing, bodies).map((field) => html`<${FieldInput} key=${`${path} ${field.name}`} field=${field} thing=${thing} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>
-    ${found.part === "joints" ? html`<div class="row small"><${JointSwitches} joint=${thing} change=${change} /></div>` : null}
+    ${found.part === "joints" && thing.motor ? html`<p class="soft" data-forward>${forwardWords(document, thing)}</p>` : null}
+    ${found.part === "joints" ? html`<div class="row small"><${JointSwitches} document=${document} joint=${thing} change=${change} /></div>` : null}
   </section>`;
 }
 
-/** Motor and limits are there or not. @param {{ joint: any, change: (joint: any) => void }} props */
-function JointSwitches({ joint, change }) {
+/** Motor and limits are there or not. @param {{ document: import("./document.js").Level, joint: any, change: (joint: any) => void }} props */
+function JointSwitches({ document, joint, change }) {
   const switched = (/** @type {string} */ name, /** @type {any} */ value) => {
     const next = { ...joint, [name]: value };
     if (joint[name]) delete next[name];
     change(next);
   };
   const limits = joint.type === "prismatic" ? [-0.5, 0.5] : [-0.785398, 0.785398];
-  return html`<button aria-pressed=${Boolean(joint.motor)} onClick=${() => switched("motor", { speed: 1, power: 1, colour: 0 })}>motor</button>
+  return html`<button aria-pressed=${Boolean(joint.motor)} onClick=${() => switched("motor", newMotor(document, joint))}>motor</button>
     ${joint.type === "fixed" ? null : html`<button aria-pressed=${Boolean(joint.limits)} onClick=${() => switched("limits", limits)}>limits</button>`}`;
 }
 

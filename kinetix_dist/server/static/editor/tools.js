@@ -3,6 +3,7 @@ import { added, boundsOf, jointEnds, newId, parsePath, shapesOf, thingAt, thrust
 import { moved, selectedShapes } from "./edits.js";
 import { distance, hull, rounded, roundedPoint, sub, wrapped } from "./geometry.js";
 import { dragged, handlesOf, isConvex, thingsAt } from "./handles.js";
+import { newMotor } from "./motors.js";
 import { snapped, snappedAngle, snapTargets } from "./snap.js";
 
 /**
@@ -198,8 +199,8 @@ function bodiesAt(editor, point) {
 }
 
 /** Pressed where two shapes overlap it joins these; dragged from one shape to another, these, where it ends.
- * @param {string} type @param {Record<string, any>} more @returns {Tool["down"]} */
-function joining(type, more) {
+ * @param {string} type @param {{ hasMotor?: boolean, more?: Record<string, any> }} [options] @returns {Tool["down"]} */
+function joining(type, { hasMotor = false, more = {} } = {}) {
   return (editor, start) => {
     const first = bodiesAt(editor, start.at);
     return {
@@ -210,7 +211,7 @@ function joining(type, more) {
       up(pointer) {
         const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px * pointer.thick;
         const last = isClick ? first : bodiesAt(editor, pointer.at);
-        // What lies on top is b: run forward, the motor turns the wheel (b) counter-clockwise against the chassis (a).
+        // What lies on top is b, as a wheel that is drawn after its chassis.
         const [b, a] = isClick ? first : [first[0], last.find((id) => id !== first[0])];
         const anchor = aimed(editor, pointer);
         if (a === undefined || b === undefined) {
@@ -219,7 +220,8 @@ function joining(type, more) {
         }
         const before = editor.settled;
         const count = (before.joints ?? []).length;
-        editor.commit(added(before, "joints", { type, a, b, anchor, ...more }), [`joints[${count}]`]);
+        const joint = { type, a, b, anchor, ...more };
+        editor.commit(added(before, "joints", hasMotor ? { ...joint, motor: newMotor(before, joint) } : joint), [`joints[${count}]`]);
       },
     };
   };
@@ -276,9 +278,9 @@ export const TOOLS = {
   circle: { key: "c", label: "Circle", mark: "○", help: "drag from the centre, or click", down: circle },
   triangle: { key: "t", label: "Triangle", mark: "△", help: "click three corners", down: clicking("triangle", 3) },
   quadrilateral: { key: "q", label: "Quadrilateral", mark: "▱", help: "click four corners", down: clicking("quadrilateral", 4) },
-  revolute: { key: "r", label: "Revolute", mark: "◎", help: "click where two shapes overlap, or drag from one to another; it has a motor", down: joining("revolute", { motor: { speed: 1, power: 1, colour: 0 } }) },
-  fixed: { key: "f", label: "Fixed", mark: "✕", help: "click where two shapes overlap, or drag from one to another", down: joining("fixed", {}) },
-  prismatic: { key: "l", label: "Slider", mark: "⇔", help: "click where two shapes overlap, or drag from one to another; its handle turns the axis", down: joining("prismatic", { axis: 0, motor: { speed: 1, power: 1, colour: 0 } }) },
+  revolute: { key: "r", label: "Revolute", mark: "◎", help: "click where two shapes overlap, or drag from one to another; it has a motor", down: joining("revolute", { hasMotor: true }) },
+  fixed: { key: "f", label: "Fixed", mark: "✕", help: "click where two shapes overlap, or drag from one to another", down: joining("fixed") },
+  prismatic: { key: "l", label: "Slider", mark: "⇔", help: "click where two shapes overlap, or drag from one to another; its handle turns the axis", down: joining("prismatic", { hasMotor: true, more: { axis: 0 } }) },
   thruster: { key: "h", label: "Thruster", mark: "▲", help: "press on a shape and drag to where it pushes", down: beginThruster },
   pan: { key: "p", label: "Pan", mark: "✥", help: "drag; two fingers, the wheel and the middle button do so with any tool", down: beginPan },
 };

@@ -5,6 +5,7 @@ import { channel } from "../base/channel.js";
 export const MOTOR_KEYS = /** @type {const} */ ([["ArrowRight", "ArrowLeft"], ["ArrowUp", "ArrowDown"], ["d", "a"], ["w", "s"]]);
 export const THRUSTER_KEYS = /** @type {const} */ (["1", "2"]);
 const MARKS = { ArrowRight: "→", ArrowLeft: "←", ArrowUp: "↑", ArrowDown: "↓" };
+export const NUM_MOTOR_COLOURS = MOTOR_KEYS.length;
 const HEADER_BYTES = 28;
 export const SPEEDS = [0.125, 0.25, 0.5, 1, 2];
 const FLAGS = { done: 1, solved: 2, failed: 4, unstable: 8 };
@@ -36,6 +37,17 @@ export function decodeFrame(bytes, sizes) {
     outputs: take((bytes.byteLength - start) / 4),
   };
 }
+
+/** Colours that something in the level obeys, counted as those of a frame: motors 0 to 3, thrusters 4 and 5.
+ * @param {import("../base/channel.js").Message} session @returns {number[]} */
+export function boundColours(session) {
+  const motors = session.motors.filter((/** @type {any} */ motor) => !motor.auto).map((/** @type {any} */ motor) => motor.colour);
+  const thrusters = session.thrusters.map((/** @type {any} */ thruster) => NUM_MOTOR_COLOURS + thruster.colour);
+  return [...new Set([...motors, ...thrusters])].sort();
+}
+
+/** @param {number} colour counted as those of a frame */
+export const nameOfColour = (colour) => (colour < NUM_MOTOR_COLOURS ? `motor ${colour}` : `thruster ${colour - NUM_MOTOR_COLOURS}`);
 
 export class Play {
   /** @param {() => void} changed */
@@ -169,6 +181,10 @@ export class Play {
       this.isRunning = false;
     }
     this.changed();
+  }
+
+  get isAtEnd() {
+    return ((this.frame?.flags ?? 0) & FLAGS.done) !== 0;
   }
 
   get isSolved() {

@@ -2,7 +2,7 @@
 import { get, useRequest } from "../base/api.js";
 import { percent, short } from "../base/format.js";
 import { html } from "../base/html.js";
-import { keyMark, MOTOR_KEYS, SPEEDS, THRUSTER_KEYS } from "./play.js";
+import { boundColours, keyMark, MOTOR_KEYS, nameOfColour, NUM_MOTOR_COLOURS, SPEEDS, THRUSTER_KEYS } from "./play.js";
 
 /** Who can play: a key of a select, and what the engine worker calls it. @param {string} name @returns {any} */
 export function policyOf(name) {
@@ -53,30 +53,46 @@ export function PlayBar({ play, children }) {
 function Pads({ play }) {
   const { session } = play;
   if (!session) return null;
-  const motors = [...new Set(session.motors.filter((/** @type {any} */ motor) => !motor.auto).map((/** @type {any} */ motor) => motor.colour))].sort();
-  const thrusters = [...new Set(session.thrusters.map((/** @type {any} */ thruster) => thruster.colour))].sort();
+  const bound = boundColours(session);
+  const motors = bound.filter((colour) => colour < NUM_MOTOR_COLOURS);
+  const thrusters = bound.filter((colour) => colour >= NUM_MOTOR_COLOURS).map((colour) => colour - NUM_MOTOR_COLOURS);
   const pad = (/** @type {string} */ key, /** @type {string} */ label) => html`<button key=${key} class="pad" aria-pressed=${play.pressed.has(key)} aria-label=${label}
     onPointerDown=${(/** @type {PointerEvent} */ e) => { e.preventDefault(); /** @type {Element} */ (e.currentTarget).setPointerCapture(e.pointerId); play.press(key, true); }}
     onPointerUp=${() => play.press(key, false)} onPointerCancel=${() => play.press(key, false)}>${keyMark(key)}</button>`;
   return html`<div class="row pads">
     ${motors.map((colour) => html`<span key=${colour}>motor ${colour} ${[...MOTOR_KEYS[colour]].reverse().map((key) => pad(key, `motor ${colour} ${key === MOTOR_KEYS[colour][0] ? "forward" : "backward"}`))}</span>`)}
     ${thrusters.map((colour) => html`<span key=${`t${colour}`}>thruster ${colour} ${pad(THRUSTER_KEYS[colour], `thruster ${colour}`)}</span>`)}
-    ${motors.length + thrusters.length ? null : html`<span class="soft">nothing obeys you here</span>`}
+    ${bound.length ? null : html`<span class="soft">nothing obeys you here</span>`}
   </div>`;
 }
 
-/** The value of the state and what the policy makes of each control. @param {{ play: import("./play.js").Play }} props */
+/** The value of the state and what the policy makes of each control that the level has. @param {{ play: import("./play.js").Play }} props */
 function Mind({ play }) {
   const { session, frame } = play;
   const heads = session?.policy.heads;
   if (!session || !frame || !heads) return html`<p class="soft">${session?.policy.kind === "checkpoint" ? "" : `${session?.policy.kind} actions`}</p>`;
-  let start = 0;
-  const parts = heads.sizes.map((/** @type {number} */ size) => {
-    start += size;
-    return Array.from(frame.outputs.subarray(start - size, start));
-  });
-  if (heads.kind !== "probabilities") return html`<p class="soft">value ${frame.value.toFixed(3)} · means ${parts[0].map((/** @type {number} */ mean) => mean.toFixed(2)).join(", ")} · spreads ${parts[1].map((/** @type {number} */ spread) => spread.toFixed(2)).join(", ")}</p>`;
-  return html`<div class="mind" data-value=${frame.value}><p>value <b>${frame.value.toFixed(3)}</b> <span class="soft">of ${session.policy.path?.split("/").pop() ?? "the policy"}, probability of each choice:</span></p>
-    <div class="heads">${parts.map((/** @type {number[]} */ chances, /** @type {number} */ k) => html`<div key=${k}><span class="soft">${k < 4 ? `motor ${k}` : `thruster ${k - 4}`}</span>
-      ${chances.map((chance, choice) => html`<span key=${choice} class="chance"><meter min="0" max="1" value=${chance}></meter>${["off", k < 4 ? "+" : "on", "-"][choice]} ${percent(chance)}</span>`)}</div>`)}</div></div>`;
+  if (frame.outputs.length !== heads.controls.length) return html`<div class="mind"><p class="soft">this step was not played by ${nameOfPolicy(session)}</p></div>`;
+  const isChoice = heads.kind === "probabilities";
+  const bound = boundColours(session);
+  const groups = [...bound, ...(heads.controls.some((/** @type {any} */ [colour]) => colour === null) ? [null] : [])].map((colour) => ({
+    name: colour === null ? "nothing" : nameOfColour(colour),
+    parts: heads.controls
+      .map((/** @type {[number | null, number | null]} */ [own, value], /** @type {number} */ k) => ({ own, value, number: frame.outputs[k] }))
+      .filter((/** @type {any} */ part) => part.own === colour),
+  }));
+  return html`<div class="mind" data-value=${frame.value}><p>value <b>${frame.value.toFixed(3)}</b> <span class="soft">of ${nameOfPolicy(session)}${play.isAtEnd ? ", of the step before the end" : ""}, ${isChoice ? "probability of each choice" : "mean and spread"}:</span></p>
+    ${bound.length ? null : html`<p class="soft">nothing obeys it here</p>`}
+    <div class="heads">${groups.map(({ name, parts }) => html`<div key=${name}><span class="soft">${name}</span>
+      ${isChoice
+        ? parts.map((/** @type {any} */ { own, value, number }, /** @type {number} */ k) => html`<span key=${k} class="chance"><meter min="0" max="1" value=${number}></meter>${nameOfChoice(own, value)} ${percent(number)}</span>`)
+        : html`<span class="chance">${parts.map((/** @type {any} */ part) => part.number.toFixed(2)).join(" ± ")}</span>`}</div>`)}</div></div>`;
+}
+
+/** @param {any} session */
+const nameOfPolicy = (session) => session.policy.path?.split("/").pop() ?? "the policy";
+
+/** @param {number | null} colour @param {number} value what the choice tells it */
+function nameOfChoice(colour, value) {
+  if (!value) return "off";
+  return colour === null || colour >= NUM_MOTOR_COLOURS ? "on" : value > 0 ? "+" : "-";
 }
