@@ -3,9 +3,14 @@
     python -m bench.learnability runs/quickstart [--attempts 64] [--json FILE]
 
 `claimed` is the mean of p (1 - p) over the levels of the buffer, p of the few episodes that chose them; `training` the
-unbiased estimate of the same from the episodes of training (levels played twice or more), with its standard error.
-`played` is the solve rate in training; `chosen` and `again` are those of some of the levels when they were chosen, and
-by the policy of the next refresh, where it played any (`curriculum_log.probe_levels`, `probe_every`).
+unbiased estimate of the same from training (levels played twice or more), with its standard error; `fresh` that of all
+candidates, what levels offer that nobody chose. `played` is the solve rate in training; `chosen` and `again` are those
+of some of the levels when they were chosen, and by the policy of the next refresh, where it played any
+(`curriculum_log.probe_levels`, `probe_every`).
+
+Training counts attempts, the first episode of each world in an update. A `*` marks counts of an earlier version, of all
+episodes that ended: too high where solved episodes are the shorter ones. Scored levels finish several episodes each;
+their rates are means over levels.
 
 With --attempts, the levels of the buffer in the newest checkpoint are played as often by its policy: `measured` is
 what their p (1 - p) is. Of "sfl_slices" only those in use count, and `window` is the estimate from their last plays in
@@ -17,6 +22,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +33,10 @@ from bench.program import exit_code, output_file, parser_of
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
 from kinetix_dist.curator.level_buffer import num_in_play
 from kinetix_dist.curator.slice_buffer import IN_USE, recent
-from kinetix_dist.dashboard.refreshes import Refreshes, claimed_learnability, unbiased_learnability
+from kinetix_dist.dashboard.refreshes import Refreshes
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.evaluate import evaluate
+from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
 from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.level.generator import generate_levels
@@ -38,21 +45,27 @@ from kinetix_dist.play.players import Trained, newest_checkpoint_of
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.stored import CURRICULUM
 
-COLUMNS = "{:>8} {:>7} {:>8} {:>16} {:>15} {:>14} {:>27}"
+COLUMNS = "{:>8} {:>7} {:>8} {:>16} {:>16} {:>24} {:>8} {:>30}"
 
 
 def line_of(entry: dict[str, Any]) -> str:
     training, probe = entry.get("training"), entry.get("probe")
     found, played, chosen, again = "-", "-", "-", "-"
-    if training is not None and training["learnability_error"] is not None:
-        found = f"{training['learnability']:.3f} +- {training['learnability_error']:.3f}"
-        played = f"{training['rate']:.1%} of {training['finished']}"
+    if training is not None:
+        mark = "*" if training["of_all_episodes"] else ""
+        found = in_words([training["learnability"], training["learnability_error"]]) + mark
+        played = f"{with_interval(training)} of {training['episodes']}{mark}"
     if probe is not None:
         before, after = probe["before"], probe["after"]
-        chosen = f"{before['rate']:.1%} of {before['finished']}"
-        again = f"{after['rate']:.1%} ({after['low']:.0%} to {after['high']:.0%}) of {after['finished']}"
-    claimed = f"{entry['buffer']['claimed']:.3f}"
-    return COLUMNS.format(entry["number"], entry["num_levels"], claimed, found, played, chosen, again)
+        chosen = f"{before['rate']:.1%}"
+        again = f"{with_interval(after)} of {after['levels']} levels"
+    claimed, candidates = f"{entry['buffer']['claimed']:.3f}", entry["candidates"]
+    fresh = in_words([candidates["learnability"], candidates["learnability_error"]])
+    return COLUMNS.format(entry["number"], entry["num_levels"], claimed, found, fresh, played, chosen, again)
+
+
+def with_interval(rate: dict[str, Any]) -> str:
+    return f"{rate['rate']:.1%} ({rate['low']:.0%} to {rate['high']:.0%})"
 
 
 def solved_of(trained: Trained, levels: Level, attempts: int) -> np.ndarray:
@@ -81,7 +94,7 @@ def measured(run: Path, attempts: int) -> dict[str, Any]:
     found: dict[str, Any] = {
         "update": int(trained.checkpoint.path.name),
         "levels": int(counted.sum()),
-        "claimed": float(claimed_learnability(arrays["num_solved"], arrays["num_finished"])[counted].mean()),
+        "claimed": float(plug_in_learnability(arrays["num_solved"], arrays["num_finished"])[counted].mean()),
         "attempts": attempts,
         "window": None,
         "measured": mean_of(solved[counted], np.full(counted.sum(), attempts)),
@@ -95,15 +108,12 @@ def measured(run: Path, attempts: int) -> dict[str, Any]:
 
 def mean_of(solved: np.ndarray, plays: np.ndarray) -> list[float] | None:
     """[mean, standard error] of p (1 - p) over the levels that were played twice; None with fewer than two."""
-    values = unbiased_learnability(solved.astype(np.int64), plays.astype(np.int64))
-    values = values[np.isfinite(values)]
-    if len(values) < 2:
-        return None
-    return [float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))]
+    mean, error = mean_and_error(unbiased_learnability(solved.astype(np.int64), plays.astype(np.int64)))
+    return None if mean is None or error is None else [mean, error]
 
 
-def in_words(pair: list[float] | None) -> str:
-    return "-" if pair is None else "{:.3f} +- {:.3f}".format(*pair)
+def in_words(pair: Sequence[float | None] | None) -> str:
+    return "-" if pair is None or None in pair else "{:.3f} +- {:.3f}".format(*pair)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -113,7 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
     refreshes = [entry for entry in found["snapshots"] if entry["kind"] == "refresh"]
     if not refreshes:
         raise UserError(f"{arguments.run} has no snapshots of refreshes; it needs a run of sfl or sfl_slices")
-    print(COLUMNS.format("refresh", "levels", "claimed", "training", "played", "chosen", "again"))
+    print(COLUMNS.format("refresh", "levels", "claimed", "training", "fresh", "played", "chosen", "again"))
     for entry in refreshes:
         print(line_of(entry))
     for problem in found["problems"]:
