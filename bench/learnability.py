@@ -13,8 +13,9 @@ episodes that ended: too high where solved episodes are the shorter ones. Scored
 their rates are means over levels.
 
 With --attempts, the levels of the buffer in the newest checkpoint are played as often by its policy: `measured` is
-what their p (1 - p) is. Of "sfl_slices" only those in use count, and `window` is the estimate from their last plays in
-training.
+what their p (1 - p) is. So are those of each refresh by the very policy that chose them, where its checkpoint is still
+there: what lies between the claim and that is chance, not learning. Of "sfl_slices" only levels in use count, and
+`window` is the estimate from their last plays in training.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,11 @@ import jax
 import numpy as np
 
 from bench.program import exit_code, output_file, parser_of
-from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
+from kinetix_dist.checkpoint import list_checkpoints, select_arrays, unflatten_arrays
+from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.level_buffer import num_in_play
 from kinetix_dist.curator.slice_buffer import IN_USE, recent
-from kinetix_dist.dashboard.refreshes import Refreshes
+from kinetix_dist.dashboard.refreshes import Refreshes, rate_over_levels
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
@@ -41,9 +43,10 @@ from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import Level
-from kinetix_dist.play.players import Trained, newest_checkpoint_of
+from kinetix_dist.play.players import Trained, checkpoint_at, newest_checkpoint_of
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.stored import CURRICULUM
+from kinetix_dist.telemetry.curriculum_log import DIRECTORY, REFRESH, list_snapshots, read_snapshot
 
 COLUMNS = "{:>8} {:>7} {:>8} {:>16} {:>16} {:>24} {:>8} {:>30}"
 
@@ -78,16 +81,14 @@ def solved_of(trained: Trained, levels: Level, attempts: int) -> np.ndarray:
 
 
 def measured(run: Path, attempts: int) -> dict[str, Any]:
-    """{update, levels, claimed, window, attempts, measured} of the newest checkpoint's buffer; window and measured are
-    pairs of `mean_of`, window None where the curriculum has no such counts."""
+    """{update, levels, claimed, window, attempts, measured, measured_rate} of the newest checkpoint's buffer; window
+    and measured are pairs of `mean_of`, window None where the curriculum has no such counts."""
     trained, _ = newest_checkpoint_of(run)
     config, arrays = trained.config, select_arrays(trained.checkpoint.arrays, CURRICULUM)
     if "num_solved" not in arrays:
         raise UserError(f"{trained.checkpoint.path} has no buffer of scored levels; give a run of sfl or sfl_slices")
     num_levels = len(arrays["num_solved"])
-    generator = config.curriculum.generator
-    template = jax.eval_shape(lambda: generate_levels(jax.random.key(0), num_levels, config.env.capacity, generator))
-    solved = solved_of(trained, unflatten_arrays(template, select_arrays(arrays, "levels")), attempts)
+    solved = solved_of(trained, levels_of(config, select_arrays(arrays, "levels"), num_levels), attempts)
     counted = arrays.get("status", np.full(num_levels, IN_USE)) == IN_USE
     if config.curriculum.learnable_only:
         counted = np.arange(num_levels) < num_in_play(arrays["score"], learnable_only=True)
@@ -98,12 +99,51 @@ def measured(run: Path, attempts: int) -> dict[str, Any]:
         "attempts": attempts,
         "window": None,
         "measured": mean_of(solved[counted], np.full(counted.sum(), attempts)),
+        "measured_rate": list(mean_and_error(solved[counted] / attempts)),
     }
     if "window_plays" in arrays:
         window = config.curriculum.slices.window
         won, plays = (np.asarray(x) for x in recent(arrays["window_solved"], arrays["window_plays"], window))
         found["window"] = mean_of(won[counted], plays[counted])
     return found
+
+
+def by_their_own_policy(run: Path, attempts: int) -> list[dict[str, Any]]:
+    """[{refresh, levels, claimed, attempts, measured, chosen_rate, measured_rate}] of the refreshes whose policy has a
+    checkpoint; measured_rate: [mean, standard error] over levels."""
+    refreshes = {number: path for kind, number, path in list_snapshots(run / DIRECTORY) if kind == REFRESH}
+    found = []
+    for path in list_checkpoints(run / "checkpoints"):
+        if (number := int(path.name)) not in refreshes:
+            continue
+        snapshot = read_snapshot(refreshes[number])
+        if snapshot.levels is None:
+            continue
+        trained, arrays = checkpoint_at(path), snapshot.arrays
+        in_play = int(arrays.get("in_play", len(arrays["solved"])))
+        counts = (arrays[name][:in_play].astype(np.int64) for name in ("solved", "finished"))
+        levels = {name: array[:in_play] for name, array in snapshot.levels.items()}
+        chosen_solved, chosen_finished = counts
+        solved = solved_of(trained, levels_of(trained.config, levels, in_play), attempts)
+        found.append(
+            {
+                "refresh": number,
+                "levels": in_play,
+                "claimed": float(plug_in_learnability(chosen_solved, chosen_finished).mean()),
+                "attempts": attempts,
+                "measured": mean_of(solved, np.full(in_play, attempts)),
+                "chosen_rate": rate_over_levels(chosen_solved, chosen_finished)["rate"],
+                "measured_rate": list(mean_and_error(solved / attempts)),
+            }
+        )
+    return found
+
+
+def levels_of(config: TrainConfig, arrays: Mapping[str, np.ndarray], num_levels: int) -> Level:
+    """From arrays [n, ...] by path."""
+    generator = config.curriculum.generator
+    template = jax.eval_shape(lambda: generate_levels(jax.random.key(0), num_levels, config.env.capacity, generator))
+    return unflatten_arrays(template, arrays)
 
 
 def mean_of(solved: np.ndarray, plays: np.ndarray) -> list[float] | None:
@@ -128,16 +168,24 @@ def run(arguments: argparse.Namespace) -> int:
         print(line_of(entry))
     for problem in found["problems"]:
         print(problem, file=sys.stderr)
-    played = None
+    played, chosen = None, []
     if arguments.attempts:
+        chosen = by_their_own_policy(arguments.run, arguments.attempts)
+        for entry in chosen:
+            print(
+                f"refresh {entry['refresh']} by the policy that chose it: {entry['levels']} levels, claimed "
+                f"{entry['claimed']:.3f}, measured {in_words(entry['measured'])} by {entry['attempts']} attempts each; "
+                f"solved {entry['chosen_rate']:.3f} when chosen, {in_words(entry['measured_rate'])} measured"
+            )
         played = measured(arguments.run, arguments.attempts)
         window, measure = map(in_words, (played["window"], played["measured"]))
         print(
             f"buffer after update {played['update']}: {played['levels']} levels, claimed {played['claimed']:.3f}, "
-            f"window {window}, measured {measure} by {played['attempts']} attempts each"
+            f"window {window}, measured {measure} by {played['attempts']} attempts each; solved "
+            f"{in_words(played['measured_rate'])}"
         )
     if arguments.json is not None:
-        content = refreshes if played is None else {"refreshes": refreshes, "buffer": played}
+        content = refreshes if played is None else {"refreshes": refreshes, "chosen": chosen, "buffer": played}
         arguments.json.write_text(json.dumps(content, indent=2) + "\n")
     return 0
 

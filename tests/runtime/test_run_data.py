@@ -102,7 +102,7 @@ def _assert_counts_add_up(path, rows):
         assert attempts == sum(row["train/attempts"] for row in window)
         assert solved == pytest.approx(sum(row["train/attempts"] * row["train/solve_rate"] for row in window))
     assert {row["train/attempts"] for row in rows} == {NUM_WORLDS}
-    assert sum(row["train/episodes"] for row in rows) > 2 * NUM_WORLDS * len(rows)  # of 3 steps at most, in 8
+    assert sum(row["train/episodes"] for row in rows) >= 2 * NUM_WORLDS * len(rows)  # of 3 steps at most, in 8
     return lines
 
 
