@@ -44,7 +44,7 @@ OPTIONS = ("--run.checkpoint_every", "2", "--evaluation.sets", "random_s", "--re
 ATTEMPTS = 4
 LAST_WORDS = 2000  # characters kept of a command that failed
 LOOK_EVERY_S = 0.05
-OF_EPISODES = "train/"  # means over episodes, of which an update may end none
+OF_SOME_WORLDS = "train/solve_rate_"  # of a size or a source of levels, of which an update may play none
 GRACE_S = 40.0  # for a run to save and end after SIGTERM
 OWN_OPTIONS = ("rollout.", "phases", "run.total_env_steps", "run.device", "run.placement")  # what smoke says itself
 
@@ -81,7 +81,7 @@ class Smoke:
         if (found := [row["update"] for row in rows]) != expected:
             record["wrong"].append(f"metrics are of updates {found}, {expected[0]} to {expected[-1]} were to be made")
         for row in rows:  # null is what a file of metrics has for what is not finite
-            nulls = [key for key in row if row[key] is None and not key.startswith(OF_EPISODES)]
+            nulls = [key for key in row if row[key] is None and not key.startswith(OF_SOME_WORLDS)]
             record["wrong"] += [f"{key} of update {row['update']} is not finite" for key in nulls]
         return record
 

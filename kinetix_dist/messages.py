@@ -55,13 +55,16 @@ class PhysicsCounts:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelOutcome:
-    """What became of each level: counts and sums over the episodes that finished."""
+    """What became of each level, world by world: its first episode, and sums over all episodes that finished.
 
-    num_finished: Array  # [W] int32
-    num_solved: Array  # [W] int32, green touched blue
-    num_failed: Array  # [W] int32, green touched red
-    # [W] int32, 1 where the first of them was solved. Later ones are biased: those that end early are there more often.
-    first_solved: Array
+    Over many worlds count first episodes (`actors/outcomes.py`): a world whose episodes end early finishes more.
+    """
+
+    first_solved: Array  # [W] int32, 1 where the first episode ended and was solved: green touched blue
+    first_failed: Array  # [W] int32, 1 where it ended and failed: green touched red
+    first_return: Array  # [W] float32, undiscounted return of the first episode, so far where it has not ended
+    num_finished: Array  # [W] int32, episodes
+    num_solved: Array  # [W] int32
     return_sum: Array  # [W] float32, undiscounted returns
     length_sum: Array  # [W] int32, environment steps
     physics: PhysicsCounts  # [W] of all steps, of unfinished episodes too

@@ -1,4 +1,18 @@
-"""Counting what becomes of levels while they are rolled out."""
+"""Counting what becomes of levels while they are rolled out.
+
+A world starts its level again whenever an episode ends, so a world with short episodes finishes more of them. Solved /
+finished summed over worlds is then no solve rate. Say that p is 1/2, that a solved episode lasts 1 step and another one
+all 8 that are played: half of the worlds finish one episode, not solved, the others two on average, all solved. That is
+2 of 3, not 1 of 2.
+
+    first episodes   each world begins one. Solved ones / worlds has the mean p, and worlds are independent
+    one world        solved / finished has the mean p too, where an episode always finishes: given how many do, the
+                     first is solved as often as any. It is noisy, so that p (1 - p) of it is too low on average, and
+                     too high among the levels that were chosen by it
+
+A first episode that has not ended with the last step counts as not solved: where an episode may have more steps than
+are played, solved first episodes / worlds is the chance to solve a level within the steps that are played.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +32,11 @@ def no_outcomes(num_worlds: int) -> LevelOutcome:
     """Nothing has finished yet."""
     count = jnp.zeros(num_worlds, jnp.int32)
     return LevelOutcome(
+        first_solved=count,
+        first_failed=count,
+        first_return=jnp.zeros(num_worlds, jnp.float32),
         num_finished=count,
         num_solved=count,
-        num_failed=count,
-        first_solved=count,
         return_sum=jnp.zeros(num_worlds, jnp.float32),
         length_sum=count,
         physics=PhysicsCounts(**dict.fromkeys(PHYSICS_FIELDS, count)),
@@ -30,11 +45,13 @@ def no_outcomes(num_worlds: int) -> LevelOutcome:
 
 def add_step(outcome: LevelOutcome, done: Array, info: Any) -> LevelOutcome:
     """Adds the episodes that ended in one step. done [W] bool; info: the environment's StepInfo of that step."""
+    is_first = outcome.num_finished == 0
     return LevelOutcome(
+        first_solved=outcome.first_solved + (is_first & done & info.solved),
+        first_failed=outcome.first_failed + (is_first & done & info.failed),
+        first_return=jnp.where(is_first, info.episode_return, outcome.first_return),
         num_finished=outcome.num_finished + done,
         num_solved=outcome.num_solved + (done & info.solved),
-        num_failed=outcome.num_failed + (done & info.failed),
-        first_solved=outcome.first_solved + (done & info.solved & (outcome.num_finished == 0)),
         return_sum=outcome.return_sum + jnp.where(done, info.episode_return, 0.0),
         length_sum=outcome.length_sum + jnp.where(done, info.episode_length, 0),
         physics=_add_physics(outcome.physics, info),

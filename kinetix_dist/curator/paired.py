@@ -122,7 +122,8 @@ class Paired(Curriculum):
         )
 
     def observe(self, state: PairedState, proposal: Proposal, outcome: LevelOutcome) -> PairedState:
-        mean_return = outcome.return_sum / outcome.num_finished  # one ended in every world: `needs_whole_episodes`
+        # One ended in every world: `needs_whole_episodes`. Means over the episodes of one world have no bias then.
+        mean_return = outcome.return_sum / outcome.num_finished
         is_best = self.tools.config.paired.antagonist_return == "max"
         protagonist = self._of(PROTAGONIST, mean_return)
         antagonist = self._of(ANTAGONIST, outcome.summary.max_return if is_best else mean_return)

@@ -2,6 +2,10 @@
 
 Learnability (Sampling For Learnability): p (1 - p), p = solved / finished episodes. It is the variance of the
 outcome: zero for a level that is always or never solved, 1/4 for one that is solved every other time.
+
+Of one world p has no bias, where an episode always finishes (`actors/outcomes.py`). Its noise makes p (1 - p) too low
+on average, by 1/n of it for n episodes; and the levels that are chosen for the highest values are those of which the
+few episodes happened to differ, so that a buffer claims more than it has (`evaluation/learnability.py`).
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
                             leaves: it is not drawn any more. Fresh levels that were solved are kept as candidates
     adopt, each refresh     a slice of new levels takes the places of those that left, then of the oldest
 
-A play is the first episode of a world in an update, so that it solves the level with the chance p of the policy;
-later episodes are there more often where they end early. All counts are integers: they are the same however worlds lie
+A play is the first episode of a world in an update, so that it solves the level with the chance p of the policy, and
+plays of a level may be added up (`actors/outcomes.py`). All counts are integers: they are the same however worlds lie
 on devices.
 """
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.dashboard.refreshes import rate
+from kinetix_dist.dashboard.refreshes import is_of_all_episodes, rate, tries_of
 from kinetix_dist.telemetry.curriculum_log import REFRESH, Snapshot
 
 
@@ -20,8 +20,8 @@ def level_history(
     """{id, snapshots, windows, played_again} of level `index` of snapshot (kind, number).
 
     snapshots: where the level is, oldest first: {kind, number, index, update, score, scored (rate or absent)}.
-    windows: {from_update, update, solved, finished, rate, low, high} of training, those with a finished episode alone.
-    played_again: rates by the policy of a later refresh, {policy_version, solved, ...}.
+    windows: {from_update, update, of_all_episodes, solved, episodes, rate, low, high} of training, those that played it
+    alone. played_again: rates by the policy of a later refresh, {policy_version, solved, ...}.
     Raises KeyError for a snapshot that is not there, IndexError for a level that it does not have.
     """
     chosen = {(snapshot.kind, snapshot.number): snapshot for snapshot in snapshots}[kind, number]
@@ -36,7 +36,12 @@ def level_history(
         "id": f"{int(level_id):016x}",
         "snapshots": [_appearance(snapshot, place) for snapshot, place in found],
         "windows": [
-            {"from_update": window["from_update"], "update": window["update"], **counts}
+            {
+                "from_update": window["from_update"],
+                "update": window["update"],
+                "of_all_episodes": is_of_all_episodes(window),
+                **counts,
+            }
             for window in windows
             if (counts := _plays_in(window, rows_of)) is not None
         ],
@@ -60,11 +65,14 @@ def _appearance(snapshot: Snapshot, place: int) -> dict[str, Any]:
 
 
 def _plays_in(window: Mapping[str, Any], rows_of: Mapping[int, int]) -> dict[str, Any] | None:
-    """Counts of the level in a window; None where its buffer was not in use, or nothing of it finished."""
+    """Counts of the level in a window; None where its buffer was not in use, or it was not played."""
     place = rows_of.get(window["buffer"]) if isinstance(window.get("buffer"), int) else None
-    if place is None or place >= len(window["finished"]) or not window["finished"][place]:
+    if place is None:
         return None
-    return rate(window["solved"][place], window["finished"][place])
+    tries = window[tries_of(window)]
+    if place >= len(tries) or not tries[place]:
+        return None
+    return rate(window["solved"][place], tries[place])
 
 
 def _played_again(snapshot: Snapshot, rows_of: Mapping[int, int]) -> dict[str, Any] | None:

@@ -11,7 +11,7 @@ from kinetix_dist.dashboard.refreshes import Plays, rate
 from kinetix_dist.telemetry.curriculum_log import Snapshot
 
 # What levels are sorted by; a snapshot has what it has.
-SORTS = ("place", "score", "p", "p_training", "finished_training")
+SORTS = ("place", "score", "p", "p_training", "attempts_training")
 _FILTER = re.compile(r"(\w+)\s*(<=|>=|=|<|>)\s*(-?\d+(?:\.\d+)?)")
 _COMPARE = {"<": np.less, "<=": np.less_equal, "=": np.equal, ">=": np.greater_equal, ">": np.greater}
 
@@ -54,8 +54,8 @@ def level_columns(snapshot: Snapshot, plays: Plays | None) -> dict[str, np.ndarr
     if "solved" in arrays:
         columns["p"] = _share(arrays["solved"], arrays["finished"])
     if plays is not None and len(plays.solved) == len(arrays["level_id"]):
-        columns["p_training"] = _share(plays.solved, plays.finished)
-        columns["finished_training"] = plays.finished
+        columns["p_training"] = _share(plays.solved, plays.attempts)
+        columns["attempts_training"] = plays.attempts
     for number, name in enumerate(arrays["feature_names"]):
         columns[str(name)] = arrays["features"][:, number]
     return columns
@@ -88,7 +88,9 @@ def _describe(snapshot: Snapshot, plays: Plays | None, index: int) -> dict[str, 
     if "solved" in arrays:
         described["scored"] = rate(arrays["solved"][index], arrays["finished"][index])
     if plays is not None and len(plays.solved) == len(arrays["level_id"]):
-        described["training"] = rate(plays.solved[index], plays.finished[index])
+        described["training"] = rate(plays.solved[index], plays.attempts[index]) | {
+            "of_all_episodes": plays.of_all_episodes
+        }
     for name in ("born", "last_played", "place"):
         if name in arrays:
             described[name] = int(arrays[name][index])

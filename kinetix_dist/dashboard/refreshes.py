@@ -3,9 +3,14 @@
     curriculum/refresh_*.npz, buffer_*.npz --Refreshes--> one summary a file (kept while the file is the same)
     curriculum/outcomes.jsonl              --training_plays--> plays of each level while its buffer was in use
 
-Learnability of a level is p (1 - p), p its solve rate. The curator **claims** the plug-in value s (f - s) / f^2 of the
-few episodes by which it chose the level. Chosen by their largest values, these are too high. What training played is
-of other episodes: there s (f - s) / (f (f - 1)) has the mean p (1 - p) for levels played twice or more often.
+The curator **claims** the plug-in learnability of the few episodes by which it chose a level. Chosen by their largest
+values, these are too high. What training played is of other episodes: there the estimate is unbiased for levels played
+twice or more often (`evaluation/learnability.py`).
+
+Training counts attempts, the first episode of each world in an update: independent, each solved with the chance p of
+its level. Episodes that scored a level are all that one world finished: of one level solved / finished has the mean p,
+of many levels the sums have not, since levels of short episodes count more often. So rates of scored levels are means
+over levels. Lines of outcomes.jsonl of earlier versions count all episodes; `of_all_episodes` says so.
 """
 
 from __future__ import annotations
@@ -20,7 +25,9 @@ import numpy as np
 
 from kinetix_dist.dashboard import run_files
 from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
 from kinetix_dist.telemetry.curriculum_log import (
+    ALL_EPISODES_FORMAT,
     BUFFER,
     REFRESH,
     Snapshot,
@@ -31,45 +38,48 @@ from kinetix_dist.telemetry.curriculum_log import (
 )
 from kinetix_dist.telemetry.json_lines import read_lines
 
+# Curricula that try some candidates again because of how they fared: solved / finished of these is no estimate of p.
+CHOOSES_WHILE_SCORING = ("sfl_slices",)
 BINS = 10  # of histograms of p, besides those of p = 0 and p = 1
 
 
 @dataclasses.dataclass
 class Plays:
-    """[n] each: episodes of the levels of a buffer while it was in use, over windows `from_update` to `update`."""
+    """[n] each: attempts at the levels of a buffer while it was in use, over windows `from_update` to `update`."""
 
     solved: np.ndarray
-    finished: np.ndarray
+    attempts: np.ndarray
     from_update: int
     update: int
+    of_all_episodes: bool  # counts of an earlier version: all episodes that ended
 
 
 def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
-    """By buffer (policy version): the windows of each added up. Windows of another length than before are left out."""
+    """By buffer (policy version): the windows of each added up. Windows of another length than before are left out,
+    and those that count all episodes where others count attempts."""
     plays: dict[int, Plays] = {}
     for row in outcomes:
         if not isinstance(row.get("buffer"), int) or "solved" not in row:
             continue
-        solved, finished = (np.asarray(row[name], np.int64) for name in ("solved", "finished"))
+        solved, attempts = (np.asarray(counts, np.int64) for counts in (row["solved"], row[tries_of(row)]))
+        window = Plays(solved, attempts, row["from_update"], row["update"], is_of_all_episodes(row))
         found = plays.get(row["buffer"])
-        if found is None:
-            plays[row["buffer"]] = Plays(solved, finished, row["from_update"], row["update"])
-        elif found.solved.shape == solved.shape:
-            found.solved, found.finished = found.solved + solved, found.finished + finished
+        if found is None or (found.of_all_episodes and not window.of_all_episodes):
+            plays[row["buffer"]] = window
+        elif found.solved.shape == solved.shape and found.of_all_episodes == window.of_all_episodes:
+            found.solved, found.attempts = found.solved + solved, found.attempts + attempts
             found.update = row["update"]
     return plays
 
 
-def claimed_learnability(solved: np.ndarray, finished: np.ndarray) -> np.ndarray:
-    """[n] of counts [n]; 0 for a level that finished no episode, as the curator has it."""
-    p = solved / np.maximum(finished, 1)
-    return p * (1 - p)
+def is_of_all_episodes(row: Mapping[str, Any]) -> bool:
+    """Whether a line of outcomes.jsonl counts all episodes that ended, as earlier versions did."""
+    return row["format"] == ALL_EPISODES_FORMAT
 
 
-def unbiased_learnability(solved: np.ndarray, finished: np.ndarray) -> np.ndarray:
-    """[n] of counts [n]: its mean over episodes is p (1 - p). nan for a level with less than two."""
-    pairs = finished * (finished - 1)
-    return np.divide(solved * (finished - solved), pairs, out=np.full(len(solved), np.nan), where=pairs > 0)
+def tries_of(row: Mapping[str, Any]) -> str:
+    """The name of what solved ones are counted of in a line of outcomes.jsonl."""
+    return "finished" if is_of_all_episodes(row) else "attempts"
 
 
 def counts_table(solved: np.ndarray, finished: np.ndarray) -> list[list[int]]:
@@ -87,14 +97,33 @@ def histogram_of_p(solved: np.ndarray, finished: np.ndarray) -> list[int]:
     return [int((s == 0).sum()), *np.bincount(bins, minlength=BINS).astype(int).tolist(), int((s == f).sum())]
 
 
-def rate(solved: Any, finished: Any) -> dict[str, Any]:
-    """{solved, finished, rate, low, high}: a rate with its counts and its 95 % Wilson interval."""
-    solved, finished = int(solved), int(finished)
-    low, high = wilson_interval(solved, finished)
+def rate(solved: Any, episodes: Any) -> dict[str, Any]:
+    """{solved, episodes, rate, low, high}: of independent episodes, with its 95 % Wilson interval."""
+    solved, episodes = int(solved), int(episodes)
+    low, high = wilson_interval(solved, episodes)
     return {
         "solved": solved,
-        "finished": finished,
-        "rate": solved / finished if finished else None,
+        "episodes": episodes,
+        "rate": solved / episodes if episodes else None,
+        "low": low,
+        "high": high,
+    }
+
+
+def rate_over_levels(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]:
+    """{levels, solved, episodes, rate, low, high} of counts [n] of scored levels: the mean of their solve rates.
+
+    The interval counts a level as one episode: levels are independent, and means of its episodes vary no more. Levels
+    that finished none are left out.
+    """
+    is_played = finished > 0
+    rates = solved[is_played] / finished[is_played]
+    low, high = wilson_interval(float(rates.sum()), len(rates))
+    return {
+        "levels": len(rates),
+        "solved": int(solved.sum()),
+        "episodes": int(finished.sum()),
+        "rate": float(rates.mean()) if len(rates) else None,
         "low": low,
         "high": high,
     }
@@ -103,19 +132,14 @@ def rate(solved: Any, finished: Any) -> dict[str, Any]:
 def rates_by_feature(
     names: Iterable[str], features: np.ndarray, solved: np.ndarray, finished: np.ndarray
 ) -> dict[str, list[dict[str, Any]]]:
-    """features [N, F], counts [N]. {feature: [{value, levels, solved, finished, rate, low, high}]} by its values.
-
-    Episodes of one level are not independent: intervals over levels of many episodes are narrower than they should be.
-    """
-    found = {}
-    for column, name in enumerate(names):
-        values = features[:, column]
-        found[str(name)] = [
-            {"value": int(value), "levels": int((values == value).sum())}
-            | rate(solved[values == value].sum(), finished[values == value].sum())
+    """features [N, F], counts [N]. {feature: [{value} and `rate_over_levels` of the levels with it]} by its values."""
+    return {
+        str(name): [
+            {"value": int(value)} | rate_over_levels(solved[values == value], finished[values == value])
             for value in np.unique(values)
         ]
-    return found
+        for name, values in zip(names, features.T, strict=True)
+    }
 
 
 def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
@@ -129,7 +153,7 @@ def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
         "written_after": int(arrays["written_after"]),
         "num_levels": len(arrays["level_id"]),
         "has_levels": snapshot.has_levels,
-        "mean_score": _mean(arrays["score"]),
+        "mean_score": mean_and_error(arrays["score"])[0],
         "scores": _histogram(arrays["score"]),
     }
     if snapshot.kind == BUFFER:
@@ -138,11 +162,13 @@ def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
     solved, finished = (arrays[name][:in_play].astype(np.int64) for name in ("solved", "finished"))
     all_solved = arrays["candidates/solved"].astype(np.int64)
     all_finished = arrays["candidates/finished"].astype(np.int64)
+    is_sample = described["curriculum"] not in CHOOSES_WHILE_SCORING
     described |= {
         "first_batch": int(arrays["first_batch"]),
-        "scoring_seconds": _mean(np.atleast_1d(arrays["scoring_seconds"])),
+        "scoring_seconds": mean_and_error(np.atleast_1d(arrays["scoring_seconds"]))[0],
+        "is_sample": is_sample,
         "buffer": _group(solved, finished),
-        "candidates": _group(all_solved, all_finished),
+        "candidates": _group(all_solved, all_finished) | _fresh_learnability(all_solved, all_finished, is_sample),
         "by_feature": rates_by_feature(
             arrays["feature_names"], arrays["candidates/features"], all_solved, all_finished
         ),
@@ -151,24 +177,41 @@ def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
 
 
 def _group(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]:
-    return rate(solved.sum(), finished.sum()) | {
+    return rate_over_levels(solved, finished) | {
         "levels": len(solved),
-        "claimed": _mean(claimed_learnability(solved, finished)),
+        "claimed": mean_and_error(plug_in_learnability(solved, finished))[0],
         "histogram": histogram_of_p(solved, finished),
         "counts": counts_table(solved, finished),
     }
 
 
+def _fresh_learnability(solved: np.ndarray, finished: np.ndarray, is_sample: bool) -> dict[str, Any]:
+    """What fresh levels offer, the control of what a buffer does: {learnability, learnability_error}, unbiased.
+
+    None where some finished fewer than two episodes (those that did are the ones of short episodes), or where
+    candidates are no sample of fresh levels.
+    """
+    learnability, error = None, None
+    if is_sample and (finished > 1).all():
+        learnability, error = mean_and_error(unbiased_learnability(solved, finished))
+    return {"learnability": learnability, "learnability_error": error}
+
+
 def describe_training(plays: Plays) -> dict[str, Any]:
-    """What training made of a buffer while it was in use. `learnable`: the unbiased estimate, over how many levels."""
-    learnable = unbiased_learnability(plays.solved, plays.finished)
-    return rate(plays.solved.sum(), plays.finished.sum()) | {
-        "learnability": _mean(learnable),
-        "learnability_error": _standard_error(learnable),
-        "learnability_levels": int((~np.isnan(learnable)).sum()),
-        "histogram": histogram_of_p(plays.solved, plays.finished),
+    """What training made of a buffer while it was in use. `learnability`: the unbiased estimate, over how many levels.
+
+    Worlds draw levels of a buffer at random: attempts at all of them are independent, given the policy.
+    """
+    values = unbiased_learnability(plays.solved, plays.attempts)
+    learnability, error = mean_and_error(values)
+    return rate(plays.solved.sum(), plays.attempts.sum()) | {
+        "learnability": learnability,
+        "learnability_error": error,
+        "learnability_levels": int((~np.isnan(values)).sum()),
+        "histogram": histogram_of_p(plays.solved, plays.attempts),
         "from_update": plays.from_update,
         "update": plays.update,
+        "of_all_episodes": plays.of_all_episodes,
     }
 
 
@@ -186,13 +229,12 @@ def describe_probe(before: Snapshot, after: Snapshot) -> dict[str, Any] | None:
     both = (then[1] > 0) & (now[1] > 0)
     classes = np.stack([_class_of_p(*then), _class_of_p(*now)], 1)[both]
     moves, levels = np.unique(classes, axis=0, return_counts=True) if both.any() else (np.zeros((0, 2)), np.zeros(0))
-    learnable = unbiased_learnability(*now)
     return {
         "levels": len(index),
         "policy_version": after.number,
-        "before": rate(then[0].sum(), then[1].sum()),
-        "after": rate(now[0].sum(), now[1].sum()),
-        "after_learnability": _mean(learnable),
+        "before": rate_over_levels(*then),
+        "after": rate_over_levels(*now),
+        "after_learnability": mean_and_error(unbiased_learnability(*now))[0],
         "moves": np.concatenate([moves, levels[:, None]], 1).astype(int).tolist(),
     }
 
@@ -284,38 +326,35 @@ class Refreshes:
 
 
 def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
-    """{from_update, update, sources: {name: rate}}; `buffer` is the source of levels that the window lists."""
-    sources = {name: rate(counts["solved"], counts["finished"]) for name, counts in row["sources"].items()}
+    """{from_update, update, sources: {name: rate}, of_all_episodes}; `buffer` is the source of levels that the window
+    lists."""
+    tries = tries_of(row)
+    sources = {name: rate(counts["solved"], counts[tries]) for name, counts in row["sources"].items()}
     if "solved" in row:
-        sources = {"buffer": rate(sum(row["solved"]), sum(row["finished"]))} | sources
-    return {"from_update": row["from_update"], "update": row["update"], "sources": sources}
+        sources = {"buffer": rate(sum(row["solved"]), sum(row[tries]))} | sources
+    return {
+        "from_update": row["from_update"],
+        "update": row["update"],
+        "sources": sources,
+        "of_all_episodes": is_of_all_episodes(row),
+    }
 
 
 def _is_window(row: dict[str, Any]) -> bool:
     """Whether all that is read of a line is there; other lines count as damaged."""
     if not is_outcomes(row) or not isinstance(row.get("from_update"), int):
         return False
-    counts = [row.get("solved", []), row.get("finished", [])]
+    tries = tries_of(row)
+    counts = [row.get("solved", []), row.get(tries, [])]
     if not all(isinstance(values, list) and all(isinstance(v, int) for v in values) for values in counts):
         return False
     sources = row["sources"].values()
     if not all(isinstance(source, dict) for source in sources):
         return False
-    pairs = [*zip(*counts, strict=False), *((source.get("solved"), source.get("finished")) for source in sources)]
+    pairs = [*zip(*counts, strict=False), *((source.get("solved"), source.get(tries)) for source in sources)]
     return len(counts[0]) == len(counts[1]) and all(
-        isinstance(solved, int) and isinstance(finished, int) and 0 <= solved <= finished for solved, finished in pairs
+        isinstance(solved, int) and isinstance(tried, int) and 0 <= solved <= tried for solved, tried in pairs
     )
-
-
-def _mean(values: np.ndarray) -> float | None:
-    """Of what is finite; None where nothing is."""
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else None
-
-
-def _standard_error(values: np.ndarray) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(finite.std(ddof=1) / np.sqrt(len(finite))) if len(finite) > 1 else None
 
 
 def _histogram(values: np.ndarray) -> dict[str, Any]:

@@ -26,8 +26,12 @@ from typing import Any
 Z_95 = 1.959963984540054  # 97.5 % quantile of the normal distribution: two-sided 95 %
 
 
-def wilson_interval(num_successes: int, num_trials: int, z: float = Z_95) -> tuple[float, float]:
-    """(low, high) of the success probability. Trials count as independent. Nothing is known of no trials: (0, 1)."""
+def wilson_interval(num_successes: float, num_trials: int, z: float = Z_95) -> tuple[float, float]:
+    """(low, high) of the success probability. Trials count as independent. Nothing is known of no trials: (0, 1).
+
+    A trial may succeed in part, as the mean of several outcomes that are not independent: it varies no more then than
+    one outcome does, and the interval is too wide rather than too narrow.
+    """
     if num_trials < 0 or not 0 <= num_successes <= num_trials:
         raise ValueError(f"{num_successes} successes in {num_trials} trials is not possible")
     if num_trials == 0:

@@ -151,7 +151,12 @@ class Specialists:
     def _update(self, state: Any, number: int) -> dict[str, float]:
         batch, _, sums = self._rollout.play(self._learner.params, state, number)
         metrics = self._learner.learn(*batch, env_steps=self._env_steps(number))
-        return training_metrics(local_values(sums), local_values(metrics), frame_skip=self._config.env.frame_skip)
+        return training_metrics(
+            local_values(sums),
+            local_values(metrics),
+            frame_skip=self._config.env.frame_skip,
+            sources=self._config.curriculum_class.sources,
+        )
 
     def _evaluate(self, level: Level, update: int) -> Point:
         """Levels, attempts and keys are the same every time, so that evaluations are paired."""

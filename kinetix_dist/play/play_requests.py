@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.curator.scores import learnability
 from kinetix_dist.env.physics import describe
+from kinetix_dist.evaluation.learnability import unbiased_learnability
 from kinetix_dist.evaluation.policies import distinct_attempts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import turned_colours_of
@@ -184,6 +184,7 @@ def attempts(request: Request) -> Answer:
         request.progress("playing", done=progress.num_finished, total=num_attempts, solved=progress.num_solved)
 
     rate = play_attempts(actor.env, actor.player, given.level, attempts=num_attempts, seed=seed, report=report)
+    [learnability] = unbiased_learnability(np.array([rate.solved]), np.array([rate.attempts])).tolist()
     return {
         "attempts": rate.attempts,
         "solved": rate.solved,
@@ -193,7 +194,7 @@ def attempts(request: Request) -> Answer:
         "p": rate.rate,
         "low": rate.low,
         "high": rate.high,
-        "learnability": float(learnability(np.float64(rate.solved), np.float64(rate.attempts))),
+        "learnability": learnability if np.isfinite(learnability) else None,
         "mean_return": rate.mean_return,
         "mean_length": rate.mean_length,
         "policy": actor.about,

@@ -2,7 +2,7 @@
 
     refresh_XXXXXXXX.npz   levels that a refresh kept, counts of all candidates
     buffer_XXXXXXXX.npz    a replay buffer at a checkpoint
-    outcomes.jsonl         episodes of training, by level of the buffer and by where levels come from
+    outcomes.jsonl         attempts of training, by level of the buffer and by where levels come from
 
 Written by `runtime/driver/run_data.py`, read by dashboards. Needs numpy alone.
 """
@@ -23,7 +23,9 @@ import numpy as np
 
 from kinetix_dist.telemetry.json_lines import read_lines, replace_file
 
-FORMAT = 1
+FORMAT = 1  # of snapshots
+OUTCOMES_FORMAT = 2  # lines count attempts, the first episode of each world in an update
+ALL_EPISODES_FORMAT = 1  # lines of earlier versions count all episodes that ended, those of short ones more often
 DIRECTORY = "curriculum"
 OUTCOMES = "outcomes.jsonl"
 REFRESH, BUFFER = "refresh", "buffer"
@@ -185,5 +187,6 @@ def read_outcomes(path: Path) -> list[dict[str, Any]]:
 
 
 def is_outcomes(row: Mapping[str, Any]) -> bool:
-    """Whether an object is a line of outcomes.jsonl of this format."""
-    return row.get("format") == FORMAT and isinstance(row.get("update"), int) and isinstance(row.get("sources"), dict)
+    """Whether an object is a line of outcomes.jsonl, of this format or of the one before."""
+    is_known = row.get("format") in (OUTCOMES_FORMAT, ALL_EPISODES_FORMAT)
+    return is_known and isinstance(row.get("update"), int) and isinstance(row.get("sources"), dict)

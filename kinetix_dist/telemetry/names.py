@@ -71,16 +71,31 @@ _ALL = (
     Metric("time/record", "share", "recording rollouts"),
     Metric("time/checkpoint", "share", "copying what a checkpoint holds, and waiting for the one before it"),
     Metric("time/idle", "share", "everything else: dispatch, transfers, waiting"),
-    # Training episodes
+    # Training episodes. Rates are of first episodes: of all that end, those that end early would count more often.
     Metric("train/episodes", "episodes", "episodes that ended in this update's rollout"),
-    Metric("train/solve_rate", "share", "of those episodes, how many were solved; nan when none ended"),
-    Metric("train/failed_rate", "share", "of those episodes, how many ended because green touched red"),
-    Metric("train/mean_return", "reward", "mean return of those episodes, undiscounted, dense reward included"),
+    Metric("train/attempts", "worlds", "first episodes of this update, one a world"),
+    Metric(
+        "train/solve_rate",
+        "share",
+        "of the attempts, how many were solved within rollout.num_steps; where that is less than env.max_steps, fewer "
+        "than would be in a whole episode",
+    ),
+    Metric("train/failed_rate", "share", "of the attempts, how many ended so because green touched red"),
+    Metric(
+        "train/mean_return",
+        "reward",
+        "mean return of the attempts, within rollout.num_steps; undiscounted, dense reward included",
+    ),
     Metric("train/mean_reward", "reward", "mean reward of an environment step"),
     Metric(
         "train/solve_rate_<size>",
         "share",
-        "where sizes are mixed: of the episodes on levels whose smallest fitting size it is, how many were solved",
+        "where sizes are mixed: of the attempts at levels whose smallest fitting size it is, how many were solved",
+    ),
+    Metric(
+        "train/solve_rate_of_<source>",
+        "share",
+        "where levels come from more than one source (fresh, buffer, replayed, ...): of the attempts at those of one",
     ),
     Metric("train/level_share_<size>", "share", "of the worlds of this update, how many had such a level"),
     # Physics, over all worlds of the update's rollout
@@ -297,6 +312,7 @@ def describe(name: str) -> Metric:
     if name in METRICS:
         return METRICS[name]
     pattern = re.sub(r"^evaluation/.+/", "evaluation/<set>/", name)  # a set may be a path
+    pattern = re.sub(r"^train/solve_rate_of_.+$", "train/solve_rate_of_<source>", pattern)
     pattern = re.sub(r"^(train/(?:solve_rate|level_share))_[a-z]+$", r"\1_<size>", pattern)
     if pattern in METRICS:
         return METRICS[pattern]

@@ -74,7 +74,14 @@ def test_outcomes_count_the_episodes_that_ended(problem):
     trajectory, _, _, _, outcome = problem.play(problem.levels, jax.random.key(1), 0)
     np.testing.assert_array_equal(outcome.num_finished, trajectory.done_after.sum(axis=0))
     assert np.all(outcome.num_finished >= STEPS // EPISODE)
-    assert np.all(outcome.num_solved + outcome.num_failed <= outcome.num_finished)
+    assert np.all(outcome.num_solved <= outcome.num_finished)
+    # STEPS are more than an episode has, so that the first one of every world is over.
+    done, rewards = np.asarray(trajectory.done_after), np.asarray(trajectory.rewards)
+    is_first = np.cumsum(done, axis=0) - done == 0
+    np.testing.assert_allclose(outcome.first_return, np.where(is_first, rewards, 0.0).sum(axis=0), atol=1e-5)
+    ends = (rewards * (is_first & done)).sum(axis=0)  # 1 for what is solved, -1 for what failed, beside dense reward
+    np.testing.assert_array_equal(outcome.first_solved, ends > 0.5)
+    np.testing.assert_array_equal(outcome.first_failed, ends < -0.5)
     # Rewards up to the last end belong to finished episodes.
     counted = np.cumsum(np.asarray(trajectory.done_after)[::-1], axis=0)[::-1] > 0
     returns = np.where(counted, trajectory.rewards, 0.0).sum(axis=0)
@@ -155,7 +162,9 @@ def test_outcomes_by_hand():
     both = add_step(add_step(no_outcomes(3), done, info), done, info)
     assert both.num_finished.tolist() == [2, 2, 0]
     assert both.num_solved.tolist() == [2, 0, 0]
-    assert both.num_failed.tolist() == [0, 2, 0]
+    assert both.first_solved.tolist() == [1, 0, 0]
+    assert both.first_failed.tolist() == [0, 1, 0]
+    assert both.first_return.tolist() == [1.5, -1.0, 0.25]
     assert both.return_sum.tolist() == [3.0, -2.0, 0.0]
     assert both.length_sum.tolist() == [14, 6, 0]
     assert both.physics.unstable.tolist() == [0, 0, 2]

@@ -34,10 +34,10 @@ def test_scored_trained_and_played_again(run: Path) -> None:
     assert not problems and history["id"] == f"{int(first['level_id'][5]):016x}"
     [scored] = history["snapshots"]
     assert (scored["number"], scored["update"], scored["index"]) == (0, 2, 5)
-    assert (scored["scored"]["solved"], scored["scored"]["finished"]) == (first["solved"][5], first["finished"][5])
-    assert [(w["update"], w["solved"], w["finished"]) for w in history["windows"]] == [(6, 1, 4), (14, 3, 3)]
+    assert (scored["scored"]["solved"], scored["scored"]["episodes"]) == (first["solved"][5], first["finished"][5])
+    assert [(w["update"], w["solved"], w["episodes"]) for w in history["windows"]] == [(6, 1, 4), (14, 3, 3)]
     [again] = history["played_again"]
-    assert (again["policy_version"], again["solved"], again["finished"]) == (16, 2, 4)
+    assert (again["policy_version"], again["solved"], again["episodes"]) == (16, 2, 4)
 
 
 def test_a_level_that_was_played_by_nobody_has_none(run: Path) -> None:

@@ -359,7 +359,8 @@ def test_attempts_report_progress_and_end_when_cancelled(worker: Client) -> None
     assert [p["stage"] for p in progress[:2]] == ["compiling", "playing"]
     assert progress[-1]["done"] == progress[-1]["total"] == 64 and progress[-1]["solved"] == answer["solved"]
     assert answer["p"] == answer["solved"] / 64 and answer["low"] <= answer["p"] <= answer["high"]
-    assert answer["learnability"] == pytest.approx(answer["p"] * (1 - answer["p"]))
+    pairs = answer["attempts"] * (answer["attempts"] - 1)  # s (n - s) / (n (n - 1)) has the mean p (1 - p)
+    assert answer["learnability"] == pytest.approx(answer["solved"] * (answer["attempts"] - answer["solved"]) / pairs)
     assert sum(answer[name] for name in ("solved", "failed", "timed_out", "unstable")) == 64
     running, waiting = worker.send("attempts", **LONG), worker.send("attempts", **LONG)
     while not any(p["stage"] == "playing" for p in worker.progress.get(running, ())):

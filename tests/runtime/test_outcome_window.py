@@ -8,63 +8,63 @@ from kinetix_dist.runtime.driver.outcome_window import OutcomeWindow
 SOURCES = ("fresh",)
 
 
-def _episodes(finished, solved=None):
-    return {"finished": np.array(finished, np.int32), "solved": np.array(solved or [0] * len(finished), np.int32)}
+def _attempts(attempts, solved=None):
+    return {"attempts": np.array(attempts, np.int32), "solved": np.array(solved or [0] * len(attempts), np.int32)}
 
 
 def test_a_window_ends_after_every_n_updates_of_the_run():
     window = OutcomeWindow(SOURCES, every=2)
-    assert window.add(1, _episodes([1, 2, 3], [1, 0, 2]), 0) == []
-    (line,) = window.add(2, _episodes([1, 1, 1]), 0)
+    assert window.add(1, _attempts([1, 2, 3], [1, 0, 2]), 0) == []
+    (line,) = window.add(2, _attempts([1, 1, 1]), 0)
     assert line == {
-        "format": 1,
+        "format": 2,
         "update": 2,
         "from_update": 0,
         "buffer": 0,
-        "finished": [3, 4],
+        "attempts": [3, 4],
         "solved": [0, 2],
-        "sources": {"fresh": {"finished": 2, "solved": 1}},
+        "sources": {"fresh": {"attempts": 2, "solved": 1}},
     }
-    assert window.add(3, _episodes([5, 0, 0]), 0) == []
-    assert window.end(3)[0] | {"from_update": 2, "finished": [0, 0]} == window_line(2, 3, 5)
+    assert window.add(3, _attempts([5, 0, 0]), 0) == []
+    assert window.end(3)[0] | {"from_update": 2, "attempts": [0, 0]} == window_line(2, 3, 5)
     assert window.end(3) == []
 
 
 def window_line(from_update, update, fresh):
     return {
-        "format": 1,
+        "format": 2,
         "update": update,
         "from_update": from_update,
         "buffer": 0,
-        "finished": [0, 0],
+        "attempts": [0, 0],
         "solved": [0, 0],
-        "sources": {"fresh": {"finished": fresh, "solved": 0}},
+        "sources": {"fresh": {"attempts": fresh, "solved": 0}},
     }
 
 
 def test_a_window_ends_before_a_batch_of_another_buffer():
     window = OutcomeWindow(SOURCES, every=10)
-    window.add(1, _episodes([1, 1]), 0)
-    (line,) = window.add(2, _episodes([1, 7]), 3)
-    assert (line["update"], line["buffer"], line["finished"]) == (1, 0, [1])
+    window.add(1, _attempts([1, 1]), 0)
+    (line,) = window.add(2, _attempts([1, 7]), 3)
+    assert (line["update"], line["buffer"], line["attempts"]) == (1, 0, [1])
     (line,) = window.end(4)
-    assert (line["from_update"], line["update"], line["buffer"], line["finished"]) == (1, 4, 3, [7])
+    assert (line["from_update"], line["update"], line["buffer"], line["attempts"]) == (1, 4, 3, [7])
 
 
 def test_a_curriculum_without_a_buffer_has_sources_alone():
     window = OutcomeWindow(("fresh", "replayed"), every=1)
-    (line,) = window.add(1, _episodes([3, 4]), None)
-    assert "finished" not in line and "buffer" not in line
-    assert line["sources"] == {"fresh": {"finished": 3, "solved": 0}, "replayed": {"finished": 4, "solved": 0}}
+    (line,) = window.add(1, _attempts([3, 4]), None)
+    assert "attempts" not in line and "buffer" not in line
+    assert line["sources"] == {"fresh": {"attempts": 3, "solved": 0}, "replayed": {"attempts": 4, "solved": 0}}
 
 
 @pytest.mark.parametrize("cut", range(1, 12))
 def test_a_window_that_goes_on_from_a_checkpoint_gives_the_same_lines(cut):
     rng = np.random.default_rng(1)
-    episodes = [_episodes(rng.integers(0, 9, 4).tolist(), rng.integers(0, 9, 4).tolist()) for _ in range(12)]
+    attempts = [_attempts(rng.integers(0, 9, 4).tolist(), rng.integers(0, 9, 4).tolist()) for _ in range(12)]
 
     def lines(window, start, stop):
-        return [line for u in range(start, stop) for line in window.add(u + 1, episodes[u], u // 5)]
+        return [line for u in range(start, stop) for line in window.add(u + 1, attempts[u], u // 5)]
 
     unbroken = OutcomeWindow(SOURCES, every=4)
     expected = lines(unbroken, 0, 12) + unbroken.end(12)
@@ -73,6 +73,25 @@ def test_a_window_that_goes_on_from_a_checkpoint_gives_the_same_lines(cut):
     second = OutcomeWindow(SOURCES, every=4)
     second.start(first.description(), first.in_flight(), num_updates=cut)
     assert before + lines(second, cut, 12) + second.end(12) == expected
-    assert sum(sum(line["finished"]) + line["sources"]["fresh"]["finished"] for line in expected) == sum(
-        int(one["finished"].sum()) for one in episodes
+    assert sum(sum(line["attempts"]) + line["sources"]["fresh"]["attempts"] for line in expected) == sum(
+        int(one["attempts"].sum()) for one in attempts
     )
+
+
+def test_a_window_of_an_earlier_version_ends_as_a_line_of_its_own():
+    """Its checkpoint holds counts of all episodes: they are not added to attempts."""
+    window = OutcomeWindow(SOURCES, every=4)
+    old = {"outcomes/finished": np.array([9, 5, 0], np.int64), "outcomes/solved": np.array([8, 2, 0], np.int64)}
+    window.start({"outcomes_from": 4, "outcomes_buffer": 0}, old, num_updates=6)
+    (line,) = window.add(7, _attempts([1, 1, 2]), 0)
+    assert line == {
+        "format": 1,
+        "update": 6,
+        "from_update": 4,
+        "buffer": 0,
+        "finished": [5, 0],
+        "solved": [2, 0],
+        "sources": {"fresh": {"finished": 9, "solved": 8}},
+    }
+    (line,) = window.add(8, _attempts([1, 0, 3]), 0)
+    assert (line["format"], line["from_update"], line["update"], line["attempts"]) == (2, 6, 8, [1, 5])

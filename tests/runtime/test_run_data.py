@@ -36,6 +36,7 @@ from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, ti
 from tests.runtime.test_full_disk import full_disk
 from tests.runtime.train_process import events
 
+NUM_WORLDS = 16
 NUM_UPDATES, EVERY, BUFFER_SIZE = 8, 3, 8  # a refresh every 3 updates, adopted after 2
 LOG = CurriculumLogConfig(outcomes_every=EVERY, probe_levels=4)
 OFF = CurriculumLogConfig(outcomes_every=0, probe_levels=0, max_snapshots=0)
@@ -97,12 +98,11 @@ def _assert_counts_add_up(path, rows):
     for line in lines:
         window = rows[line["from_update"] : line["update"]]
         counts = [line, *line["sources"].values()]
-        for name, metric in (("finished", 1.0), ("solved", "train/solve_rate")):
-            here = sum(np.sum(count.get(name, 0)) for count in counts)
-            shares = [1.0 if metric == 1.0 or not row["train/episodes"] else row[metric] for row in window]
-            there = sum(row["train/episodes"] * share for row, share in zip(window, shares, strict=True))
-            assert here == pytest.approx(there, abs=1e-6)
-    assert sum(row["train/episodes"] for row in rows) > 100
+        attempts, solved = (sum(np.sum(count.get(name, 0)) for count in counts) for name in ("attempts", "solved"))
+        assert attempts == sum(row["train/attempts"] for row in window)
+        assert solved == pytest.approx(sum(row["train/attempts"] * row["train/solve_rate"] for row in window))
+    assert {row["train/attempts"] for row in rows} == {NUM_WORLDS}
+    assert sum(row["train/episodes"] for row in rows) >= 2 * NUM_WORLDS * len(rows)  # of 3 steps at most, in 8
     return lines
 
 
@@ -145,18 +145,18 @@ def test_the_buffer_before_is_played_again_by_the_policy_of_the_next_refresh(log
     assert (probe["finished"] > 0).all() and (probe["solved"] <= probe["finished"]).all()
 
 
-def test_outcomes_of_a_window_add_up_to_the_episodes_of_its_updates(logged):
+def test_outcomes_of_a_window_add_up_to_the_attempts_of_its_updates(logged):
     path, rows = logged
     lines = _assert_counts_add_up(path, rows)
     # Every 3 updates, and at 5, where the second buffer is adopted.
     assert [(line["update"], line["buffer"]) for line in lines] == [(3, 0), (5, 0), (6, 3), (8, 3)]
-    assert all(len(line["solved"]) == len(line["finished"]) == BUFFER_SIZE for line in lines)
-    # Half of the worlds play levels of the buffer: 8 of 16, two episodes of 3 steps in the 8 of an update or more.
+    assert all(len(line["solved"]) == len(line["attempts"]) == BUFFER_SIZE for line in lines)
+    # Half of the worlds play levels of the buffer, each once in an update.
     buffered, fresh = (
-        sum(map(sum, (line["finished"] for line in lines))),
-        sum(line["sources"]["fresh"]["finished"] for line in lines),
+        sum(map(sum, (line["attempts"] for line in lines))),
+        sum(line["sources"]["fresh"]["attempts"] for line in lines),
     )
-    assert buffered >= 2 * 8 * NUM_UPDATES and fresh >= 2 * 8 * NUM_UPDATES
+    assert buffered == fresh == NUM_WORLDS // 2 * NUM_UPDATES
 
 
 def test_parameters_are_the_same_to_the_bit_without_any_of_it(logged, tmp_path):
@@ -224,9 +224,9 @@ def test_a_replay_buffer_is_written_with_each_checkpoint(tmp_path):
     lines = _assert_counts_add_up(path, rows)
     assert [line["update"] for line in lines] == [3, 6, 8]
     for line in lines:
-        assert "buffer" not in line and "finished" not in line
+        assert "buffer" not in line and "attempts" not in line
         assert line["sources"].keys() == {"fresh", "replayed", "edited"}
-        assert all(count["finished"] > 0 for count in line["sources"].values())
+        assert all(count["attempts"] > 0 for count in line["sources"].values())
     snapshots = _snapshots(path)
     assert [(snapshot.kind, snapshot.number) for snapshot in snapshots] == [(BUFFER, number) for number in (2, 4, 6, 8)]
     for snapshot in snapshots:
@@ -250,7 +250,7 @@ def test_levels_of_a_fixed_set_are_counted_one_by_one(tmp_path):
     curriculum = CurriculumConfig(name="fixed", levels="s/kick")
     rows = _train(_config(curriculum=curriculum), tmp_path / "fixed")
     lines = _assert_counts_add_up(tmp_path / "fixed", rows)
-    assert all(len(line["finished"]) == 1 and line["sources"] == {} and "buffer" not in line for line in lines)
+    assert all(len(line["attempts"]) == 1 and line["sources"] == {} and "buffer" not in line for line in lines)
     assert not list_snapshots(tmp_path / "fixed" / "curriculum")
 
 
@@ -358,13 +358,13 @@ def test_status_and_event_have_the_line_that_a_failed_run_ends_with(tmp_path):
     assert [row["error"] for row in events(run.path, "run_failed")] == [status.error]
 
 
-def test_a_curriculum_that_leaves_episodes_out_of_the_counts_is_refused(tmp_path):
+def test_a_curriculum_that_leaves_worlds_out_of_the_counts_is_refused(tmp_path):
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     data = RunData(_config(), run, QuietReporter())
     data.start({}, {}, num_updates=0)
-    episodes = {"finished": np.array([3, 1]), "solved": np.array([0, 0])}
-    with pytest.raises(ValueError, match="'sfl': of 5 episodes 4 have a source"):
-        data.played(1, episodes, num_finished=5.0, buffer=0)
+    attempts = {"attempts": np.array([3, 1]), "solved": np.array([0, 0])}
+    with pytest.raises(ValueError, match="'sfl': of 5 worlds 4 have a source"):
+        data.played(1, attempts, num_attempts=5.0, buffer=0)
     run.close()
 
 

@@ -127,9 +127,9 @@ def test_equal_levels_have_equal_ids_whatever_is_around_them():
 def test_lines_that_are_none_are_left_out(tmp_path):
     path = tmp_path / "outcomes.jsonl"
     assert read_outcomes(path) == []
-    good = '{"format": 1, "update": 16, "from_update": 0, "sources": {}}'
-    path.write_text(f'{good}\n\0\0\0\n{{"format": 2, "update": 3, "sources": {{}}}}\n{good[:20]}')
-    assert [row["update"] for row in read_outcomes(path)] == [16]
+    old, good = (f'{{"format": {number}, "update": 16, "from_update": 0, "sources": {{}}}}' for number in (1, 2))
+    path.write_text(f'{old}\n{good}\n\0\0\0\n{{"format": 3, "update": 3, "sources": {{}}}}\n{good[:20]}')
+    assert [(row["format"], row["update"]) for row in read_outcomes(path)] == [(1, 16), (2, 16)]
 
 
 @pytest.mark.parametrize("field", ["outcomes_every", "probe_levels", "probe_every", "max_snapshots"])

@@ -30,7 +30,7 @@ from kinetix_dist.telemetry.exported_program import are_of_this_project, told_ap
 KIND = "rollouts"  # folder in the compile cache
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
 SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
-EPISODES = "episodes"  # in the sums of an update: those of each source and place of `Proposal.source`
+BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and place of `Proposal.source`
 
 
 class Batch(NamedTuple):
@@ -157,16 +157,12 @@ class RolloutCore:
         batch = Batch(static, played.trajectory, played.last_value)
         batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
         is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.places)
-        sums = _sums(played.outcome, played.trajectory.rewards, is_counted)
+        sums = sums_of(played.outcome, played.trajectory.rewards, is_counted)
         # Also where no outcomes.jsonl is written: another program may round otherwise.
         source = proposal.source if proposal.source is not None else jnp.zeros(is_counted.shape, jnp.int32)
-        sums[EPISODES] = _episodes_by(source, played.outcome, is_counted, self._num_counted)
+        sums[BY_SOURCE] = attempts_by(source, played.outcome, is_counted, self._num_counted)
         if config.curriculum.sizes:
-            size = size_numbers(proposal.levels)
-            sums[SIZES_PLAYED] = {
-                **_episodes_by(size, played.outcome, is_counted, len(SIZES)),
-                "worlds": _totals_by(size, is_counted.astype(jnp.int32), len(SIZES)),
-            }
+            sums[SIZES_PLAYED] = attempts_by(size_numbers(proposal.levels), played.outcome, is_counted, len(SIZES))
         return batch, seen, sums
 
     def _summarised(self, played: Played) -> LevelOutcome:
@@ -215,14 +211,15 @@ def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
     )
 
 
-def _sums(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
-    """What the metrics need, over the worlds of all devices, each once."""
+def sums_of(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
+    """What the metrics need, over the worlds of all devices, each once. An attempt is the first episode of a world."""
     outcome, rewards = jax.tree.map(lambda x: jnp.where(is_counted, x, 0), (outcome, rewards))
     local = {
         "finished": outcome.num_finished.sum(),
-        "solved": outcome.num_solved.sum(),
-        "failed": outcome.num_failed.sum(),
-        "return": outcome.return_sum.sum(),
+        "attempts": is_counted.sum(dtype=jnp.int32),
+        "solved": outcome.first_solved.sum(),
+        "failed": outcome.first_failed.sum(),
+        "return": outcome.first_return.sum(),
         "reward": rewards.sum(),
         "steps": rewards.shape[0] * is_counted.sum(dtype=jnp.int32),
         "physics": jax.tree.map(lambda count: count.sum(dtype=jnp.float32), outcome.physics),  # beyond an int32
@@ -230,9 +227,9 @@ def _sums(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str,
     return jax.lax.psum(local, DATA_AXIS)
 
 
-def _episodes_by(group: Array, outcome: LevelOutcome, is_counted: Array, num_groups: int) -> dict[str, Array]:
-    """Solved and finished episodes by the group of a world, over all devices, each world once: [num_groups] int32."""
-    counts = {"solved": outcome.num_solved, "finished": outcome.num_finished}
+def attempts_by(group: Array, outcome: LevelOutcome, is_counted: Array, num_groups: int) -> dict[str, Array]:
+    """Attempts by the group of a world, and those solved, over all devices, each world once: [num_groups] int32."""
+    counts = {"solved": outcome.first_solved, "attempts": 1}
     return {name: _totals_by(group, jnp.where(is_counted, count, 0), num_groups) for name, count in counts.items()}
 
 

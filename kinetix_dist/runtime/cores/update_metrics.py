@@ -1,33 +1,37 @@
-"""Metrics of one update, by the names of `telemetry.names`, from the sums of a rollout and from the learner."""
+"""Metrics of one update, by the names of `telemetry.names`, from the sums of a rollout and from the learner.
+
+Rates are of attempts, the first episodes of worlds: see `actors/outcomes.py`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.runtime.cores.rollout_core import SIZES_PLAYED
+from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, SIZES_PLAYED
+
+PLACES = "buffer"  # the source of levels that are counted one by one, place by place
 
 
 def training_metrics(
-    sums: Mapping[str, Any], learner_metrics: Mapping[str, Any], *, frame_skip: int
+    sums: Mapping[str, Any], learner_metrics: Mapping[str, Any], *, frame_skip: int, sources: Sequence[str]
 ) -> dict[str, float]:
-    """Metrics of one update, by the names of `telemetry.names`. frame_skip: physics steps in an environment step."""
-    finished = float(sums["finished"])
-
-    def per_episode(name: str) -> float:
-        return float(sums[name]) / finished if finished else float("nan")
-
+    """Metrics of one update, by the names of `telemetry.names`. frame_skip: physics steps in an environment step;
+    sources: of the curriculum."""
+    attempts = float(sums["attempts"])
     metrics = {
-        "train/episodes": finished,
-        "train/solve_rate": per_episode("solved"),
-        "train/failed_rate": per_episode("failed"),
-        "train/mean_return": per_episode("return"),
+        "train/episodes": float(sums["finished"]),
+        "train/attempts": attempts,
+        "train/solve_rate": float(sums["solved"]) / attempts,
+        "train/failed_rate": float(sums["failed"]) / attempts,
+        "train/mean_return": float(sums["return"]) / attempts,
         "train/mean_reward": float(sums["reward"]) / float(sums["steps"]),
     }
+    metrics |= _by_source(sums[BY_SOURCE], sources)
     if SIZES_PLAYED in sums:
         metrics |= _by_size(sums[SIZES_PLAYED])
     million_physics_steps = float(sums["steps"]) * frame_skip / 1e6
@@ -37,9 +41,29 @@ def training_metrics(
     return metrics | {f"learner/{name}": float(value) for name, value in learner_metrics.items()}
 
 
+def _by_source(played: Mapping[str, Any], sources: Sequence[str]) -> dict[str, float]:
+    """Solve rates by where levels come from; nothing where all come from one source."""
+    solved, attempts = (_with_places_summed(played[name], len(sources)) for name in ("solved", "attempts"))
+    names = [*sources, PLACES][: len(attempts)]
+    if len(names) < 2:
+        return {}
+    return {f"train/solve_rate_of_{name}": rate for name, rate in zip(names, _rates(solved, attempts), strict=True)}
+
+
+def _with_places_summed(counts: Any, num_sources: int) -> np.ndarray:
+    """[sources], and one more where there are places of a buffer."""
+    counts = np.asarray(counts, np.float64)
+    places = counts[num_sources:]
+    return np.append(counts[:num_sources], places.sum()) if places.size else counts
+
+
 def _by_size(played: Mapping[str, Any]) -> dict[str, float]:
-    worlds, finished, solved = (np.asarray(played[name], np.float64) for name in ("worlds", "finished", "solved"))
-    rate = np.divide(solved, finished, out=np.full(len(SIZES), np.nan), where=finished > 0)
-    metrics = {f"train/solve_rate_{size}": float(rate[number]) for number, size in enumerate(SIZES)}
-    shares = worlds / worlds.sum()
-    return metrics | {f"train/level_share_{size}": float(shares[number]) for number, size in enumerate(SIZES)}
+    solved, attempts = (np.asarray(played[name], np.float64) for name in ("solved", "attempts"))
+    rates, shares = _rates(solved, attempts), (attempts / attempts.sum()).tolist()
+    metrics = {f"train/solve_rate_{size}": rate for size, rate in zip(SIZES, rates, strict=True)}
+    return metrics | {f"train/level_share_{size}": share for size, share in zip(SIZES, shares, strict=True)}
+
+
+def _rates(solved: np.ndarray, attempts: np.ndarray) -> list[float]:
+    """Solved / attempts, nan without any."""
+    return np.divide(solved, attempts, out=np.full(len(attempts), np.nan), where=attempts > 0).tolist()

@@ -23,7 +23,7 @@ from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.memory import check_memory
 from kinetix_dist.runtime.cores.playing import Playing
-from kinetix_dist.runtime.cores.rollout_core import EPISODES, RolloutCore
+from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, RolloutCore
 from kinetix_dist.runtime.cores.staging import Staging, Stored
 from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
@@ -133,7 +133,9 @@ class LearnerWorker:
     def _metrics(
         self, num_updates: int, sums: Mapping[str, Any], learner_metrics: Mapping[str, Any]
     ) -> dict[str, float]:
-        metrics = training_metrics(sums, learner_metrics, frame_skip=self._config.env.frame_skip)
+        metrics = training_metrics(
+            sums, learner_metrics, frame_skip=self._config.env.frame_skip, sources=self._curriculum.sources
+        )
         return metrics | self._state.metrics(num_updates)
 
 
@@ -202,7 +204,7 @@ class Worker(LearnerWorker):
         self._curator.prepare(policy_version)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
-        """(metrics, seconds of "rollout" and "learn", episodes by source as `RolloutCore.play` sums them)."""
+        """(metrics, seconds of "rollout" and "learn", attempts by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()
         self._update_programs.wait()
         rollout = self._playing.rollout(self._enter_phase_of(num_updates))
@@ -219,4 +221,4 @@ class Worker(LearnerWorker):
             self._refresh_programs.begin(self._after_update)
             self._after_update = None
         metrics = self._metrics(num_updates, sums, learner_metrics)
-        return metrics, {"rollout": played - began, "learn": learned - played}, sums[EPISODES]
+        return metrics, {"rollout": played - began, "learn": learned - played}, sums[BY_SOURCE]

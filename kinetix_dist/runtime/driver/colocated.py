@@ -80,9 +80,9 @@ class ColocatedTrainer:
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         answers = self._all("run_update", num_updates)
-        metrics, _, episodes = answers[0]
+        metrics, _, attempts = answers[0]
         slowest = {role: max(seconds[role] for _, seconds, _ in answers) for role in answers[0][1]}
-        return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest, episodes
+        return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest, attempts
 
     def check(self) -> None:
         self.backend.check(self._handles)

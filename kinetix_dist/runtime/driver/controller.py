@@ -250,11 +250,11 @@ class Controller:
             self.stop.raise_if_requested()  # the update may compile for minutes
         began = time.monotonic()
         with self._section("update"):
-            metrics, seconds, episodes = self.trainer.run_update(self.num_updates)
+            metrics, seconds, attempts = self.trainer.run_update(self.num_updates)
         self._update_seconds = time.monotonic() - began
         self.clock.add(seconds)
         buffer = self._refreshes.buffer_of(self.num_updates)
-        self._data.played(self.num_updates + 1, episodes, num_finished=metrics["train/episodes"], buffer=buffer)
+        self._data.played(self.num_updates + 1, attempts, num_attempts=metrics["train/attempts"], buffer=buffer)
         self.num_updates += 1
         if self._warmup is None:
             self._warmup = self.clock.elapsed

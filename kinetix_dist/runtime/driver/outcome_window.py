@@ -1,7 +1,8 @@
-"""Episodes of training by where levels come from, added up over some updates: a line of outcomes.jsonl a window.
+"""Attempts of training by where levels come from, added up over some updates: a line of outcomes.jsonl a window.
 
 A window ends after every `every` updates of the run, before a batch whose levels are drawn from another buffer, and at
-the end of training. What is in it is part of checkpoints, so that a resumed run writes the same lines.
+the end of training. What is in it is part of checkpoints, so that a resumed run writes the same lines. A checkpoint of
+an earlier version has counts of all episodes in its window: that ends there, as a line of its own format.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.checkpoint import select_arrays
-from kinetix_dist.telemetry.curriculum_log import FORMAT
+from kinetix_dist.telemetry.curriculum_log import ALL_EPISODES_FORMAT, OUTCOMES_FORMAT
 
 WINDOW = "outcomes"  # arrays of a checkpoint: what is in the window
 Counts = Mapping[str, np.ndarray]
@@ -33,16 +34,16 @@ class OutcomeWindow:
         self._buffer: int | None = description.get("outcomes_buffer")
         self._counts = {name: array.astype(np.int64) for name, array in select_arrays(arrays, WINDOW).items()}
 
-    def add(self, num_updates: int, episodes: Counts, buffer: int | None) -> list[dict[str, Any]]:
+    def add(self, num_updates: int, attempts: Counts, buffer: int | None) -> list[dict[str, Any]]:
         """Takes the counts of the update that led to `num_updates`; lines of windows that are over.
 
-        episodes: "solved" and "finished", [sources + places]; buffer: whose levels the places hold, or None.
+        attempts: "solved" and "attempts", [sources + places]; buffer: whose levels the places hold, or None.
         """
         lines = []
-        if buffer != self._buffer and self._counts:
+        if self._counts and (buffer != self._buffer or self._counts.keys() != attempts.keys()):
             lines += self.end(num_updates - 1)
         self._buffer = buffer
-        self._counts = {name: self._counts.get(name, 0) + counts.astype(np.int64) for name, counts in episodes.items()}
+        self._counts = {name: self._counts.get(name, 0) + counts.astype(np.int64) for name, counts in attempts.items()}
         if num_updates % self._every == 0:
             lines += self.end(num_updates)
         return lines
@@ -51,11 +52,12 @@ class OutcomeWindow:
         """The line of what is there after so many updates, if there is any; the next window begins."""
         if not self._counts:
             return []
-        line = {"format": FORMAT, "update": num_updates, "from_update": self._from_update}
+        line_format = ALL_EPISODES_FORMAT if "finished" in self._counts else OUTCOMES_FORMAT
+        line = {"format": line_format, "update": num_updates, "from_update": self._from_update}
         if self._buffer is not None:
             line["buffer"] = self._buffer
         num_sources = len(self._sources)
-        if len(self._counts["finished"]) > num_sources:
+        if len(self._counts["solved"]) > num_sources:
             line |= {name: counts[num_sources:].tolist() for name, counts in self._counts.items()}
         line["sources"] = {
             source: {name: int(counts[index]) for name, counts in self._counts.items()}

@@ -32,7 +32,7 @@ class Trainer(Protocol):
         """Uses what curators worked out, `Refresh.parts`, for every batch drawn from now on."""
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
-        """One rollout and one policy update: (metrics, seconds by role, episodes "solved" and "finished" by
+        """One rollout and one policy update: (metrics, seconds by role, attempts and those solved by
         `Proposal.source`). Raises WorkerLostError."""
 
     def probe(self, num_levels: int) -> Any:

@@ -112,18 +112,18 @@ class RunData:
         self._write_snapshot(BUFFER, num_updates, lambda: self._curriculum.buffer_log(state))
 
     def played(
-        self, num_updates: int, episodes: Mapping[str, np.ndarray], *, num_finished: float, buffer: int | None
+        self, num_updates: int, attempts: Mapping[str, np.ndarray], *, num_attempts: float, buffer: int | None
     ) -> None:
-        """Episodes of the update that led to `num_updates`, see `Trainer.run_update`; num_finished: in all; buffer: see
+        """Attempts of the update that led to `num_updates`, see `Trainer.run_update`; num_attempts: in all; buffer: see
         `OutcomeWindow`. Raises ValueError where the curriculum left some out."""
         if self._window is None:
             return
-        if (counted := int(episodes["finished"].sum())) != num_finished:
+        if (counted := int(attempts["attempts"].sum())) != num_attempts:
             raise ValueError(
-                f"curriculum {self._config.curriculum.name!r}: of {num_finished:.0f} episodes {counted} have a source; "
+                f"curriculum {self._config.curriculum.name!r}: of {num_attempts:.0f} worlds {counted} have a source; "
                 "Proposal.source must be 0 or more, and less than the number of its sources and places"
             )
-        self._write_outcomes(self._window.add(num_updates, episodes, buffer))
+        self._write_outcomes(self._window.add(num_updates, attempts, buffer))
 
     def trained(self, num_updates: int) -> None:
         """After the last update."""

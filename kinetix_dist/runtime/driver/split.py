@@ -30,7 +30,7 @@ import numpy as np
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
-from kinetix_dist.runtime.cores.rollout_core import EPISODES
+from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE
 from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
 from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.stragglers import Stragglers
@@ -146,9 +146,9 @@ class SplitTrainer:
         }
         seconds = {"learn": learned, "rollout": played}
         slowest = {role: max(stamp["seconds"] for stamp in stamps) for role, stamps in seconds.items()}
-        by_part = [part[EPISODES] for part in sums]
-        episodes = {name: sum(part[name] for part in by_part) for name in by_part[0]}
-        return metrics, slowest, episodes
+        by_part = [part[BY_SOURCE] for part in sums]
+        attempts = {name: sum(part[name] for part in by_part) for name in by_part[0]}
+        return metrics, slowest, attempts
 
     def check(self) -> None:
         """Of learners alone: a rollout actor that is lost is replaced where its part of a batch is waited for."""

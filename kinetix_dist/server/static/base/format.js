@@ -21,9 +21,14 @@ export function percent(value) {
   return value === null || value === undefined ? "-" : `${(100 * value).toFixed(1)} %`;
 }
 
-/** A solve rate is never shown without its counts. @param {number} solved @param {number} finished */
-export function rateWithCount(solved, finished) {
-  return finished ? `${percent(solved / finished)} (${solved} of ${finished})` : "not played";
+/** A solve rate is never shown without its counts. @param {number} solved @param {number} episodes */
+export function rateWithCount(solved, episodes) {
+  return episodes ? `${percent(solved / episodes)} (${solved} of ${episodes})` : "not played";
+}
+
+/** The mean over levels, which is not solved / episodes: those with short episodes finish more. @param {any} counts */
+export function rateOverLevels(counts) {
+  return counts.levels ? `${percent(counts.rate)}, mean of ${counts.levels} levels (${counts.episodes} episodes)` : "not played";
 }
 
 /** @param {number | null | undefined} seconds */

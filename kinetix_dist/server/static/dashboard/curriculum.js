@@ -1,18 +1,20 @@
 // The curriculum of a run: what refreshes kept, whether it was what they claimed, what was learned, what persists.
 import { addressOf, setQuery, useAddress } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
-import { percent, rateWithCount, short } from "../base/format.js";
+import { percent, rateOverLevels, rateWithCount, short } from "../base/format.js";
 import { html } from "../base/html.js";
 import { Bars } from "../charts/bars.js";
 import { HeatMap } from "../charts/heat_map.js";
 import { LineChart } from "../charts/line_chart.js";
 import { Panel } from "../charts/panel.js";
+import { ALL_EPISODES } from "./metric_panels.js";
 import { Notes } from "./parts.js";
 import { useRunChanges } from "./run_changes.js";
 
 const NO_SNAPSHOTS = "No snapshots of its curriculum so far (curriculum/refresh_*.npz, buffer_*.npz); the first comes with the first refresh or checkpoint. There are none where curriculum_log.max_snapshots is 0, of curricula that keep no levels that change, and of runs of older versions.";
 const NO_OUTCOMES = "No counts of its training episodes so far (curriculum/outcomes.jsonl); the first come after curriculum_log.outcomes_every updates. There are none where that is 0, and of runs of older versions.";
 const MOVES = ["never solved", "sometimes", "always"];
+const CHOSEN_WHILE_SCORED = "This curriculum tries some candidates again because of how they fared, and takes fresh levels that training solved: they are no sample of the generator.";
 
 /** @param {{ run: string }} props */
 export function CurriculumPage({ run }) {
@@ -51,14 +53,15 @@ export function CurriculumPage({ run }) {
 function Sources({ run, windows }) {
   const names = [...new Set(windows.flatMap((row) => Object.keys(row.sources)))];
   const x = windows.map((row) => row.update);
-  const of = (/** @type {string} */ name, /** @type {string} */ field) => windows.map((row) => (row.sources[name]?.finished ? row.sources[name][field] : null));
+  const of = (/** @type {string} */ name, /** @type {string} */ field) => windows.map((row) => (row.sources[name]?.episodes ? row.sources[name][field] : null));
   const lines = names.map((name) => ({ label: name, values: of(name, "rate"), low: of(name, "low"), high: of(name, "high") }));
-  const rows = () => [["from_update", "update", "source", "solved", "finished", "rate", "low", "high"],
-    ...windows.flatMap((row) => Object.entries(row.sources).map(([name, c]) => [row.from_update, row.update, name, c.solved, c.finished, c.rate, c.low, c.high]))];
+  const rows = () => [["from_update", "update", "source", "solved", "episodes", "rate", "low", "high", "of_all_episodes"],
+    ...windows.flatMap((row) => Object.entries(row.sources).map(([name, c]) => [row.from_update, row.update, name, c.solved, c.episodes, c.rate, c.low, c.high, row.of_all_episodes]))];
   const last = windows.at(-1);
-  return html`<${Panel} title="Solve rate in training, by where levels come from" help="95 % intervals of the episodes of each window" rows=${rows} name=${`${run} sources`} missing=${windows.length ? null : NO_OUTCOMES}>
+  return html`<${Panel} title="Solve rate in training, by where levels come from" help="attempts: the first episode of each world in an update; 95 % intervals of each window" rows=${rows} name=${`${run} sources`} missing=${windows.length ? null : NO_OUTCOMES}>
     <${LineChart} x=${x} lines=${lines} axis="updates" />
-    <p class="soft">${last ? `updates ${last.from_update} to ${last.update}: ${Object.entries(last.sources).map(([name, c]) => `${name} ${rateWithCount(c.solved, c.finished)}`).join(" · ")}` : ""}</p>
+    <p class="soft">${last ? `updates ${last.from_update} to ${last.update}: ${Object.entries(last.sources).map(([name, c]) => `${name} ${rateWithCount(c.solved, c.episodes)}`).join(" · ")}` : ""}</p>
+    ${windows.some((row) => row.of_all_episodes) ? html`<p class="soft">Counts are ${ALL_EPISODES}.</p>` : null}
   </${Panel}>`;
 }
 
@@ -67,19 +70,22 @@ function Learnability({ run, refreshes }) {
   const x = refreshes.map((entry) => entry.first_batch);
   const found = refreshes.map((entry) => entry.training?.learnability ?? null);
   const error = refreshes.map((entry) => entry.training?.learnability_error ?? null);
-  const side = (/** @type {number} */ sign) => found.map((value, k) => (value === null || error[k] === null ? value : value + sign * 1.96 * error[k]));
+  const fresh = refreshes.map((entry) => entry.candidates.learnability);
+  const freshError = refreshes.map((entry) => entry.candidates.learnability_error);
+  const around = (/** @type {any[]} */ values, /** @type {any[]} */ errors, /** @type {number} */ sign) => values.map((value, k) => (value === null || errors[k] === null ? value : value + sign * 1.96 * errors[k]));
   const lines = [
     { label: "claimed, of the buffer", values: refreshes.map((entry) => entry.buffer.claimed) },
-    { label: "in training, of the buffer", values: found, low: side(-1), high: side(1) },
-    { label: "claimed, of all candidates", values: refreshes.map((entry) => entry.candidates.claimed) },
+    { label: "in training, of the buffer", values: found, low: around(found, error, -1), high: around(found, error, 1) },
+    { label: "fresh levels: all candidates", values: fresh, low: around(fresh, freshError, -1), high: around(fresh, freshError, 1) },
   ];
   const last = refreshes.findLast((entry) => entry.training);
-  const rows = () => [["version", "in_use_from", "claimed_buffer", "episodes", "claimed_candidates", "training", "standard_error", "levels_played_twice", "episodes_in_training"],
-    ...refreshes.map((entry) => [entry.number, entry.first_batch, entry.buffer.claimed, entry.buffer.finished, entry.candidates.claimed, entry.training?.learnability ?? null, entry.training?.learnability_error ?? null, entry.training?.learnability_levels ?? null, entry.training?.finished ?? null])];
+  const rows = () => [["version", "in_use_from", "claimed_buffer", "episodes", "fresh", "fresh_standard_error", "training", "standard_error", "levels_played_twice", "attempts_in_training", "of_all_episodes"],
+    ...refreshes.map((entry) => [entry.number, entry.first_batch, entry.buffer.claimed, entry.buffer.episodes, entry.candidates.learnability, entry.candidates.learnability_error, entry.training?.learnability ?? null, entry.training?.learnability_error ?? null, entry.training?.learnability_levels ?? null, entry.training?.episodes ?? null, entry.training?.of_all_episodes ?? null])];
   return html`<${Panel} title="Learnability p (1 - p): claimed and in training" rows=${rows} name=${`${run} learnability`}
-    help="Claimed: from the few episodes by which levels were chosen, so too high. In training: s (f - s) / (f (f - 1)) of other episodes, over levels played twice or more; band 95 %.">
+    help="Claimed: from the few episodes by which levels were chosen, so too high. In training: s (f - s) / (f (f - 1)) of s solved of f attempts, over levels played twice or more. Fresh levels: the same of all candidates, where each finished two episodes or more. Bands 95 %.">
     <${LineChart} x=${x} lines=${lines} axis="in use from update" />
-    <p class="soft">${last ? `version ${last.number}: claimed ${short(last.buffer.claimed)} (${last.buffer.finished} episodes of ${last.buffer.levels} levels), in training ${short(last.training.learnability)} (${last.training.finished} episodes, ${last.training.learnability_levels} levels played twice or more)` : "No buffer was played to the end of a window yet."}</p>
+    <p class="soft">${last ? `version ${last.number}: claimed ${short(last.buffer.claimed)} (${last.buffer.episodes} episodes of ${last.buffer.levels} levels), in training ${short(last.training.learnability)} (${last.training.episodes} attempts, ${last.training.learnability_levels} levels played twice or more)` : "No buffer was played to the end of a window yet."}</p>
+    ${refreshes.some((entry) => entry.training?.of_all_episodes) ? html`<p class="soft">Counts are ${ALL_EPISODES}.</p>` : null}
   </${Panel}>`;
 }
 
@@ -90,7 +96,7 @@ function Distribution({ run, refreshes, chosen }) {
   const order = [...Array(num).keys()].reverse();
   const total = (/** @type {any} */ entry) => entry.buffer.histogram.reduce((/** @type {number} */ a, /** @type {number} */ b) => a + b, 0);
   const values = order.map((k) => refreshes.map((entry) => (total(entry) ? entry.buffer.histogram[k] / total(entry) : null)));
-  const texts = order.map((k) => refreshes.map((entry) => `version ${entry.number}: ${entry.buffer.histogram[k]} of ${total(entry)} levels with ${label(k)}, ${entry.buffer.finished} episodes in all`));
+  const texts = order.map((k) => refreshes.map((entry) => `version ${entry.number}: ${entry.buffer.histogram[k]} of ${total(entry)} levels with ${label(k)}, ${entry.buffer.episodes} episodes in all`));
   const rows = () => [["version", ...order.map(label)], ...refreshes.map((entry) => [entry.number, ...order.map((k) => entry.buffer.histogram[k])])];
   return html`<${Panel} title="Solve rates of the buffer's levels over time" help="share of levels a bin, % ; click a column" rows=${rows} name=${`${run} p over time`}>
     <${HeatMap} rows=${order.map(label)} columns=${refreshes.map((entry) => String(entry.number))} values=${values} texts=${texts} labelWidth=${90}
@@ -135,12 +141,12 @@ function Histogram({ run, entry }) {
   const columns = [...Array(num).keys()].map((k) => (k === 0 ? "0" : k === num - 1 ? "1" : `.${k - 1}`));
   const group = (/** @type {string} */ label, /** @type {any} */ of) => {
     const total = of.histogram.reduce((/** @type {number} */ a, /** @type {number} */ b) => a + b, 0);
-    return { label: `${label} (${total} levels, ${of.finished} episodes)`, values: of.histogram.map((/** @type {number} */ count) => (total ? count / total : null)), texts: of.histogram.map((/** @type {number} */ count) => `${count} of ${total} levels`) };
+    return { label: `${label} (${total} levels, ${of.episodes} episodes)`, values: of.histogram.map((/** @type {number} */ count) => (total ? count / total : null)), texts: of.histogram.map((/** @type {number} */ count) => `${count} of ${total} levels`) };
   };
   const groups = [group("candidates", entry.candidates), group("buffer", entry.buffer), ...(entry.training ? [group("buffer, in training", entry.training)] : [])];
   const rows = () => [["p", ...groups.map((one) => one.label)], ...columns.map((column, k) => [column, ...groups.map((one) => one.values[k])])];
   return html`<${Panel} title="Solve rates: candidates and buffer" help="share of levels by p; .4 stands for 40 to 50 %, 0 and 1 for never and always" rows=${rows} name=${`${run} histogram ${entry.number}`}>
-    <${Bars} columns=${columns} groups=${groups} axis="p = solved / finished" describe="histogram of solve rates" format=${(/** @type {number} */ value) => `${Math.round(100 * value)} %`} /></${Panel}>`;
+    <${Bars} columns=${columns} groups=${groups} axis="p = solved / episodes" describe="histogram of solve rates" format=${(/** @type {number} */ value) => `${Math.round(100 * value)} %`} /></${Panel}>`;
 }
 
 /** @param {{ run: string, entry: any }} props */
@@ -171,8 +177,8 @@ function Learned({ run, entry }) {
   return html`<${Panel} title="What was learned from this buffer" rows=${rows} name=${`${run} learned ${entry.number}`}
     help="the same levels, played again by the policy of the next refresh"
     missing=${probe ? null : "Nothing was played again: the next refresh is not there yet, or it plays no levels again (curriculum_log.probe_every, probe_levels)."}>
-    ${probe ? html`<p>${probe.levels} levels: ${rateWithCount(probe.before.solved, probe.before.finished)} when they were chosen, ${" "}
-      ${rateWithCount(probe.after.solved, probe.after.finished)} by version ${probe.policy_version}${" "}
+    ${probe ? html`<p>${rateOverLevels(probe.before)} when they were chosen, ${" "}
+      ${rateOverLevels(probe.after)} by version ${probe.policy_version}${" "}
       (95 % interval ${percent(probe.after.low)} to ${percent(probe.after.high)}); learnability now ${short(probe.after_learnability)}.
       Chosen for p near 1/2, levels go back to their true p by themselves: compare with "in training".</p>
       <${HeatMap} rows=${MOVES.map((name) => `${name} before`)} columns=${MOVES.map((name) => `${name}`)} values=${values} texts=${texts} labelWidth=${140} cellWidth=${90} cellHeight=${24} describe="levels by solve rate before and after" />` : null}
@@ -183,10 +189,10 @@ function Learned({ run, entry }) {
 function ByFeature({ run, name, entry }) {
   const found = entry.by_feature[name];
   const group = {
-    label: "candidates", values: found.map((/** @type {any} */ f) => f.rate), low: found.map((/** @type {any} */ f) => (f.finished ? f.low : null)), high: found.map((/** @type {any} */ f) => (f.finished ? f.high : null)),
-    texts: found.map((/** @type {any} */ f) => `${f.value} ${name.replace("_", " ")}: ${rateWithCount(f.solved, f.finished)} of ${f.levels} levels`),
+    label: "candidates", values: found.map((/** @type {any} */ f) => f.rate), low: found.map((/** @type {any} */ f) => (f.levels ? f.low : null)), high: found.map((/** @type {any} */ f) => (f.levels ? f.high : null)),
+    texts: found.map((/** @type {any} */ f) => `${f.value} ${name.replace("_", " ")}: ${rateOverLevels(f)}`),
   };
-  const rows = () => [["value", "levels", "solved", "finished", "rate", "low", "high"], ...found.map((/** @type {any} */ f) => [f.value, f.levels, f.solved, f.finished, f.rate, f.low, f.high])];
-  return html`<${Panel} title=${`Solve rate by number of ${name.replace("_", " ")}`} help="candidates are an unbiased sample of the generator; 95 % intervals over episodes" rows=${rows} name=${`${run} by ${name} ${entry.number}`}>
+  const rows = () => [["value", "levels", "solved", "episodes", "rate", "low", "high"], ...found.map((/** @type {any} */ f) => [f.value, f.levels, f.solved, f.episodes, f.rate, f.low, f.high])];
+  return html`<${Panel} title=${`Solve rate by number of ${name.replace("_", " ")}`} help=${`mean over levels. ${entry.is_sample ? "Candidates are an unbiased sample of the generator." : CHOSEN_WHILE_SCORED} 95 % intervals over levels`} rows=${rows} name=${`${run} by ${name} ${entry.number}`}>
     <${Bars} columns=${found.map((/** @type {any} */ f) => String(f.value))} groups=${[group]} axis=${name.replace("_", " ")} max=${1} describe=${`solve rate by ${name}`} format=${(/** @type {number} */ value) => `${Math.round(100 * value)} %`} /></${Panel}>`;
 }

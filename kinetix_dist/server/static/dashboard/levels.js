@@ -15,7 +15,7 @@ const SORTS = {
   "place up": "place", "score down": "highest score first", "score up": "lowest score first",
   "p down": "most solved first", "p up": "least solved first",
   "p_training down": "most solved in training first", "p_training up": "least solved in training first",
-  "finished_training down": "most played in training first",
+  "attempts_training down": "most played in training first",
   "shapes down": "most shapes first", "joints down": "most joints first",
 };
 
@@ -95,9 +95,9 @@ function present(answer, isPresent) {
 
 /** @param {any} level */
 function caption(level) {
-  const counts = level.training?.finished ? level.training : level.scored;
+  const counts = level.training?.episodes ? level.training : level.scored;
   if (!counts) return `score ${short(level.score)}`;
-  return `${counts.solved} of ${counts.finished}${level.training?.finished ? " trained" : ""}`;
+  return `${counts.solved} of ${counts.episodes}${level.training?.episodes ? " trained" : ""}`;
 }
 
 /** @param {{ value: string, columns: string[] }} props */

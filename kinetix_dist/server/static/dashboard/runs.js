@@ -3,6 +3,7 @@ import { addressOf } from "../base/address.js";
 import { get } from "../base/api.js";
 import { date, interval, percent, short } from "../base/format.js";
 import { html, useEffect, useState } from "../base/html.js";
+import { ALL_EPISODES } from "./metric_panels.js";
 import { Notes, State } from "./parts.js";
 
 const REFRESH_MS = 5000;
@@ -42,7 +43,7 @@ export function RunsPage() {
     </div>
     ${answer.runs.length ? html`<div class="scroll"><table class="runs">
       <thead><tr><th></th><th>run</th><th>state</th><th>recipe</th><th class="number">env steps</th><th class="number">update</th><th class="number">steps/s</th>
-        <th class="number" title="of the last update, buffer and fresh levels together">training solve rate</th>
+        <th class="number" title="of the last update, first episodes on buffer and fresh levels together">training solve rate</th>
         <th class="number" title="of the first set of the last evaluation, with its 95 % interval and episodes">evaluated</th><th>changed</th></tr></thead>
       <tbody>${rows.map((run) => html`<tr key=${run.id}>
         <td><input type="checkbox" checked=${chosen.includes(run.id)} onChange=${() => choose(run.id)} aria-label=${`compare ${run.id}`} /></td>
@@ -69,7 +70,9 @@ function progress(run) {
 /** @param {any} last */
 function trained(last) {
   const rate = last?.["train/solve_rate"];
-  return rate === undefined || rate === null ? "-" : `${percent(rate)} of ${short(last["train/episodes"])}`;
+  if (rate === undefined || rate === null) return "-";
+  const attempts = last["train/attempts"];
+  return attempts ? `${percent(rate)} of ${short(attempts)}` : html`<span title=${ALL_EPISODES}>${percent(rate)} of ${short(last["train/episodes"])} *</span>`;
 }
 
 /** @param {any} rates */

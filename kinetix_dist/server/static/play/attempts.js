@@ -34,7 +34,7 @@ export function AttemptsPanel({ given, subject, size, engine, run }) {
       ${state?.progress ? html`<button onClick=${() => channel.say({ type: "cancel", id: request.current })}>cancel</button>` : html`<button onClick=${start}>play ${ATTEMPTS} times</button>`}</div>
     ${state?.progress ? html`<p class="soft" role="status">${state.progress}</p>` : null}
     ${state?.error ? html`<p class="bad">${state.error}</p>` : null}
-    ${result ? html`<p role="status">p ${percent(result.p)} (${result.solved} of ${result.attempts}), 95 % ${percent(result.low)} to ${percent(result.high)} · learnability <b>${result.learnability.toFixed(3)}</b>
+    ${result ? html`<p role="status">p ${percent(result.p)} (${result.solved} of ${result.attempts}), 95 % ${percent(result.low)} to ${percent(result.high)} · learnability <b>${result.learnability?.toFixed(3) ?? "-"}</b>
       <span class="soft"> · ${result.failed} failed, ${result.timed_out} ran out of time · mean length ${result.mean_length.toFixed(0)} steps · ${result.seconds.toFixed(1)} s${state.subject === subject ? "" : " · the level was changed since"}</span></p>` : null}
   </section>`;
 }
