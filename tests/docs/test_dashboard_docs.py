@@ -23,5 +23,6 @@ def test_every_rule_is_documented_and_is_about_a_metric(rule: Rule) -> None:
 def test_every_option_is_documented_with_its_default() -> None:
     for field in dataclasses.fields(Args):
         if field.name != "paths":
-            assert f"| `--{field.name.replace('_', '-')}` |" in TEXT
+            negation = "no-" if field.default is True else ""  # of what is on by default
+            assert f"| `--{negation}{field.name.replace('_', '-')}` |" in TEXT
     assert f"| `--port` | {Args().port} |" in TEXT and f"| `--host` | {Args().host} |" in TEXT

@@ -27,7 +27,8 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("errors", "installation", "registry", "text_files"),
+    ("child_python", "jax_arithmetic", "jax_settings", "registry", "text_files", "user_directories"),
+    ("engine_package", "errors", "installation", "near_names"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Rooms of runtime/, and which of the others each may import.
