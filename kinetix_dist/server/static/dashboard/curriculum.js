@@ -180,7 +180,7 @@ function Learned({ run, entry }) {
     ${probe ? html`<p>${rateOverLevels(probe.before)} when they were chosen, ${" "}
       ${rateOverLevels(probe.after)} by version ${probe.policy_version}${" "}
       (95 % interval ${percent(probe.after.low)} to ${percent(probe.after.high)}); learnability now ${short(probe.after_learnability)}.
-      Chosen for p near 1/2, levels go back to their true p by themselves: compare with "in training".</p>
+      Of the difference a part is chance, since few episodes chose these levels: the first window of training shows how much.</p>
       <${HeatMap} rows=${MOVES.map((name) => `${name} before`)} columns=${MOVES.map((name) => `${name}`)} values=${values} texts=${texts} labelWidth=${140} cellWidth=${90} cellHeight=${24} describe="levels by solve rate before and after" />` : null}
   </${Panel}>`;
 }
