@@ -128,7 +128,7 @@ def test_other_ends_of_a_worker_are_one_line(line: str, text: str) -> None:
 
 def test_a_jax_that_the_worker_does_not_run_with_is_said_in_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
     async def talk() -> None:
-        with pytest.raises(WorkerError, match="died .*: JAX_NUMPY_RANK_PROMOTION is 'raise', .*; unset it"):
+        with pytest.raises(WorkerError, match=r"died .*: JAX_NUMPY_RANK_PROMOTION is 'raise', .*; unset it"):
             await WorkerClient().hello()
 
     monkeypatch.setenv("JAX_NUMPY_RANK_PROMOTION", "raise")
