@@ -87,9 +87,8 @@ def _imported_directory() -> Path | None:
 
 def _published() -> tuple[str, Path] | None:
     """(version, directory of packages) of the published package by its metadata; None where it is not installed."""
-    for entry in sys.path:
-        names = os.listdir(entry or ".") if os.path.isdir(entry or ".") else []
-        for name in names:
+    for entry in filter(os.path.isabs, sys.path):  # packages are not installed in the current directory
+        for name in os.listdir(entry) if os.path.isdir(entry) and os.access(entry, os.R_OK) else []:
             if name.startswith(f"{NAME}-") and name.endswith((".dist-info", ".egg-info")):
                 return name.removeprefix(f"{NAME}-").rsplit(".", 1)[0], Path(entry).resolve()
     return None

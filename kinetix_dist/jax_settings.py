@@ -33,12 +33,12 @@ SETTINGS = (
 
 
 def check_settings() -> None:
-    """Raises UserError for settings of JAX that commands do not run with, all of them in one line."""
+    """Raises UserError for the first setting of JAX in the list that commands do not run with."""
     import jax
 
-    wrong = [setting for setting in SETTINGS if getattr(jax.config, setting.name) not in setting.values]
-    if wrong:
-        raise UserError("; ".join(map(_complaint, wrong)))
+    for setting in SETTINGS:
+        if getattr(jax.config, setting.name) not in setting.values:
+            raise UserError(_complaint(setting))
 
 
 def _complaint(setting: Setting) -> str:
@@ -47,5 +47,5 @@ def _complaint(setting: Setting) -> str:
     value = getattr(jax.config, setting.name)
     return (
         f"{setting.name.upper()} is {str(getattr(value, 'value', value))!r}, with which {setting.reason}; "
-        f"unset it ({setting.values[0] or 'allow'!r})"
+        f"unset it, or set it to {setting.values[0] or 'allow'!r}"
     )

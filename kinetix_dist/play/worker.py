@@ -39,17 +39,18 @@ def main() -> None:
     from kinetix_dist.errors import UserError
     from kinetix_dist.jax_arithmetic import check_arithmetic
     from kinetix_dist.jax_settings import check_settings
-    from kinetix_dist.play.hello import hello
-    from kinetix_dist.play.outbox import Outbox
-    from kinetix_dist.play.programs import forget_programs
-    from kinetix_dist.play.service import Service
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     try:
         check_settings()
         check_arithmetic()
     except UserError as error:
         sys.exit(str(error))  # the server says so
+    from kinetix_dist.play.hello import hello
+    from kinetix_dist.play.outbox import Outbox
+    from kinetix_dist.play.programs import forget_programs
+    from kinetix_dist.play.service import Service
+    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+
     enable_compile_cache("")
     outbox = Outbox(pipe)
     service = Service(outbox)

@@ -126,6 +126,15 @@ def test_other_ends_of_a_worker_are_one_line(line: str, text: str) -> None:
     asyncio.run(talk())
 
 
+def test_a_jax_that_the_worker_does_not_run_with_is_said_in_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def talk() -> None:
+        with pytest.raises(WorkerError, match=r"died .*: JAX_NUMPY_RANK_PROMOTION is 'raise', .*; unset it"):
+            await WorkerClient().hello()
+
+    monkeypatch.setenv("JAX_NUMPY_RANK_PROMOTION", "raise")
+    asyncio.run(talk())
+
+
 def test_one_of_another_version_is_refused() -> None:
     async def talk() -> None:
         command = (sys.executable, "-c", a_worker_that()[2].replace("wire.PROTOCOL_VERSION,", "99,"))
