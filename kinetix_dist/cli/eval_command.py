@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
 
@@ -240,11 +241,10 @@ def _evaluate(
     args: Args, env: Environment, players: dict[str, Player], levels: Level, names: list[str]
 ) -> dict[str, SolveRates]:
     """Solve rates by policy, in the order of `players`."""
-    import jax
 
     from kinetix_dist.evaluation.evaluate import evaluate
 
-    key = jax.random.key(args.seed)
+    key = prng.key(args.seed)
     results = {}
     for name, player in players.items():
         # Without actions every attempt is the same.
@@ -274,7 +274,7 @@ def _record(
         env,
         player,
         jax.tree.map(lambda x: x[:MAX_RECORDED], levels),
-        jax.random.key(args.seed),
+        prng.key(args.seed),
         names=names[:MAX_RECORDED],
         policy_version=RANDOM_POLICY_VERSION if checkpoint is None else checkpoint.description["num_updates"],
         seed=args.seed,

@@ -291,8 +291,8 @@ def _joined(levels: Level) -> np.ndarray:
 def separations(level: Level) -> Array:
     """[n, n] m, of all pairs of shapes of one level, active or not: negative where they overlap. Pure."""
     shapes, capacity = level.scene.shapes, capacity_of(level)
-    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
-    radius = jnp.concatenate([jnp.zeros(capacity.polygons), shapes.radius])
+    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2), jnp.float32)])
+    radius = jnp.concatenate([jnp.zeros(capacity.polygons, jnp.float32), shapes.radius])
     corners = world_corners(jnp.asarray(level.position), jnp.asarray(level.angle), vertices)
     against = jax.vmap(separation, in_axes=(None, None, 0, 0))
     return jax.vmap(lambda own, r: against(own, r, corners, radius))(corners, radius)

@@ -27,7 +27,7 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("errors", "installation", "registry"),
+    ("errors", "installation", "prng", "registry"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Rooms of runtime/, and which of the others each may import.
