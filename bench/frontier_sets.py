@@ -10,6 +10,7 @@ attempts, doing nothing does not solve it, and at least one of the policies solv
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -23,9 +24,11 @@ from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.finetune.starts import policy_at
+from kinetix_dist.level.fingerprints import fingerprint
 from kinetix_dist.level.frontier import (
     MAX_RANDOM_RATE,
     FrontierSet,
+    frontier_levels,
     frontier_text,
     read_frontier_sets,
     stream_levels,
@@ -77,7 +80,7 @@ def choose(size: str, policies: dict[str, Trained], arguments: argparse.Namespac
         found += [(int(indices[i]), int(by_chance[i])) for i in np.flatnonzero(is_hard & is_solved)]
         print(f"{size}: {len(found)} of {num_drawn} levels", flush=True)
     found = found[: arguments.num_levels]
-    return FrontierSet(
+    made = FrontierSet(
         size=size,
         indices=tuple(index for index, _ in found),
         random_solved=tuple(count for _, count in found),
@@ -85,6 +88,7 @@ def choose(size: str, policies: dict[str, Trained], arguments: argparse.Namespac
         policies=tuple(policies),
         num_drawn=num_drawn,
     )
+    return dataclasses.replace(made, fingerprint=fingerprint(frontier_levels(made)[0])) if found else made
 
 
 def policies_of(names: list[str]) -> dict[str, Trained]:

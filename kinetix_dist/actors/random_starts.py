@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.actors.unroll import keys_of_worlds
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
@@ -41,13 +42,13 @@ def after_random_actions(
     key and its number alone.
     """
     keys = keys_of_worlds(key, numbers)
-    draw_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
-    coin, length, hold = jax.vmap(lambda key: jax.random.uniform(key, (3,)), out_axes=1)(draw_keys)
+    draw_keys, action_keys = jax.vmap(prng.split, out_axes=1)(keys)
+    coin, length, hold = jax.vmap(lambda key: prng.uniform(key, (3,)), out_axes=1)(draw_keys)
     num_steps = jnp.where(coin < share, 1 + jnp.floor(length * max_steps).astype(jnp.int32), 0)
     held_for = 1 + jnp.floor(hold * MAX_HOLD).astype(jnp.int32)
 
     def step(carry: tuple[EnvState, Any], number: Array) -> tuple[tuple[EnvState, Any], None]:
-        step_keys = jax.vmap(jax.random.fold_in)(action_keys, number // held_for)
+        step_keys = jax.vmap(prng.fold_in)(action_keys, number // held_for)
         actions = jax.vmap(lambda key: env.action_space.sample(key, 1)[0])(step_keys)
         after, after_obs, _, _, _ = env.step(prepared, carry[0], actions)
         return env.select(prepared, number < num_steps, (after, after_obs), carry), None

@@ -17,6 +17,7 @@ from flax import linen as nn
 from jax.experimental.layout import Layout, with_layout_constraint
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.actors import invariants
 from kinetix_dist.actors.outcomes import add_step, no_outcomes
 from kinetix_dist.env.environment import Environment
@@ -137,9 +138,9 @@ def _num_worlds(obs: Any) -> int:
 
 def keys_of_worlds(key: Array, numbers: Array) -> Array:
     """[W] typed keys, each by the number of a world in the whole batch."""
-    return jax.vmap(jax.random.fold_in, (None, 0))(key, numbers.astype(jnp.uint32))
+    return jax.vmap(prng.fold_in, (None, 0))(key, numbers.astype(jnp.uint32))
 
 
 def _uniforms(world_keys: Array, step: Array, count: int) -> Array:
     """[W, count] uniform numbers in [0, 1)."""
-    return jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, step), (count,)))(world_keys)
+    return jax.vmap(lambda key: prng.uniform(prng.fold_in(key, step), (count,)))(world_keys)

@@ -27,6 +27,7 @@ import numpy as np
 from jax2d import Capacity, Controls, Engine, JointKind, Scene, SceneBuilder, stack_worlds
 from jax2d.effects import EFFECTS, Effects, effects_of
 from jax2d.fields import broadcast, empty
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.random_play import FRAME_SKIP, take_worlds
 from kinetix_dist.level.level import NUM_WALLS, Level
 
@@ -165,7 +166,7 @@ def _falling_boxes(engine: Engine, num_boxes: int, worlds: int) -> tuple[Any, An
 def _at_random_moments(engine: Engine, scene: Any, start: Any, controls: Controls, seed: int) -> Any:
     """The packed state of each world at a moment of its own, as the full engine gets there from the start."""
     num_calls = controls.motor.shape[0]
-    moments = jax.random.randint(jax.random.key(seed), scene.missing.shape, 0, num_calls)
+    moments = prng.randint(prng.key(seed), scene.missing.shape, 0, num_calls)
 
     @jax.jit
     def play(scene: Any, start: Any, controls: Controls) -> Any:

@@ -27,6 +27,7 @@ import numpy as np
 
 from jax2d import Controls, Engine, preset
 from jax2d.effects import EFFECTS, called_for
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.effect_cases import ADDED, AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX, Case, cases_of
 from kinetix_dist.benchmarks.level_files import EngineOptions, check_engine, check_steps, level_files, load_levels
 from kinetix_dist.benchmarks.random_play import EPISODE_STEPS, FRAME_SKIP, random_controls
@@ -113,7 +114,7 @@ def _rounds(
     capacity = SIZES[size]
     settings = preset(options.preset)
     full = Engine(capacity, settings=settings)
-    key = jax.random.key(options.seed)
+    key = prng.key(options.seed)
     controls = random_controls(full, (options.steps // FRAME_SKIP, worlds), key)
     episode = random_controls(full, (EPISODE_STEPS // FRAME_SKIP, worlds), key)
     cases = cases_of(full, levels, episode, options.seed)

@@ -22,6 +22,7 @@ import psutil
 
 from jax2d import Engine, preset
 from jax2d.warp.memory import table_bytes, thread_bytes
+from kinetix_dist import prng
 from kinetix_dist.benchmarks import growth_picture, growth_table
 from kinetix_dist.benchmarks.growth_fit import FITTED_FROM_SHAPES, exponents
 from kinetix_dist.benchmarks.growth_scenes import SCENES, capacity_of
@@ -188,7 +189,7 @@ class _Sweep:
         run = jax.jit(random_play(self.start.engine, worlds, steps))
         clock = compute_clock(self.device)
         seconds = []
-        for key in jax.random.split(jax.random.key(self.options.seed), self.options.repeats + 1):
+        for key in prng.split(prng.key(self.options.seed), self.options.repeats + 1):
             started = clock()
             jax.block_until_ready(run(scene, state, key))
             seconds.append(clock() - started)

@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d import Engine, preset
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.level_files import (
     CHECKOUT,
     EngineOptions,
@@ -165,7 +166,7 @@ class OurEngine:
         self._scene = repeat(engine.pack_scene(levels.scene))
         self._start = repeat(engine.pack_state(state))
         self._play = jax.jit(random_play(engine, worlds, options.steps), donate_argnums=1)
-        self._key = jax.random.key(options.seed)
+        self._key = prng.key(options.seed)
         self.record: Record = {
             "engine": "ours",
             "backend": options.backend,
@@ -181,7 +182,7 @@ class OurEngine:
         self._state: Any = jax.block_until_ready(jax.tree.map(jnp.copy, self._start))
 
     def run(self) -> float:
-        self._key, key = jax.random.split(self._key)
+        self._key, key = prng.split(self._key)
         jax.block_until_ready(key)
         started = time.perf_counter()
         self._state = jax.block_until_ready(self._play(self._scene, self._state, key))

@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.results import Record, Results
 from kinetix_dist.benchmarks.timing import compute_clock
 from kinetix_dist.env.device_memory import DeviceMemoryError
@@ -129,14 +130,14 @@ def _runner(options: Options, size: str, levels: Any, observation: str) -> Calla
             state, obs, reward, *_ = env.step(prepared, state, actions)
             return (state, obs, observe(obs)), reward  # what a loop carries is in memory after each turn
 
-        return jax.lax.scan(step, (state, obs, observe(obs)), jax.random.split(key, options.steps))[0]
+        return jax.lax.scan(step, (state, obs, observe(obs)), prng.split(key, options.steps))[0]
 
-    now = [*env.reset(prepared), jax.random.key(options.seed)]
+    now = [*env.reset(prepared), prng.key(options.seed)]
 
     compute_time = compute_clock(jax.devices()[0])
 
     def run() -> Seconds:
-        now[2], key = jax.random.split(now[2])
+        now[2], key = prng.split(now[2])
         jax.block_until_ready(key)
         started, computed = time.perf_counter(), compute_time()
         now[0], now[1], _ = jax.block_until_ready(play(now[0], now[1], key))

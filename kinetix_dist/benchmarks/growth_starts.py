@@ -12,6 +12,7 @@ import numpy as np
 
 from jax2d import Controls, Engine
 from jax2d.scene import stack_worlds
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.growth_scenes import SCENES
 from kinetix_dist.benchmarks.random_play import take_worlds
 from kinetix_dist.level.level import Level
@@ -52,13 +53,13 @@ def levels_at_all_moments(engine: Engine, levels: Level, seed: int) -> Start:
     )
 
     def until_next_moment(packed: Any, key: jax.Array) -> tuple[Any, Any]:
-        motor_key, thruster_key = jax.random.split(key)
-        motor = jax.random.uniform(motor_key, (num_levels, engine.capacity.joints), minval=-1, maxval=1)
-        thruster = jax.random.uniform(thruster_key, (num_levels, engine.capacity.thrusters))
+        motor_key, thruster_key = prng.split(key)
+        motor = prng.uniform(motor_key, (num_levels, engine.capacity.joints), minval=-1, maxval=1)
+        thruster = prng.uniform(thruster_key, (num_levels, engine.capacity.thrusters))
         controls = Controls(motor=motor, thruster=thruster)
         return engine.step_packed(scene, packed, controls, num_steps=STEPS_BETWEEN_MOMENTS)[0], packed
 
-    keys = jax.random.split(jax.random.key(seed), MOMENTS)
+    keys = prng.split(prng.key(seed), MOMENTS)
     moments = jax.jit(lambda packed: jax.lax.scan(until_next_moment, packed, keys)[1])(state)
     joined = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1), moments)
     scenes = jax.tree.map(lambda x: jnp.tile(x, MOMENTS), scene)  # the world axis is the last one

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import linen as nn
 
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.results import BenchmarkOptions, Record, Results
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
 from kinetix_dist.benchmarks.timing import median_seconds
@@ -137,8 +138,8 @@ def _timed(options: Options, config: PpoConfig) -> Record:
     mesh, program = data_mesh(), learner_program(options)
     policy, observation = program.policy, program.observation
     static, trajectory = program.static, program.trajectory
-    params = init_params(policy, program.first_obs(), jax.random.key(0))
-    state = replicate(config.initial_state(params, jax.random.key(1)), mesh)
+    params = init_params(policy, program.first_obs(), prng.key(0))
+    state = replicate(config.initial_state(params, prng.key(1)), mesh)
     division = Division(config.virtual_shards, mesh.devices.size)
     inputs = (
         spread_worlds(static, mesh, division),

@@ -19,6 +19,7 @@ import jax2d
 import kinetix_dist
 from jax2d.engine import BACKENDS
 from jax2d.scene import stack_worlds
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.results import BenchmarkOptions
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.level.fit import fit_level
@@ -97,7 +98,7 @@ def load_levels(files: list[Path], size: str) -> Level:
 
 
 def _random_level_files(folder: Path, size: str, seed: int) -> list[Path]:
-    keys = jax.random.split(jax.random.key(seed), NUM_RANDOM_LEVELS)
+    keys = prng.split(prng.key(seed), NUM_RANDOM_LEVELS)
     draw = partial(generate_level, capacity=SIZES[size], config=GeneratorConfig())
     levels = jax.device_get(jax.jit(jax.vmap(draw))(keys))
     files = []

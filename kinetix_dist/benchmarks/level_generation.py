@@ -17,6 +17,7 @@ from pathlib import Path
 import jax
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.results import Results
 from kinetix_dist.benchmarks.timing import median_seconds
 from kinetix_dist.curator.fresh_levels import fresh_levels
@@ -70,7 +71,7 @@ def measure(options: Options, results: Results) -> None:
 def _measure(options: Options, results: Results, size: str, name: str, levels: int) -> None:
     env = Environment(EnvConfig(size=size))
     config = generator(name)
-    key = jax.random.key(options.seed)
+    key = prng.key(options.seed)
 
     def solves_itself(drawn: Level) -> Array:
         return noop_solved(env, drawn)

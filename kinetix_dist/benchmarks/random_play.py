@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d import Controls, Engine
+from kinetix_dist import prng
 
 EPISODE_STEPS = 512  # physics steps: 256 environment steps of 2
 FRAME_SKIP = 2  # physics steps that an action is held for, and of one launch
@@ -20,10 +21,10 @@ Play = Callable[[Any, Any, jax.Array], Any]
 
 def random_controls(engine: Engine, shape: tuple[int, ...], key: jax.Array) -> Controls:
     """Motors from -1, 0, 1 and thrusters from 0, 1; `shape` is that of the batch, [..., W]."""
-    motor_key, thruster_key = jax.random.split(key)
+    motor_key, thruster_key = prng.split(key)
     return Controls(
-        motor=jax.random.randint(motor_key, (*shape, engine.capacity.joints), -1, 2).astype(jnp.float32),
-        thruster=jax.random.randint(thruster_key, (*shape, engine.capacity.thrusters), 0, 2).astype(jnp.float32),
+        motor=prng.randint(motor_key, (*shape, engine.capacity.joints), -1, 2).astype(jnp.float32),
+        thruster=prng.randint(thruster_key, (*shape, engine.capacity.thrusters), 0, 2).astype(jnp.float32),
     )
 
 
@@ -35,7 +36,7 @@ def random_play(engine: Engine, worlds: int, steps: int) -> Play:
         return engine.step_packed(scene, state, controls, num_steps=FRAME_SKIP)[0], None
 
     def play(scene: Any, state: Any, key: jax.Array) -> Any:
-        return jax.lax.scan(partial(launch, scene), state, jax.random.split(key, steps // FRAME_SKIP))[0]
+        return jax.lax.scan(partial(launch, scene), state, prng.split(key, steps // FRAME_SKIP))[0]
 
     return play
 

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from kinetix_dist import prng
+
 
 class ArrayMismatchError(ValueError):
     """The stored arrays are not those of the structure they should be restored into."""
@@ -44,12 +46,12 @@ def unflatten_arrays(template: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     for name, (_, leaf) in zip(names, leaves, strict=True):
         array = np.asarray(arrays[name])
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        wanted = jax.eval_shape(jax.random.key_data, leaf) if is_key else leaf
+        wanted = jax.eval_shape(prng.key_data, leaf) if is_key else leaf
         if tuple(array.shape) != tuple(wanted.shape) or array.dtype != wanted.dtype:
             raise ArrayMismatchError(
                 f"array {name} is {array.dtype}{list(array.shape)}, expected {wanted.dtype}{list(wanted.shape)}"
             )
-        restored.append(jax.random.wrap_key_data(array) if is_key else array)
+        restored.append(prng.wrap_key_data(array) if is_key else array)
     return jax.tree_util.tree_unflatten(structure, restored)
 
 
@@ -70,5 +72,5 @@ def _name(path: tuple[Any, ...]) -> str:
 
 def _to_numpy(leaf: Any) -> np.ndarray:
     if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-        leaf = jax.random.key_data(leaf)
+        leaf = prng.key_data(leaf)
     return np.asarray(jax.device_get(leaf))

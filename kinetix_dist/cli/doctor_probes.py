@@ -58,7 +58,7 @@ def probe_jax() -> dict[str, Any]:
         sys.exit(str(error))
     devices = jax.devices()
     started = time.perf_counter()
-    total = float(jax.jit(lambda x: (x @ x).sum())(jnp.ones((64, 64))))
+    total = float(jax.jit(lambda x: (x @ x).sum())(jnp.ones((64, 64), jnp.float32)))
     if total != 64.0**3:
         raise RuntimeError(f"a 64x64 product of ones summed to {total}, not to {64.0**3}")
     return {

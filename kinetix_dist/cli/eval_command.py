@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
 
@@ -257,11 +258,10 @@ def _evaluate(
     args: Args, env: Environment, players: dict[str, Player], levels: Level, names: list[str]
 ) -> dict[str, SolveRates]:
     """Solve rates by policy, in the order of `players`."""
-    import jax
 
     from kinetix_dist.evaluation.evaluate import evaluate
 
-    key = jax.random.key(args.seed)
+    key = prng.key(args.seed)
     results = {}
     for name, player in players.items():
         results[name] = evaluate(
@@ -289,7 +289,7 @@ def _record(
         env,
         player,
         jax.tree.map(lambda x: x[:MAX_RECORDED], levels),
-        jax.random.key(args.seed),
+        prng.key(args.seed),
         names=names[:MAX_RECORDED],
         policy_version=RANDOM_POLICY_VERSION if checkpoint is None else checkpoint.description["num_updates"],
         seed=args.seed,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
+from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
 
@@ -105,7 +106,6 @@ def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
 
 def _model(args: Generate, like: str) -> tuple[LevelGenerator, str]:
     """An autoencoder of the levels of a set, trained, and their size."""
-    import jax
     import numpy as np
 
     from jax2d.scene import index_worlds
@@ -123,7 +123,7 @@ def _model(args: Generate, like: str) -> tuple[LevelGenerator, str]:
             check_describable(index_worlds(levels, slice(number, number + 1)))
     size = next(name for name in SIZES if capacity_of_size(name) == capacity_of(levels))
     print(f"training on {len(names)} levels of size {size}: {config.num_steps} steps", flush=True)
-    model, losses = fit(levels, jax.random.key(args.seed), capacity_of_size(size), generator("default"), config)
+    model, losses = fit(levels, prng.key(args.seed), capacity_of_size(size), generator("default"), config)
     tenth = max(1, config.num_steps // 10)
     first, last = (float(np.asarray(part).mean()) for part in (losses[:tenth], losses[-tenth:]))
     print(f"loss {first:.3g} in the first tenth, {last:.3g} in the last", flush=True)
@@ -140,10 +140,10 @@ def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int
 
     kept: list[Level] = []
     num_drawn = num_solved = 0
-    key = jax.random.fold_in(jax.random.key(args.seed), 1)
+    key = prng.fold_in(prng.key(args.seed), 1)
     generate = jax.jit(source.generate, static_argnums=1)
     for number in range(MAX_ROUNDS):
-        levels = jax.device_get(generate(jax.random.fold_in(key, number), args.count))
+        levels = jax.device_get(generate(prng.fold_in(key, number), args.count))
         is_solved = np.asarray(noop_solved(levels))
         num_drawn, num_solved = num_drawn + args.count, num_solved + int(is_solved.sum())
         kept += [index_worlds(levels, i) for i in np.flatnonzero(~is_solved)]

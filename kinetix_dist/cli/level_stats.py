@@ -13,6 +13,7 @@ import math
 from pathlib import Path
 from typing import Any, Literal
 
+from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.text_files import read_json
@@ -39,7 +40,6 @@ class Stats:
 
 
 def run_stats(args: Stats) -> int:
-    import jax
     import numpy as np
 
     from kinetix_dist.level.fit import capacity_of_size
@@ -56,7 +56,7 @@ def run_stats(args: Stats) -> int:
     with user_errors(ValueError, OSError):
         config = generator(args.generator)
         reference = None if args.beside is None else read_described(args.beside, args.size)
-        levels = generate_levels(jax.random.key(args.seed), args.levels, capacity_of_size(args.size), config)
+        levels = generate_levels(prng.key(args.seed), args.levels, capacity_of_size(args.size), config)
     found = statistics(levels)
     is_solved = np.asarray(noop_solved(levels))
     found[f"solved in {NOOP_STEPS} steps without actions"] = Share(hits=int(is_solved.sum()), total=args.levels)

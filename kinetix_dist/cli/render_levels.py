@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.errors import UserError, one_line, user_errors
 
@@ -106,7 +107,6 @@ def _levels(args: Render) -> tuple[Level, list[str]]:
 
 def _rollouts(args: Render) -> list[Rollout]:
     """One rollout of each level, without actions, with random ones or by a policy."""
-    import jax
 
     from kinetix_dist.cli import eval_command
     from kinetix_dist.cli.computing import start_computing
@@ -122,7 +122,7 @@ def _rollouts(args: Render) -> list[Rollout]:
     levels, names = _levels(args)
     env = eval_command.environment_of(asked, trained, levels)
     player = eval_command.players_of(asked, trained, env, levels)[args.by]
-    return record_rollouts(env, player, levels, jax.random.key(args.seed), names=names, seed=args.seed)
+    return record_rollouts(env, player, levels, prng.key(args.seed), names=names, seed=args.seed)
 
 
 def _proofs(args: Render) -> tuple[list[Rollout], list[str]]:

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.curator.buffer_share import by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.robust_plr import RobustPlr
@@ -50,7 +51,7 @@ class Accel(RobustPlr):
         num_edited, num_groups = _num_edited(self.tools.config, self.tools.worlds_per_group), group_keys.shape[0]
         num_drawn = OVERSAMPLING * num_edited
         parents = jax.tree.map(lambda x: x[:, jnp.arange(num_drawn) % x.shape[1]], replayed)
-        keys = jax.vmap(lambda key: jax.random.split(jax.random.fold_in(key, 2), num_drawn))(group_keys)
+        keys = jax.vmap(lambda key: prng.split(prng.fold_in(key, 2), num_drawn))(group_keys)
         # All groups are played together: one large batch instead of a few small ones.
         flat = jax.tree.map(lambda x: x.reshape(num_groups * num_drawn, *x.shape[2:]), parents)
         drawn = self.tools.edit(keys.reshape(-1), flat)
@@ -61,7 +62,7 @@ class Accel(RobustPlr):
 
     def new_sources(self, num_groups: int) -> Array:
         num_edited = _num_edited(self.tools.config, self.tools.worlds_per_group)
-        edited = jnp.full((num_groups, num_edited), self.sources.index("edited"))
+        edited = jnp.full((num_groups, num_edited), self.sources.index("edited"), jnp.int32)
         return jnp.concatenate([edited, super().new_sources(num_groups)], axis=1)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 
 
@@ -17,5 +18,5 @@ class DomainRandomization(Curriculum):
 
     def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
         del state, groups
-        fresh_keys = jax.vmap(jax.random.split)(group_keys)[:, 1]
+        fresh_keys = jax.vmap(prng.split)(group_keys)[:, 1]
         return Proposal(levels=self.tools.draw_fresh(fresh_keys, self.tools.worlds_per_group))

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 
 # (levels' numbers of the worlds of a launch [B], key) -> [B] int32, 1 where the first episode was solved. Asynchronous.
 Play = Callable[[Array, Array], Array]
@@ -52,7 +53,7 @@ class Halving:
         for number, (total, num_kept) in enumerate(zip(self.attempts, self.kept, strict=True)):
             if number:
                 chosen = _best(solved, chosen, num_kept, before)
-            launches = self._launches(play, jax.random.fold_in(key, number), chosen, total - before)
+            launches = self._launches(play, prng.fold_in(key, number), chosen, total - before)
             if launches:
                 solved, attempts = _counted(solved, attempts, chosen, launches, total - before)
             before = total
@@ -62,7 +63,7 @@ class Halving:
         """World after world, `num_attempts` of the first candidate, then of the second and so on."""
         num_worlds = self.num_candidates
         return [
-            play(_candidates(chosen, launch, num_worlds, num_attempts), jax.random.fold_in(key, launch))
+            play(_candidates(chosen, launch, num_worlds, num_attempts), prng.fold_in(key, launch))
             for launch in range(-(-len(chosen) * num_attempts // num_worlds))
         ]
 

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.curator.scores import exact_keys, learnability, solve_rate
 from kinetix_dist.level.features import FEATURES
@@ -122,7 +123,7 @@ def num_in_play(score: Array, learnable_only: bool) -> Any:
 
 def draw(key: Array, buffer: LevelBuffer, num_levels: int, *, learnable_only: bool = False) -> tuple[Level, Array]:
     """`num_levels` of the levels in play, uniformly with replacement, and their places [num_levels]."""
-    index = jax.random.randint(key, (num_levels,), 0, num_in_play(buffer.score, learnable_only))
+    index = prng.randint(key, (num_levels,), 0, num_in_play(buffer.score, learnable_only))
     return jax.tree.map(lambda x: x[index], buffer.levels), index
 
 

@@ -28,6 +28,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.curator.replay_scores import highest_return
@@ -104,10 +105,10 @@ class Paired(Curriculum):
     def propose(self, state: PairedState, group_keys: Array, groups: Array) -> Proposal:
         del groups
         half = self.tools.worlds_per_group // 2
-        keys = jax.vmap(lambda key: jax.random.split(key, half))(group_keys).reshape(-1)
+        keys = jax.vmap(lambda key: prng.split(key, half))(group_keys).reshape(-1)
         levels, trajectory = self._teacher.build(state.teacher.params, keys)
         size = self.tools.worlds_per_group
-        players = (jnp.full(keys.size, student) for student in (PROTAGONIST, ANTAGONIST))
+        players = (jnp.full(keys.size, student, jnp.int32) for student in (PROTAGONIST, ANTAGONIST))
         return Proposal(
             levels=in_groups(levels, levels, size),
             tags=_swap_time_and_worlds(trajectory),

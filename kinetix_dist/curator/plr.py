@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
@@ -64,7 +65,7 @@ class Plr(Curriculum):
         return NUM_EPISODES.get(config.plr.score, 0)
 
     def init(self) -> ReplayBuffer:
-        level = generate_level(jax.random.key(0), self.tools.capacity, self.tools.config.generator)
+        level = generate_level(prng.key(0), self.tools.capacity, self.tools.config.generator)
         return empty_buffer(level, self.tools.config.buffer_size)
 
     def propose(self, state: ReplayBuffer, group_keys: Array, groups: Array) -> Proposal:
@@ -72,11 +73,11 @@ class Plr(Curriculum):
         del groups
         size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
         num_replayed, num_fresh = num_from_buffer(self.tools.config, size), self.num_fresh(self.tools.config, size)
-        split = jax.vmap(jax.random.split)(group_keys)
+        split = jax.vmap(prng.split)(group_keys)
         fresh = by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups)
 
         log_chances, shape = jnp.log(replay_chances(state, self.tools.config.plr)), (num_replayed,)
-        place = jax.vmap(lambda key: jax.random.categorical(key, log_chances, shape=shape))(split[:, 0])
+        place = jax.vmap(lambda key: prng.categorical(key, log_chances, shape=shape))(split[:, 0])
         is_empty = ~state.is_filled.any()
         repeated = jnp.arange(num_replayed) % num_fresh
         replayed = jax.tree.map(
@@ -104,7 +105,7 @@ class Plr(Curriculum):
     def new_sources(self, num_groups: int) -> Array:
         """[groups, new] int32, where `new_levels` come from."""
         num_fresh = self.num_fresh(self.tools.config, self.tools.worlds_per_group)
-        return jnp.full((num_groups, num_fresh), self.sources.index("fresh"))
+        return jnp.full((num_groups, num_fresh), self.sources.index("fresh"), jnp.int32)
 
     def summarise(self, trajectory: Trajectory, last_value: Array) -> ValueSummary:
         return summarise_values(trajectory, self.tools.advantages(trajectory, last_value))

@@ -131,7 +131,7 @@ def taken_in(
     def put(old: Array, new: Array) -> Array:
         return old.at[place].set(select_first(takes, new, old[place]), unique_indices=True)
 
-    now = jnp.full(num_places, buffer.num_updates)
+    now = jnp.full(num_places, buffer.num_updates, jnp.int32)
     return dataclasses.replace(
         buffer,
         levels=jax.tree.map(lambda old, new: put(old, new[best]), buffer.levels, levels),

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
@@ -104,7 +105,7 @@ class Sfl(Curriculum):
         size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
         num_buffered = num_from_buffer(self.tools.config, size)
         num_fresh = self.num_fresh(self.tools.config, size)
-        split = jax.vmap(jax.random.split)(group_keys)
+        split = jax.vmap(prng.split)(group_keys)
         parts, sources = [], []
         if num_buffered:
             only = self.tools.config.learnable_only
@@ -113,7 +114,7 @@ class Sfl(Curriculum):
             sources.append(len(self.sources) + places)
         if num_fresh:
             parts.append(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups))
-            sources.append(jnp.full((num_groups, num_fresh), self.sources.index("fresh")))
+            sources.append(jnp.full((num_groups, num_fresh), self.sources.index("fresh"), jnp.int32))
         return Proposal(levels=join_by_group(*parts), source=join_by_group(*sources))
 
     def refresh_part(
@@ -128,7 +129,7 @@ class Sfl(Curriculum):
 
         def score(index: int, batch: int) -> Any:
             params, key = placed[index % len(devices)]
-            return self._score_batch(params, jax.random.fold_in(key, batch))
+            return self._score_batch(params, prng.fold_in(key, batch))
 
         # Asked of all devices before any is waited for.
         levels, *counts = zip(*(score(index, batch) for index, batch in enumerate(batches)), strict=True)
@@ -180,12 +181,12 @@ class Sfl(Curriculum):
         }
 
     def compile_refresh(self, params: Any) -> None:
-        params, key = jax.device_put((params, jax.random.key(0)), self.tools.devices[0])
-        self._score_batch.lower(params, jax.random.fold_in(key, 0)).compile()
+        params, key = jax.device_put((params, prng.key(0)), self.tools.devices[0])
+        self._score_batch.lower(params, prng.fold_in(key, 0)).compile()
 
     def compile_probe(self, params: Any, num_levels: int) -> None:
         levels = jax.eval_shape(lambda: self._empty_levels(min(num_levels, self.num_places)))
-        self._play.lower(params, levels, jax.random.key(0), self.tools.config.scoring_steps).compile()
+        self._play.lower(params, levels, prng.key(0), self.tools.config.scoring_steps).compile()
 
     def _empty_levels(self, num_levels: int) -> Level:
         """[num_levels, ...], for their shapes."""
@@ -193,7 +194,7 @@ class Sfl(Curriculum):
         return jax.tree.map(lambda x: jnp.broadcast_to(x, (num_levels, *jnp.shape(x))), level)
 
     def _score(self, params: Any, key: Array) -> tuple[Level, Array, Array]:
-        level_key, play_key = jax.random.split(key)
+        level_key, play_key = prng.split(key)
         levels = self.tools.draw_fresh(level_key[None], self.tools.config.scoring_batch)
         outcome = self.tools.play(params, levels, play_key, self.tools.config.scoring_steps)
         return levels, outcome.num_solved, outcome.num_finished

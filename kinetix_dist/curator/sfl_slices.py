@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.checkpoint import select_arrays
 from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
@@ -103,7 +104,7 @@ class SflSlices(Curriculum):
 
     def init(self) -> SliceBuffer:
         config = self.tools.config
-        level = generate_level(jax.random.key(0), self.tools.capacity, config.generator)
+        level = generate_level(prng.key(0), self.tools.capacity, config.generator)
         count = jnp.zeros(config.buffer_size, jnp.int32)
         nothing = LevelBuffer(
             levels=jax.tree.map(lambda x: jnp.broadcast_to(x, (config.buffer_size, *jnp.shape(x))), level),
@@ -125,13 +126,13 @@ class SflSlices(Curriculum):
         size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
         num_fresh = self.num_fresh(self.tools.config, size)
         num_buffered = size - num_fresh
-        split = jax.vmap(jax.random.split)(group_keys)
+        split = jax.vmap(prng.split)(group_keys)
         parts, tags, sources = [], [], []
 
         def add(levels: Level, place: Array, version: Array, source: str) -> None:
             parts.append(levels)
             tags.append({"place": place, "version": version})
-            sources.append(jnp.full(place.shape, self.sources.index(source)))
+            sources.append(jnp.full(place.shape, self.sources.index(source), jnp.int32))
 
         if num_buffered:
             place = jax.vmap(lambda key: draw_places(key, state, num_buffered))(split[:, 0])
@@ -182,7 +183,7 @@ class SflSlices(Curriculum):
 
         def score(index: int, batch: int) -> tuple[Attempts, Level, Array]:
             params, key = placed[index % len(devices)]
-            level_key, play_key = jax.random.split(jax.random.fold_in(key, batch))
+            level_key, play_key = prng.split(prng.fold_in(key, batch))
             if is_harvested := batch < num_harvested:
                 assert given is not None
                 one_batch = slice(batch * batch_size, (batch + 1) * batch_size)

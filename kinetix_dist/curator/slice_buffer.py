@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.curator.config import SlicesConfig
 from kinetix_dist.curator.level_buffer import LevelBuffer
 from kinetix_dist.curator.scores import learnability, solve_rate
@@ -125,7 +126,7 @@ def draw_places(key: Array, buffer: SliceBuffer, num_levels: int) -> Array:
     in_use = buffer.status == IN_USE
     num_in_use = jnp.where(in_use.any(), in_use.sum(), in_use.size)
     in_use_first = jnp.argsort(~in_use, stable=True).astype(jnp.int32)
-    return in_use_first[jax.random.randint(key, (num_levels,), 0, num_in_use)]
+    return in_use_first[prng.randint(key, (num_levels,), 0, num_in_use)]
 
 
 def played(buffer: SliceBuffer, place: Array, solved: Array, is_there: Array, config: SlicesConfig) -> SliceBuffer:

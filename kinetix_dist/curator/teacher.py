@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
+from kinetix_dist import prng
 from kinetix_dist.curator.agents import Agents
 from kinetix_dist.curator.config import PairedConfig
 from kinetix_dist.env.action_spaces.masked_categorical import MaskedCategorical
@@ -50,7 +51,7 @@ class LevelBuilder:
 
     def first_obs(self) -> TeacherObs:
         """Of one level, before anything is built; works in `jax.eval_shape`."""
-        return self._observe(self._begin(1), jnp.int32(0), jnp.zeros((1, NUM_NOISE)))
+        return self._observe(self._begin(1), jnp.int32(0), jnp.zeros((1, NUM_NOISE), jnp.float32))
 
     def build(self, params: Any, keys: Array) -> tuple[Level, Trajectory]:
         """Levels [B, ...] and how they were built, [T, B, ...], rewards left at 0. Consumes the keys [B].
@@ -58,7 +59,7 @@ class LevelBuilder:
         A level depends on its own key and the parameters only.
         """
         num_levels, last = keys.shape[0], num_steps(self._capacity) - 1
-        first_key, step_key = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
+        first_key, step_key = jnp.moveaxis(jax.vmap(prng.split)(keys), 1, 0)
         num_order = num_order_draws(self._capacity)
         noise, order = jnp.split(_uniforms(first_key, 0, NUM_NOISE + num_order), [NUM_NOISE], axis=1)
 
@@ -113,4 +114,4 @@ class Teacher(LevelBuilder):
 
 def _uniforms(keys: Array, number: Array | int, count: int) -> Array:
     """[B, count]"""
-    return jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, number), (count,)))(keys)
+    return jax.vmap(lambda key: prng.uniform(prng.fold_in(key, number), (count,)))(keys)

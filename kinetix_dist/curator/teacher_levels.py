@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
+from kinetix_dist import prng
 from kinetix_dist.checkpoint import Checkpoint, select_arrays, unflatten_arrays
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.teacher import LevelBuilder
@@ -25,7 +26,7 @@ class TeacherLevels:
     params: Any
 
     def generate(self, key: Array, num_levels: int) -> Level:
-        return self.builder.build(self.params, jax.random.split(key, num_levels))[0]
+        return self.builder.build(self.params, prng.split(key, num_levels))[0]
 
 
 def teacher_levels(checkpoint: Checkpoint, config: CurriculumConfig, capacity: Capacity) -> TeacherLevels:
@@ -36,6 +37,6 @@ def teacher_levels(checkpoint: Checkpoint, config: CurriculumConfig, capacity: C
     if config.name != "paired":
         raise ValueError(f"{checkpoint.path} is of curriculum {config.name!r}; only 'paired' has a teacher")
     builder = LevelBuilder(capacity, config.generator, config.paired)
-    template = jax.eval_shape(lambda key: builder.policy.init(key, builder.first_obs()), jax.random.key(0))
+    template = jax.eval_shape(lambda key: builder.policy.init(key, builder.first_obs()), prng.key(0))
     params = unflatten_arrays(template, select_arrays(checkpoint.arrays, PARAMS_PREFIX))
     return TeacherLevels(builder, jax.tree.map(jnp.asarray, params))

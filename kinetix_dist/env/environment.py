@@ -194,9 +194,7 @@ class Environment:
     def _prepare(self, levels: Level) -> PreparedLevels:
         packed_scene, packed_state = self.pack(levels)
         roles = role_masks(levels.shape_role, levels.scene.shapes.active)
-        num_worlds, num_shapes = levels.shape_role.shape
-        untouched = jnp.zeros((num_worlds, num_shapes, self.capacity.touch_words), jnp.uint32)
-        moving = self._moving(packed_scene, packed_state, untouched, has_stepped=False)
+        moving = self._at_start(packed_scene, packed_state, num_worlds=levels.shape_role.shape[0])
         return PreparedLevels(
             packed_scene=packed_scene,
             initial_packed_state=packed_state,
@@ -251,6 +249,16 @@ class Environment:
             packed_state=packed_state, distance=distance, num_steps=num_steps, episode_return=episode_return
         )
         return next_state, self.observation.dynamic(moving), reward, outcome.done, info
+
+    def obs_of_start(self, prepared: PreparedLevels, env_state: EnvState) -> Any:
+        """Observation, as `reset` gives it, of episodes that start in a state. Contacts are seen after a step."""
+        num_worlds = env_state.num_steps.shape[0]
+        moving = self._at_start(prepared.packed_scene, env_state.packed_state, num_worlds=num_worlds)
+        return self.observation.dynamic(moving)
+
+    def _at_start(self, packed_scene: Any, packed_state: Any, *, num_worlds: int) -> Moving:
+        untouched = jnp.zeros((num_worlds, self.capacity.shapes, self.capacity.touch_words), jnp.uint32)
+        return self._moving(packed_scene, packed_state, untouched, has_stepped=False)
 
     def _moving(self, packed_scene: Any, packed_state: Any, touching: Array, *, has_stepped: bool) -> Moving:
         position, angle, velocity, angular_velocity = self.stepper.bodies(packed_scene, packed_state)

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array, index_worlds
+from kinetix_dist import prng
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
@@ -223,7 +224,7 @@ def play_on(
         return ~now.episodes.finished.all() & (now.num_steps < end)
 
     def play(now: Playing) -> Playing:
-        step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, now.num_steps)
+        step_keys = jax.vmap(prng.fold_in, in_axes=(0, None))(keys, now.num_steps)
         actions, memory = act(policy, params, env.observe(prepared, now.obs), step_keys, now.memory)
         env_state, obs, _, done, info = env.step(prepared, now.env_state, actions)
         return Playing(
@@ -239,7 +240,7 @@ def play_on(
 
 def attempt_keys(key: Array, index: Array) -> Array:
     """[W] keys of attempts `index` [W], counted over all levels. The key is consumed."""
-    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, index)
+    return jax.vmap(prng.fold_in, in_axes=(None, 0))(key, index)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from kinetix_dist import prng
 from kinetix_dist.checkpoint import Checkpoint, select_arrays, unflatten_arrays
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.level import Level
@@ -38,5 +39,5 @@ def load_policy(checkpoint: Checkpoint, config: PolicyConfig, env: Environment, 
         prepared = env.prepare(one_level)
         return module.init(key, env.observe(prepared, prepared.initial_obs))
 
-    template = jax.eval_shape(init, jax.random.key(0))
+    template = jax.eval_shape(init, prng.key(0))
     return module, unflatten_arrays(template, released_arrays(checkpoint))

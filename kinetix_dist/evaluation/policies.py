@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.env.action_spaces import ActionDistribution, ActionSpace
 from kinetix_dist.models.gru import initial_memory
 
@@ -72,7 +73,7 @@ class NetworkPolicy:
     def _choose(self, outputs: Any, keys: Array) -> Array:
         if self.greedy:
             return self.distribution.mode(outputs)
-        uniforms = jax.vmap(lambda key: jax.random.uniform(key, (self.distribution.num_uniforms,)))(keys)
+        uniforms = jax.vmap(lambda key: prng.uniform(key, (self.distribution.num_uniforms,)))(keys)
         return self.distribution.sample(outputs, uniforms)[0]
 
 

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array, index_worlds
+from kinetix_dist import prng
 from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
@@ -127,11 +128,11 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
     """`max_steps` steps of every world: [T, W, ...] of the state each step led to, commands, reward, outcome."""
     env_state, obs = env.reset(prepared)
     num_worlds = env_state.num_steps.shape[0]
-    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, jnp.arange(num_worlds))
+    keys = jax.vmap(prng.fold_in, in_axes=(None, 0))(key, jnp.arange(num_worlds))
 
     def play(carry: tuple, step: Array) -> tuple[tuple, dict[str, Array]]:
         env_state, obs, memory = carry
-        step_keys = jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, step)
+        step_keys = jax.vmap(prng.fold_in, in_axes=(0, None))(keys, step)
         actions, memory = act(policy, params, env.observe(prepared, obs), step_keys, memory)
         env_state, obs, seen = _step_seen(env, prepared, env_state, actions)
         return (env_state, obs, memory), seen

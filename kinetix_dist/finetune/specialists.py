@@ -19,6 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from kinetix_dist import prng
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
@@ -161,7 +162,7 @@ class Specialists:
     def _evaluate(self, level: Level, update: int) -> Point:
         """Levels, attempts and keys are the same every time, so that evaluations are paired."""
         player = Player(self._network, jax.device_put(local_values(self._learner.released)))
-        key, attempts = jax.random.key(EVALUATION_STREAM), self._config.evaluation.attempts_of(1)
+        key, attempts = prng.key(EVALUATION_STREAM), self._config.evaluation.attempts_of(1)
         rates = evaluate(self._env, player, level, attempts=attempts, key=key)
         return Point(
             updates=update, env_steps=self._env_steps(update), solved=rates.total.solved, attempts=rates.attempts

@@ -17,6 +17,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 
 
 @jax.tree_util.register_dataclass
@@ -27,7 +28,7 @@ class LearnerState:
     params: Any  # float32
     average: Any  # as `params`, over updates, see step_size.py; None: no average is kept
     opt_state: Any  # of the flattened parameters, see `adam`
-    key: Array  # [2] uint32, `jax.random.key_data` of the learner's key; constant, updates fold in their number
+    key: Array  # [2] uint32, `prng.key_data` of the learner's key; constant, updates fold in their number
     num_updates: Array  # [] int32, calls of update(); the policy version
     num_gradient_steps: Array  # [] int32, applied (skipped ones are not counted)
     env_steps: Array  # [2] uint32, low and high word of the run's steps before the update: `at_env_steps`
@@ -47,13 +48,13 @@ def adam(learning_rate: float, *, epsilon: float) -> optax.GradientTransformatio
 def init_learner_state(
     params: Any, optimizer: optax.GradientTransformation, key: Array, *, has_average: bool = False
 ) -> LearnerState:
-    """key: a typed key (`jax.random.key`), from which all shuffling of this learner follows."""
+    """key: a typed key (`prng.key`), from which all shuffling of this learner follows."""
     flat, _ = ravel_pytree(params)
     return LearnerState(
         params=params,
         average=params if has_average else None,
         opt_state=optimizer.init(flat),
-        key=jax.random.key_data(key),
+        key=prng.key_data(key),
         num_updates=jnp.zeros((), jnp.int32),
         num_gradient_steps=jnp.zeros((), jnp.int32),
         env_steps=jnp.zeros(2, jnp.uint32),

@@ -28,6 +28,7 @@ from jax.flatten_util import ravel_pytree
 from jax.sharding import Mesh, PartitionSpec
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.env.action_spaces import ActionDistribution
 from kinetix_dist.env.observations import Observation
 from kinetix_dist.learner.config import PpoConfig
@@ -138,11 +139,11 @@ def _update(
     # Worlds begin an update with an episode.
     is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(True).reshape(-1)
     flat_params, unravel = ravel_pytree(state.params)
-    key = jax.random.fold_in(jax.random.wrap_key_data(state.key), state.num_updates)
+    key = prng.fold_in(prng.wrap_key_data(state.key), state.num_updates)
     now = sizes(config, state)
 
     def epoch(carry: tuple[Array, Any], number: Array) -> tuple[tuple[Array, Any], Array]:
-        index = _shuffled(jax.random.fold_in(key, number), num_steps, num_worlds, program)
+        index = _shuffled(prng.fold_in(key, number), num_steps, num_worlds, program)
         offset, scale = _advantage_statistics(advantages.reshape(-1)[index], is_counted, minibatch_size, config)
         return jax.lax.scan(minibatch, carry, (index, offset, scale))
 
@@ -234,7 +235,7 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
     worlds_a_shard = num_worlds // num_shards
 
     def shard_worlds(shard: Array, number: Array) -> Array:
-        bits = jax.random.bits(jax.random.fold_in(key, number), (worlds_a_shard,))
+        bits = prng.bits(prng.fold_in(key, number), (worlds_a_shard,))
         return shard * worlds_a_shard + jnp.argsort(bits).astype(jnp.int32)
 
     if program.is_recurrent:
@@ -244,7 +245,7 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
         return (steps[:, None] + worlds.reshape(config.minibatches, 1, -1)).reshape(config.minibatches, -1)
 
     def shard_samples(shard: Array, number: Array) -> Array:
-        bits = jax.random.bits(jax.random.fold_in(key, number), (num_steps * worlds_a_shard,))
+        bits = prng.bits(prng.fold_in(key, number), (num_steps * worlds_a_shard,))
         sample = jnp.argsort(bits)  # equal bits keep their order: still the same on every device
         step, world = sample // worlds_a_shard, sample % worlds_a_shard
         return (step * num_worlds + shard * worlds_a_shard + world).astype(jnp.int32)
@@ -259,7 +260,7 @@ def _advantage_statistics(
 ) -> tuple[Array, Array]:
     """What to subtract from and multiply with the advantages of each minibatch, over all devices: two [minibatches]."""
     if not config.normalise_advantages:
-        return jnp.zeros(config.minibatches), jnp.ones(config.minibatches)
+        return jnp.zeros(config.minibatches, jnp.float32), jnp.ones(config.minibatches, jnp.float32)
     mean = _sum(advantages, is_counted, axis=1) / minibatch_size
     squares = jnp.square(advantages - mean[:, None])
     std = jnp.sqrt(_sum(squares, is_counted, axis=1) / minibatch_size)
@@ -310,7 +311,7 @@ def _apply(
 
     flat_params = keep_if_skipped(flat_params + step, flat_params)
     opt_state = jax.tree.map(keep_if_skipped, new_opt_state, opt_state)
-    row = jnp.where(is_finite, jnp.concatenate([terms, norm[None], jnp.ones(1)]), 0.0)
+    row = jnp.where(is_finite, jnp.concatenate([terms, norm[None], jnp.ones(1, jnp.float32)]), 0.0)
     return (flat_params, opt_state), row
 
 

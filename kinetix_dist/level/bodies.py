@@ -37,15 +37,15 @@ def build_unicycle(draws: Draws, capacity: Capacity) -> Thing:
     # Tall enough that it stands out above the wheel: green is what must touch blue.
     half = jnp.stack([draws.between(0.1, 0.3), draws.between(0.8 * radius, 0.35)])
     height = half[1] * draws.between(0.75, 0.95)
-    wheel = Part(position=jnp.zeros(2), radius=radius)
-    body = Part(position=jnp.stack([jnp.zeros(()), height]), half=half, role=Role.GREEN)
-    return Thing(parts=[body, wheel], hinges=[Hinge(a=0, b=1, at=jnp.zeros(2))])
+    wheel = Part(position=jnp.zeros(2, jnp.float32), radius=radius)
+    body = Part(position=jnp.stack([jnp.zeros((), jnp.float32), height]), half=half, role=Role.GREEN)
+    return Thing(parts=[body, wheel], hinges=[Hinge(a=0, b=1, at=jnp.zeros(2, jnp.float32))])
 
 
 def build_car(draws: Draws, capacity: Capacity) -> Thing:
     """A chassis on two wheels of different sizes, both on the floor. It is about as long as the wheels reach, so that
     no wheel keeps green from the goal."""
-    return _car(draws, jnp.ones(()))
+    return _car(draws, jnp.ones((), jnp.float32))
 
 
 def _car(draws: Draws, scale: Array) -> Thing:
@@ -70,7 +70,7 @@ def build_walker(draws: Draws, capacity: Capacity) -> Thing:
     max_legs = min(room, MAX_LEGS)
     has_shins = room >= 2 * max_legs
     torso_half = jnp.stack([draws.between(0.2, 0.5), draws.between(0.08, 0.16)])
-    parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
+    parts = [Part(position=jnp.zeros(2, jnp.float32), half=torso_half, role=Role.GREEN)]
     hinges: list[Hinge] = []
     num_legs, with_shins = draws.number(min(2, max_legs), max_legs), draws.chance(0.6)
     thigh, shin = (jnp.stack([draws.between(0.04, 0.08), draws.between(0.14, 0.28)]) for _ in range(2))
@@ -157,8 +157,8 @@ def _links_on_a_disc(
     draws: Draws, num_links: int, count: Array, reach: Array, towards: Array
 ) -> tuple[list[Part], list[Hinge]]:
     """The fixed disc and `count` links within 0.6 rad of one direction (rad), the last one green."""
-    parts = [Part(position=jnp.zeros(2), radius=draws.between(0.1, 0.18), is_fixed=True)]
-    hinges, at = [], jnp.zeros(2)
+    parts = [Part(position=jnp.zeros(2, jnp.float32), radius=draws.between(0.1, 0.18), is_fixed=True)]
+    hinges, at = [], jnp.zeros(2, jnp.float32)
     length = reach / count
     width = draws.between(0.04, 0.08)
     for link in range(num_links):
@@ -191,7 +191,7 @@ def build_runner(draws: Draws, capacity: Capacity) -> Thing:
     # One leg carries an upright torso, two a level one.
     upright = jnp.stack([draws.between(0.1, 0.15), draws.between(0.22, 0.36)])
     torso_half = jnp.where(has_two, jnp.stack([along, across]), upright)
-    parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
+    parts = [Part(position=jnp.zeros(2, jnp.float32), half=torso_half, role=Role.GREEN)]
     hinges: list[Hinge] = []
     bend = draws.between(0.0, 0.5)
     thigh, shin = (jnp.stack([draws.between(0.05, 0.075), draws.between(0.17, 0.27)]) for _ in range(2))
@@ -226,7 +226,7 @@ def build_sprinter(draws: Draws, capacity: Capacity) -> Thing:
     level = jnp.stack([draws.between(0.35, 0.7), draws.between(0.05, 0.1)])
     thigh, shin = (jnp.stack([width, draws.between(0.13, 0.28)]) for _ in range(2))
     torso_half = jnp.where(is_cheetah, level, jnp.where(is_swimmer, thigh[::-1], upright))
-    parts = [Part(position=jnp.zeros(2), half=torso_half, role=Role.GREEN)]
+    parts = [Part(position=jnp.zeros(2, jnp.float32), half=torso_half, role=Role.GREEN)]
     hinges: list[Hinge] = []
     foot = jnp.stack([draws.between(0.08, 0.2), draws.between(0.045, 0.075)])
     is_stiff, legs_are_spread = draws.chance(0.4) | is_cheetah, draws.chance(0.5)
@@ -277,7 +277,7 @@ def build_snake(draws: Draws, capacity: Capacity) -> Thing:
     step, limit = 1.7 * half[0], draws.between(0.7, 1.4)
     parts = [
         Part(
-            position=jnp.stack([link * step, jnp.zeros(())]),
+            position=jnp.stack([link * step, jnp.zeros((), jnp.float32)]),
             half=half,
             role=jnp.where(green == link, Role.GREEN, Role.NONE),
             active=link < count,
@@ -286,7 +286,11 @@ def build_snake(draws: Draws, capacity: Capacity) -> Thing:
     ]
     hinges = [
         Hinge(
-            a=link, b=link + 1, at=jnp.stack([(link + 0.5) * step, jnp.zeros(())]), limit=limit, active=link + 1 < count
+            a=link,
+            b=link + 1,
+            at=jnp.stack([(link + 0.5) * step, jnp.zeros((), jnp.float32)]),
+            limit=limit,
+            active=link + 1 < count,
         )
         for link in range(num_links - 1)
     ]
@@ -305,9 +309,9 @@ def build_cartpole(draws: Draws, capacity: Capacity) -> Thing:
     pole_half = jnp.stack([draws.between(0.04, 0.07), draws.between(0.35, 0.75)])
     tilt = draws.between(-0.06, 0.06)
     radius = draws.between(0.12, 0.2)
-    hinge_at = jnp.stack([jnp.zeros(()), 0.6 * cart_half[1]])
+    hinge_at = jnp.stack([jnp.zeros((), jnp.float32), 0.6 * cart_half[1]])
     up = jnp.stack([-jnp.sin(tilt), jnp.cos(tilt)])
-    cart = Part(position=jnp.zeros(2), half=cart_half)
+    cart = Part(position=jnp.zeros(2, jnp.float32), half=cart_half)
     has_tip = draws.chance(0.4) if may_have_tip else jnp.array(False)
     pole_role = jnp.where(has_tip, Role.NONE, Role.GREEN)
     pole = Part(position=hinge_at + 0.95 * pole_half[1] * up, angle=tilt, half=pole_half, role=pole_role)
@@ -327,7 +331,7 @@ def build_cartpole(draws: Draws, capacity: Capacity) -> Thing:
     if may_fly:
         power = draws.between(1.2, 2.5) * mass * GRAVITY_M_S2 * NEWTON
         for colour, side in enumerate((-1.0, 1.0)):
-            at = jnp.stack([side * 0.8 * cart_half[0], jnp.zeros(())])
+            at = jnp.stack([side * 0.8 * cart_half[0], jnp.zeros((), jnp.float32)])
             angle = jnp.asarray(0.0 if side < 0.0 else math.pi)
             jets.append(Jet(of=0, at=at, angle=angle, power=power, colour=colour, active=~has_wheels))
     # The goal is as high as the upper half of the pole: one that fell hardly reaches it.
@@ -377,11 +381,11 @@ def _flying(draws: Draws, capacity: Capacity) -> tuple[list[Part], list[Jet], Ar
     for colour, side in enumerate((-1.0, 1.0)):
         power = weight * NEWTON * lift * jnp.where(is_pair, 0.6, 1.0 if colour == 0 else sideways)
         angle = jnp.where(is_pair, 0.5 * math.pi + tilt * side, 0.5 * math.pi if colour == 0 else 0.0)
-        behind = half * jnp.array([0.0, -1.0] if colour == 0 else [-1.0, 0.0])
-        at = jnp.where(is_pair, half * jnp.array([0.7 * side, 0.0]), behind)
+        behind = half * jnp.array([0.0, -1.0] if colour == 0 else [-1.0, 0.0], jnp.float32)
+        at = jnp.where(is_pair, half * jnp.array([0.7 * side, 0.0], jnp.float32), behind)
         jets.append(Jet(of=is_disc.astype(jnp.int32), at=at, angle=angle, power=power, colour=colour))
-    discs = [Part(position=jnp.zeros(2), radius=radius, role=Role.GREEN, active=is_disc)]
-    parts = [Part(position=jnp.zeros(2), half=box, role=Role.GREEN, active=~is_disc)]
+    discs = [Part(position=jnp.zeros(2, jnp.float32), radius=radius, role=Role.GREEN, active=is_disc)]
+    parts = [Part(position=jnp.zeros(2, jnp.float32), half=box, role=Role.GREEN, active=~is_disc)]
     return parts + (discs if capacity.circles >= 2 else []), jets, half
 
 
@@ -439,18 +443,25 @@ def build_pusher(draws: Draws, capacity: Capacity) -> Thing:
     chassis, *wheels = car.parts
     _, highest = extent(car.parts)
     size = draws.between(0.1, 0.22)
-    at = jnp.stack([highest[0] + draws.between(0.05, 0.5) + size, jnp.zeros(())])
+    at = jnp.stack([highest[0] + draws.between(0.05, 0.5) + size, jnp.zeros((), jnp.float32)])
     is_disc = draws.chance(0.5) if capacity.circles >= 4 else jnp.array(False)
     loads = [
         Part(
-            position=at + jnp.stack([jnp.zeros(()), size]),
+            position=at + jnp.stack([jnp.zeros((), jnp.float32), size]),
             half=jnp.stack([size, size]),
             role=Role.GREEN,
             active=~is_disc,
         )
     ]
     if capacity.circles >= 4:
-        loads.append(Part(position=at + jnp.stack([jnp.zeros(()), size]), radius=size, role=Role.GREEN, active=is_disc))
+        loads.append(
+            Part(
+                position=at + jnp.stack([jnp.zeros((), jnp.float32), size]),
+                radius=size,
+                role=Role.GREEN,
+                active=is_disc,
+            )
+        )
     parts = [dataclasses.replace(chassis, role=Role.NONE), *wheels, *loads]
     return Thing(
         parts=parts,
@@ -471,11 +482,11 @@ def build_beam(draws: Draws, capacity: Capacity) -> Thing:
     start = -side * draws.between(0.1, 0.8) * (half[0] - ball)
     parts = [
         # Below the upper side of the beam: what rolls along it passes.
-        Part(position=jnp.stack([jnp.zeros(()), 0.5 * half[1] - pivot]), radius=pivot, is_fixed=True),
-        Part(position=jnp.zeros(2), half=half),
+        Part(position=jnp.stack([jnp.zeros((), jnp.float32), 0.5 * half[1] - pivot]), radius=pivot, is_fixed=True),
+        Part(position=jnp.zeros(2, jnp.float32), half=half),
         Part(position=jnp.stack([start, half[1] + ball + CLEARANCE_M]), radius=ball, role=Role.GREEN),
     ]
-    hinges = [Hinge(a=0, b=1, at=jnp.zeros(2), limit=draws.between(0.15, 0.5))]
+    hinges = [Hinge(a=0, b=1, at=jnp.zeros(2, jnp.float32), limit=draws.between(0.15, 0.5))]
     # A disc that rolls below the goal touches it where the beam is held about level.
     goal_radius = draws.between(0.08, 0.15)
     goal_y = half[1] + 2.0 * ball + draws.between(0.1, 0.8) * goal_radius
@@ -500,7 +511,7 @@ def build_lander(draws: Draws, capacity: Capacity) -> Thing:
     has_rope = draws.chance(0.4) if rope_fits else jnp.array(False)
     half = jnp.stack([draws.between(0.11, 0.22), draws.between(0.1, 0.18)])
     half = half * jnp.where(has_rope, draws.between(1.0, 1.8), 1.0)
-    parts = [Part(position=jnp.zeros(2), half=half, role=jnp.where(has_rope, Role.NONE, Role.GREEN))]
+    parts = [Part(position=jnp.zeros(2, jnp.float32), half=half, role=jnp.where(has_rope, Role.NONE, Role.GREEN))]
     hinges: list[Hinge] = []
     mass = 4.0 * half[0] * half[1]
     if rope_fits:
@@ -512,13 +523,16 @@ def build_lander(draws: Draws, capacity: Capacity) -> Thing:
         for side in (-1.0, 1.0):
             hip = jnp.stack([side * 0.9 * half[0], hip_y])
             _add_link(draws, parts, hinges, 0, hip, leg, has_legs, lean=side * splay, motion="welded")
-        at = jnp.stack([jnp.zeros(()), -0.9 * half[1]])
+        at = jnp.stack([jnp.zeros((), jnp.float32), -0.9 * half[1]])
         for number in range(ROPE_LINKS):
             of = len(parts) - 1 if number else 0
-            at = _add_link(draws, parts, hinges, of, at, link, has_rope, lean=jnp.zeros(()), motion="free")
+            at = _add_link(draws, parts, hinges, of, at, link, has_rope, lean=jnp.zeros((), jnp.float32), motion="free")
         radius = draws.between(0.1, 0.18)
         load = Part(
-            position=at - jnp.stack([jnp.zeros(()), 0.8 * radius]), radius=radius, role=Role.GREEN, active=has_rope
+            position=at - jnp.stack([jnp.zeros((), jnp.float32), 0.8 * radius]),
+            radius=radius,
+            role=Role.GREEN,
+            active=has_rope,
         )
         hinges.append(Hinge(a=len(parts) - 1, b=len(parts), at=at, has_motor=False, active=has_rope))
         parts.append(load)
@@ -529,7 +543,7 @@ def build_lander(draws: Draws, capacity: Capacity) -> Thing:
     jets = [
         Jet(
             of=0,
-            at=half * jnp.array([0.9 * side, -0.9]),
+            at=half * jnp.array([0.9 * side, -0.9], jnp.float32),
             angle=0.5 * math.pi + tilt * side,
             power=power,
             colour=colour,
@@ -554,14 +568,14 @@ def build_carrier(draws: Draws, capacity: Capacity) -> Thing:
     radius, along = draws.between(0.12, 0.2), draws.between(0.35, 0.6)
     half = jnp.stack([along + draws.between(0.0, 0.2), draws.between(0.04, 0.08)])
     top = 2.0 * radius + CLEARANCE_M  # no wheel stands out above the chassis
-    parts = [Part(position=jnp.stack([jnp.zeros(()), top - half[1]]), half=half)]
+    parts = [Part(position=jnp.stack([jnp.zeros((), jnp.float32), top - half[1]]), half=half)]
     hinges: list[Hinge] = []
     for side in (-1.0, 1.0):
         axle = jnp.stack([side * along, radius])
         hinges.append(Hinge(a=0, b=len(parts), at=axle))
         parts.append(Part(position=axle, radius=radius))
     goal_is_slab = draws.chance(0.4)
-    wall = jnp.stack([jnp.full((), 0.03), draws.between(0.02, 0.1)])  # a disc rolls over low ones
+    wall = jnp.stack([jnp.full((), 0.03, jnp.float32), draws.between(0.02, 0.1)])  # a disc rolls over low ones
     for side in (-1.0, 1.0):
         active = ~goal_is_slab if side > 0.0 else jnp.array(True)
         foot = jnp.stack([side * (half[0] - wall[0]), top - half[1]])
@@ -593,9 +607,12 @@ def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
     car = _car(draws, draws.between(0.5, 0.8))
     has_bar, bar_half = draws.chance(0.4), jnp.stack([draws.between(0.03, 0.06), draws.between(0.2, 0.4)])
     chassis = dataclasses.replace(car.parts[0], role=jnp.where(has_bar, Role.NONE, Role.GREEN))
-    foot = chassis.position + jnp.stack([jnp.zeros(()), 0.5 * chassis.half[1]])
+    foot = chassis.position + jnp.stack([jnp.zeros((), jnp.float32), 0.5 * chassis.half[1]])
     bar = Part(
-        position=foot + jnp.stack([jnp.zeros(()), 0.85 * bar_half[1]]), half=bar_half, role=Role.GREEN, active=has_bar
+        position=foot + jnp.stack([jnp.zeros((), jnp.float32), 0.85 * bar_half[1]]),
+        half=bar_half,
+        role=Role.GREEN,
+        active=has_bar,
     )
     lowest, highest = extent(car.parts)
     side = jnp.where(draws.chance(0.5), 1.0, -1.0)
@@ -615,7 +632,7 @@ def build_jumper(draws: Draws, capacity: Capacity) -> Thing:
     platforms = [
         Part(position=jnp.stack([side * x, y - thickness]), half=jnp.stack([0.5 * length, thickness]), is_fixed=True)
         for x, y, length in (
-            (-0.5 * lengths[0], jnp.zeros(()), lengths[0]),
+            (-0.5 * lengths[0], jnp.zeros((), jnp.float32), lengths[0]),
             (gap + 0.5 * lengths[1], -drop, lengths[1]),
         )
     ]
@@ -647,13 +664,13 @@ def build_thrower(draws: Draws, capacity: Capacity) -> Thing:
     out = jnp.where(is_seesaw, draws.between(0.0, 0.3), draws.between(0.5, 0.9)) * half[0]  # from pivot to middle
     inset = draws.between(0.6, 1.4) * ball
     gap = jnp.where(draws.chance(0.4), draws.between(0.05, 0.5), CLEARANCE_M)  # between the disc and the arm
-    zero = jnp.zeros(())
+    zero = jnp.zeros((), jnp.float32)
     middle_of_arm = jnp.where(is_upright, jnp.stack([zero, out]), jnp.stack([-side * out, zero]))
     end = out + half[0]
     on_tip = jnp.stack([zero, end + ball + gap])
     on_arm = jnp.stack([-side * (end - inset), half[1] + ball + gap])
     parts = [
-        Part(position=jnp.zeros(2), radius=pivot, is_fixed=True),
+        Part(position=jnp.zeros(2, jnp.float32), radius=pivot, is_fixed=True),
         Part(position=middle_of_arm, angle=jnp.where(is_upright, 0.5 * math.pi, 0.0), half=half),
         Part(position=jnp.where(is_upright, on_tip, on_arm), radius=ball, role=Role.GREEN),
     ]
@@ -665,7 +682,7 @@ def build_thrower(draws: Draws, capacity: Capacity) -> Thing:
     goal_y = jnp.where(draws.chance(0.5), lowest, draws.between(lowest, jnp.maximum(lowest, y + 0.6)))
     return Thing(
         parts=parts,
-        hinges=[Hinge(a=0, b=1, at=jnp.zeros(2))],
+        hinges=[Hinge(a=0, b=1, at=jnp.zeros(2, jnp.float32))],
         middle=jnp.stack([jnp.where(side > 0.0, x, WORLD_SIZE_M - x), y]),
         goal=jnp.stack([side * away, goal_y - y]),
         goal_radius=goal_radius,
@@ -686,7 +703,7 @@ def build_turner(draws: Draws, capacity: Capacity) -> Thing:
     at = draws.between(0.0, 1.0) * apart
     blue, red = Role.GREEN, Role.RED  # exchanged with the goal's
     parts = [
-        Part(position=jnp.zeros(2), radius=radii[1], role=red),
+        Part(position=jnp.zeros(2, jnp.float32), radius=radii[1], role=red),
         Part(position=apart, radius=radii[0], role=blue, active=~is_box),
     ]
     hinges = [Hinge(a=0, b=1, at=at, active=~is_box)]
@@ -717,15 +734,15 @@ def build_flipper(draws: Draws, capacity: Capacity) -> Thing:
     half = jnp.stack([along, draws.between(0.06, 0.12)])
     side = jnp.where(draws.chance(0.5), 1.0, -1.0)  # of the goal, from the car
     blue, red = Role.GREEN, Role.RED  # exchanged with the goal's
-    axles = [jnp.stack([way * side * along, jnp.zeros(())]) for way in (-1.0, 1.0)]
-    parts = [Part(position=jnp.zeros(2), half=half)]
+    axles = [jnp.stack([way * side * along, jnp.zeros((), jnp.float32)]) for way in (-1.0, 1.0)]
+    parts = [Part(position=jnp.zeros(2, jnp.float32), half=half)]
     parts += [Part(position=axle, radius=radius, role=role) for axle, role in zip(axles, (blue, red), strict=True)]
     mass = 4.0 * half[0] * half[1] + 2.0 * math.pi * radius**2
     power = draws.between(0.65, 2.0) * mass * GRAVITY_M_S2 * NEWTON
     jets = [
         Jet(
             of=0,
-            at=half * jnp.stack([draws.between(-0.9, 0.9), jnp.full((), -0.9)]),
+            at=half * jnp.stack([draws.between(-0.9, 0.9), jnp.full((), -0.9, jnp.float32)]),
             angle=jnp.asarray(0.5 * math.pi),
             power=power,
             colour=colour,
@@ -776,8 +793,8 @@ def build_grasper(draws: Draws, capacity: Capacity) -> Thing:
         return jnp.stack([side * x, y])
 
     link = functools.partial(_link_to, side)
-    zero = jnp.zeros(())
-    upper_arm, elbow = link(jnp.zeros(2), lean - 0.5 * math.pi, upper, width)
+    zero = jnp.zeros((), jnp.float32)
+    upper_arm, elbow = link(jnp.zeros(2, jnp.float32), lean - 0.5 * math.pi, upper, width)
     forearm, wrist = link(elbow, zero, fore, width)
     knuckles = [wrist + jnp.stack([zero, end * palm]) for end in (-1.0, 1.0)]
     fingers = [
@@ -786,16 +803,16 @@ def build_grasper(draws: Draws, capacity: Capacity) -> Thing:
     on = mirrored(jnp.cos(lower_rise), jnp.sin(lower_rise)), mirrored(-jnp.sin(lower_rise), jnp.cos(lower_rise))
     load = knuckles[0] + (along * (finger - size) + size) * on[0] + (0.03 + size + CLEARANCE_M) * on[1]
     parts = [
-        Part(position=jnp.zeros(2), radius=draws.between(0.08, 0.14), is_fixed=True),
+        Part(position=jnp.zeros(2, jnp.float32), radius=draws.between(0.08, 0.14), is_fixed=True),
         upper_arm,
         forearm,
-        Part(position=wrist, half=jnp.stack([jnp.full((), 0.03), palm])),
+        Part(position=wrist, half=jnp.stack([jnp.full((), 0.03, jnp.float32), palm])),
         *fingers,
         Part(position=load, angle=side * lower_rise, half=jnp.stack([size, size]), role=Role.GREEN),
     ]
-    limit = jnp.full((), 0.8)
+    limit = jnp.full((), 0.8, jnp.float32)
     hinges = [
-        Hinge(a=0, b=1, at=jnp.zeros(2)),
+        Hinge(a=0, b=1, at=jnp.zeros(2, jnp.float32)),
         Hinge(a=1, b=2, at=elbow),
         Hinge(a=2, b=3, at=wrist, is_weld=True),
         *(Hinge(a=3, b=4 + number, at=knuckle, limit=limit) for number, knuckle in enumerate(knuckles)),
@@ -824,8 +841,8 @@ def build_pendulum(draws: Draws, capacity: Capacity) -> Thing:
     has_bob = draws.chance(0.4) if has_room else jnp.array(False)
     length, width = reach / count, draws.between(0.04, 0.07)
     driven = draws.number(0, num_links - 1) % count  # one at least
-    parts, hinges = [Part(position=jnp.zeros(2), radius=draws.between(0.08, 0.16), is_fixed=True)], []
-    zero = jnp.zeros(())
+    parts, hinges = [Part(position=jnp.zeros(2, jnp.float32), radius=draws.between(0.08, 0.16), is_fixed=True)], []
+    zero = jnp.zeros((), jnp.float32)
     for link in range(num_links):
         role = jnp.where((link == count - 1) & ~has_bob, Role.GREEN, Role.NONE)
         top = jnp.stack([zero, -link * length])
@@ -878,7 +895,7 @@ def build_ramp(draws: Draws, capacity: Capacity) -> Thing:
     ]
     parts = [dataclasses.replace(part, role=role) for part, role in zip(car.parts, roles, strict=True)]
     # From the end of the car on, all to one side: ramp, slab, goal.
-    half, slope = jnp.stack([draws.between(0.15, 0.36), jnp.full((), 0.05)]), draws.between(0.2, 0.8)
+    half, slope = jnp.stack([draws.between(0.15, 0.36), jnp.full((), 0.05, jnp.float32)]), draws.between(0.2, 0.8)
     cos, sin = jnp.cos(slope), jnp.sin(slope)
     ramp_x = draws.between(0.1, 0.7) + half[0] * cos + half[1] * sin
     ramp_y = half[0] * sin - 0.5 * half[1]  # its lower end is in the floor
@@ -928,11 +945,11 @@ def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
     limit = draws.between(0.4, 0.6)
 
     link = functools.partial(_link_to, side)
-    upper_arm, elbow = link(jnp.zeros(2), lean - 0.5 * math.pi, upper, width, beyond=0.5 * width)
-    forearm, wrist = link(elbow, jnp.zeros(()), fore, width, beyond=0.5 * width)
-    fingers, hinges = [], [Hinge(a=0, b=1, at=jnp.zeros(2), turn=0), Hinge(a=1, b=2, at=elbow, turn=1)]
+    upper_arm, elbow = link(jnp.zeros(2, jnp.float32), lean - 0.5 * math.pi, upper, width, beyond=0.5 * width)
+    forearm, wrist = link(elbow, jnp.zeros((), jnp.float32), fore, width, beyond=0.5 * width)
+    fingers, hinges = [], [Hinge(a=0, b=1, at=jnp.zeros(2, jnp.float32), turn=0), Hinge(a=1, b=2, at=elbow, turn=1)]
     for number, way in enumerate((1.0, -1.0)):  # the upper one, the lower one
-        knuckle = wrist + jnp.stack([jnp.zeros(()), way * 0.3 * palm])
+        knuckle = wrist + jnp.stack([jnp.zeros((), jnp.float32), way * 0.3 * palm])
         inner, joint = link(knuckle, jnp.asarray(way * 0.5 * math.pi), palm, finger_width, beyond=0.5 * finger_width)
         outer, _ = link(joint, way * spread, tip, finger_width, beyond=0.5 * finger_width)
         fingers += [inner, outer]
@@ -952,7 +969,7 @@ def build_gripper(draws: Draws, capacity: Capacity) -> Thing:
     disc_x = wrist[0] + side * draws.between(-0.4, 0.25)
     on_disc = jnp.stack([disc_x, FLOOR_TOP_M + 2.0 * pedestal + size + CLEARANCE_M - y])
     parts = [
-        Part(position=jnp.zeros(2), radius=draws.between(0.1, 0.25), is_fixed=True),
+        Part(position=jnp.zeros(2, jnp.float32), radius=draws.between(0.1, 0.25), is_fixed=True),
         upper_arm,
         forearm,
         *fingers,
@@ -987,7 +1004,7 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
     limit = draws.between(0.5, 0.9)
     parts, hinges = [], []
     for number, way in enumerate((-1.0, 1.0)):
-        pivot = jnp.stack([way * (gap + length), jnp.zeros(())])
+        pivot = jnp.stack([way * (gap + length), jnp.zeros((), jnp.float32)])
         rise = 0.5 * run * jnp.tan(slope)
         parts.append(
             Part(
@@ -999,7 +1016,7 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
         )
         parts.append(
             Part(
-                position=pivot - jnp.stack([0.5 * way * length, jnp.zeros(())]),
+                position=pivot - jnp.stack([0.5 * way * length, jnp.zeros((), jnp.float32)]),
                 half=jnp.stack([0.5 * length + 0.5 * width, width]),
             )
         )
@@ -1022,7 +1039,7 @@ def build_pinball(draws: Draws, capacity: Capacity) -> Thing:
     return Thing(
         parts=parts,
         hinges=hinges,
-        middle=jnp.stack([jnp.full((), 0.5 * WORLD_SIZE_M), y]),
+        middle=jnp.stack([jnp.full((), 0.5 * WORLD_SIZE_M, jnp.float32), y]),
         goal=jnp.stack([side * goal_x, draws.between(jnp.maximum(0.9, lowest(goal_x, radius)), ceiling - radius)]),
         goal_radius=radius,
         colours_in_turn=draws.chance(0.6),

@@ -54,11 +54,11 @@ def centre_on_mass(level: Level) -> Level:
     scene = level.scene
     num_polygons, num_circles = scene.shapes.num_vertices.shape[0], scene.shapes.radius.shape[0]
     _, centroid, _ = jax.vmap(polygon_mass_properties)(
-        scene.shapes.vertices, scene.shapes.num_vertices, jnp.ones(num_polygons)
+        scene.shapes.vertices, scene.shapes.num_vertices, jnp.ones(num_polygons, jnp.float32)
     )
     is_centred = jnp.all(jnp.abs(centroid) < CENTRED_WITHIN_M, axis=-1, keepdims=True)
     centroid = jnp.where(is_centred, 0.0, centroid)
-    shift = jnp.concatenate([centroid, jnp.zeros((num_circles, 2))])  # [n, 2] m, body frame
+    shift = jnp.concatenate([centroid, jnp.zeros((num_circles, 2), jnp.float32)])  # [n, 2] m, body frame
     cos, sin = jnp.cos(level.angle), jnp.sin(level.angle)
     shift_world = jnp.stack([cos * shift[:, 0] - sin * shift[:, 1], sin * shift[:, 0] + cos * shift[:, 1]], axis=-1)
     moved = scene.replace(

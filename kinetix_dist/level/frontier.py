@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import generator
@@ -43,6 +44,7 @@ class FrontierSet:
     attempts: int  # of random actions, and of each policy at most, on a level
     policies: tuple[str, ...]
     num_drawn: int  # levels looked at
+    fingerprint: str = ""  # see fingerprints.py; "": not checked
 
     @property
     def name(self) -> str:
@@ -78,12 +80,12 @@ def frontier_levels(given: FrontierSet) -> tuple[Level, list[str]]:
 
 def stream_levels(size: str, indices: Sequence[int]) -> Level:
     """[len(indices), ...] levels of the stream of a size; each depends on its own index alone."""
-    key = jax.random.fold_in(jax.random.key(FRONTIER_STREAM), list(SIZES).index(size))
+    key = prng.fold_in(prng.key(FRONTIER_STREAM), list(SIZES).index(size))
     return _levels_of(key, jnp.asarray(indices, jnp.uint32), size)
 
 
 @functools.partial(jax.jit, static_argnames="size")
 def _levels_of(key: Array, indices: Array, size: str) -> Level:
-    keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, indices)
+    keys = jax.vmap(prng.fold_in, in_axes=(None, 0))(key, indices)
     config = generator("default")
     return jax.vmap(lambda one: generate_level(one, capacity_of_size(size), config))(keys)

@@ -19,6 +19,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
+from kinetix_dist import prng
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
@@ -56,10 +57,10 @@ def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> L
     """
     level = _level(key, capacity, config)
     if config.edited_share > 0.0:
-        level = _edited(jax.random.fold_in(key, _EDITS_STREAM), level, capacity, config)
+        level = _edited(prng.fold_in(key, _EDITS_STREAM), level, capacity, config)
     if config.varied_share == 0.0:
         return level
-    return vary(jax.random.fold_in(key, _VARIETY_STREAM), level, config.varied_share)
+    return vary(prng.fold_in(key, _VARIETY_STREAM), level, config.varied_share)
 
 
 def _level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
@@ -69,10 +70,10 @@ def _level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
 
 def _edited(key: Array, level: Level, capacity: Capacity, config: GeneratorConfig) -> Level:
     """The level, or after `config.num_changes` changes, unless they leave nothing that an action drives."""
-    coin_key, changes_key = jax.random.split(key)
+    coin_key, changes_key = prng.split(key)
     after, _ = mutate(changes_key, level, capacity, config, config.num_changes)
     has_control = obeying_motors(after).any() | after.scene.thrusters.active.any()
-    is_edited = (jax.random.uniform(coin_key) < config.edited_share) & has_control
+    is_edited = (prng.uniform(coin_key) < config.edited_share) & has_control
     return jax.tree.map(lambda new, old: jnp.where(is_edited, new, old), after, level)
 
 
@@ -80,8 +81,8 @@ def _draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Dra
     """What is in the level, and uniform numbers for `permute_slots`."""
     if config.locomotion_share == 0.0:
         return _random_draft(key, capacity, config)
-    is_locomotion = jax.random.uniform(jax.random.fold_in(key, _LOCOMOTION_STREAM)) < config.locomotion_share
-    locomotion = locomotion_draft(jax.random.fold_in(key, _LOCOMOTION_STREAM + 1), capacity, config)
+    is_locomotion = prng.uniform(prng.fold_in(key, _LOCOMOTION_STREAM)) < config.locomotion_share
+    locomotion = locomotion_draft(prng.fold_in(key, _LOCOMOTION_STREAM + 1), capacity, config)
     if config.locomotion_share == 1.0:
         return locomotion
     # The same level as without locomotion where the coin falls otherwise.
@@ -93,12 +94,10 @@ def _random_draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tu
     _check_capacity(capacity)
     draft = empty_draft(capacity)
     num_steps = capacity.shapes - NUM_WALLS
-    shapes_key, rest_key = jax.random.split(key)
+    shapes_key, rest_key = prng.split(key)
     # Everything but the proposals from one call: each call of the generator of random numbers is code to compile.
     sizes = (4, num_steps, capacity.thrusters * _NUM_THRUSTER_DRAWS, num_permutation_draws(draft))
-    coins, kinds, thruster_draws, order_draws = jnp.split(
-        jax.random.uniform(rest_key, (sum(sizes),)), np.cumsum(sizes)[:-1]
-    )
+    coins, kinds, thruster_draws, order_draws = jnp.split(prng.uniform(rest_key, (sum(sizes),)), np.cumsum(sizes)[:-1])
     control = 3.0 * coins[0]  # 0..1: motor, 1..2: thruster, 2..3: both
     force_motor, force_thruster = (control < 1.0) | (control >= 2.0), control >= 1.0
 
@@ -116,7 +115,7 @@ def generate_levels(key: Array, num_levels: int, capacity: Capacity, config: Gen
 
 def level_keys(key: Array, num_levels: int) -> Array:
     """[num_levels], of the levels of a batch. Consumes `key`."""
-    return jax.vmap(functools.partial(jax.random.fold_in, key))(jnp.arange(num_levels))
+    return jax.vmap(functools.partial(prng.fold_in, key))(jnp.arange(num_levels))
 
 
 def _check_capacity(capacity: Capacity) -> None:
@@ -164,7 +163,7 @@ def _add_shapes(
         request = Request(
             is_joined=is_joined, force_motor=wants_motor, may_be_fixed=allow_fixed & ~must_move, step=step
         )
-        draws = jax.random.uniform(jax.random.fold_in(key, step), (num_proposals, NUM_DRAWS))
+        draws = prng.uniform(prng.fold_in(key, step), (num_proposals, NUM_DRAWS))
         proposals = jax.vmap(lambda draw: propose(draft, request, draw, capacity.polygons, config))(draws)
         return add_best(draft, proposals, is_joined, is_wanted), None
 

@@ -16,6 +16,7 @@ import functools
 import jax
 
 from jax2d.scene import Array, Capacity
+from kinetix_dist import prng
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
@@ -26,9 +27,9 @@ KIND = "levels"  # folder in the compile cache
 
 def draw_levels(keys: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     """[n, ...]: `generate_level` of each of the keys [n], which are consumed. Works inside jit, not inside vmap."""
-    data = jax.random.key_data(keys)
+    data = prng.key_data(keys)
     shape = jax.ShapeDtypeStruct(data.shape, data.dtype)
-    backend, key_impl = jax.default_backend(), str(jax.random.key_impl(keys))
+    backend, key_impl = jax.default_backend(), str(prng.key_impl(keys))
     return _program(capacity, config, backend, key_impl, shape, current_settings())(data)
 
 
@@ -44,7 +45,7 @@ def _program(
     """`key_data` of `keys`, [n, ...] uint32, -> levels [n, ...]."""
 
     def one(data: Array) -> Level:
-        return generate_level(jax.random.wrap_key_data(data, impl=key_impl), capacity, config)
+        return generate_level(prng.wrap_key_data(data, impl=key_impl), capacity, config)
 
     del backend  # for which it is exported
     return exported(KIND, (key_impl, capacity, config), jax.vmap(one), [keys], settings)

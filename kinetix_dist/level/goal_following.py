@@ -81,14 +81,16 @@ def _snake(draws: Draws, capacity: Capacity) -> Thing:
     step = 1.7 * half[0]
     parts = [
         Part(
-            position=jnp.stack([link * step, jnp.zeros(())]),
+            position=jnp.stack([link * step, jnp.zeros((), jnp.float32)]),
             half=half,
             role=Role.GREEN if link == _NUM_LINKS // 2 else Role.NONE,
         )
         for link in range(_NUM_LINKS)
     ]
     hinges = [
-        Hinge(a=link, b=link + 1, at=jnp.stack([(link + 0.5) * step, jnp.zeros(())]), limit=jnp.asarray(1.2))
+        Hinge(
+            a=link, b=link + 1, at=jnp.stack([(link + 0.5) * step, jnp.zeros((), jnp.float32)]), limit=jnp.asarray(1.2)
+        )
         for link in range(_NUM_LINKS - 1)
     ]
     return Thing(parts=parts, hinges=hinges)
@@ -101,14 +103,14 @@ def _box(draws: Draws, capacity: Capacity) -> Thing:
     jets = [
         Jet(
             of=0,
-            at=jnp.stack([side * 0.8 * half[0], jnp.zeros(())]),
+            at=jnp.stack([side * 0.8 * half[0], jnp.zeros((), jnp.float32)]),
             angle=jnp.asarray(0.5 * math.pi + 0.4 * side),
             power=power,
             colour=colour,
         )
         for colour, side in enumerate((-1.0, 1.0))
     ]
-    return Thing(parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN)], hinges=[], jets=jets)
+    return Thing(parts=[Part(position=jnp.zeros(2, jnp.float32), half=half, role=Role.GREEN)], hinges=[], jets=jets)
 
 
 def _random(draws: Draws, capacity: Capacity) -> Thing:
@@ -132,7 +134,9 @@ def _random(draws: Draws, capacity: Capacity) -> Thing:
         Hinge(a=0, b=3, at=last_at, active=~is_on_link),
         Hinge(a=1, b=3, at=last_at, active=is_on_link),
     ]
-    return Thing(parts=[Part(position=jnp.zeros(2), half=half, role=Role.GREEN), link, wheel, last], hinges=hinges)
+    return Thing(
+        parts=[Part(position=jnp.zeros(2, jnp.float32), half=half, role=Role.GREEN), link, wheel, last], hinges=hinges
+    )
 
 
 MORPHOLOGIES = {

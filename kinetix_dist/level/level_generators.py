@@ -8,6 +8,7 @@ from typing import Protocol
 import jax
 
 from jax2d.scene import Array, Capacity
+from kinetix_dist import prng
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.goal_following import generate_goal_following_level
@@ -40,5 +41,5 @@ class GoalFollowingLevels:
     morphology: str  # of MORPHOLOGIES
 
     def generate(self, key: Array, num_levels: int) -> Level:
-        keys = jax.random.split(key, num_levels)
+        keys = prng.split(key, num_levels)
         return jax.vmap(lambda one: generate_goal_following_level(one, self.capacity, self.morphology))(keys)

@@ -19,6 +19,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
+from kinetix_dist import prng
 from kinetix_dist.level import bodies
 from kinetix_dist.level.bodies import CLEARANCE_M, WALL_MARGIN_M
 from kinetix_dist.level.draft import (
@@ -55,21 +56,21 @@ def locomotion_draft(key: Array, capacity: Capacity, config: GeneratorConfig) ->
             f"no kind of locomotion_kinds {', '.join(config.locomotion_kinds)} has room in {of} and "
             f"{capacity.thrusters} thrusters; use a larger size or other kinds"
         )
-    keys = jax.random.split(key, 1 + len(kinds))
+    keys = prng.split(key, 1 + len(kinds))
     chosen = _choose(keys[0], weights)
     # All kinds are built, of the numbers of the chosen one.
     numbers = draw_numbers(keys[1 + chosen])
     tables, num_blocks = _tables([_KINDS[kind] for kind in kinds], numbers, capacity)
     draft = _draft(choose(tables, chosen), num_blocks, numbers, capacity, config)
-    return draft, jax.random.uniform(jax.random.fold_in(keys[0], 1), (num_permutation_draws(draft),))
+    return draft, prng.uniform(prng.fold_in(keys[0], 1), (num_permutation_draws(draft),))
 
 
 def _choose(key: Array, weights: Sequence[float]) -> Array:
     """int32, one of as many as there are weights. Consumes `key`."""
     if len(set(weights)) == 1:
-        return jax.random.randint(key, (), 0, len(weights))
+        return prng.randint(key, (), 0, len(weights))
     ends = np.cumsum(np.asarray(weights) / max(weights)).astype(np.float32)  # any floats: float32 may not hold them
-    return jnp.searchsorted(ends[:-1], jax.random.uniform(key) * ends[-1], side="right").astype(jnp.int32)
+    return jnp.searchsorted(ends[:-1], prng.uniform(key) * ends[-1], side="right").astype(jnp.int32)
 
 
 def fitting_kinds(kinds: Sequence[str], capacity: Capacity) -> list[str]:
@@ -142,7 +143,9 @@ def _beside_its_goal(
     goal_y = table.goal_height.otherwise(goal_y)
     goal_y = jnp.where(table.goal_is_slab, FLOOR_TOP_M + CLEARANCE_M + table.slab.value[1], goal_y)
     bump_half = jnp.stack([draws.between(0.03, 0.1), draws.between(0.02, 0.08)])
-    obstacle_ends = jnp.stack([left + width, goal_x - radius]) + np.array([1.0, -1.0]) * (bump_half[0] + 0.03)
+    obstacle_ends = jnp.stack([left + width, goal_x - radius]) + np.array([1.0, -1.0], np.float32) * (
+        bump_half[0] + 0.03
+    )
     obstacle_x = draws.between(obstacle_ends[0], obstacle_ends[1])
     has_obstacle = draws.chance(0.4)
     is_mirrored = draws.chance(0.5)
@@ -176,7 +179,7 @@ def _beside_its_goal(
 
 def _to_power(share: Array, table: Table) -> Array:
     """share ** goal_nearness. Where the power is known, multiplied out: levels of a key stay what they are."""
-    known = jax.lax.select_n(jnp.asarray(table.goal_nearness), jnp.ones(()), share, share**2, share**3)
+    known = jax.lax.select_n(jnp.asarray(table.goal_nearness), jnp.ones((), jnp.float32), share, share**2, share**3)
     return jnp.where(table.is_nearness_known, known, share**table.goal_nearness)
 
 

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
+from kinetix_dist import prng
 from kinetix_dist.level.connections import connections
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
@@ -66,13 +67,13 @@ def mutate(
         raise ValueError(f"num_changes is {num_changes}; give 1 or more")
 
     def change(edited: Edited, key: Array) -> tuple[Edited, None]:
-        which_key, draws_key = jax.random.split(key)
-        which = jax.random.randint(which_key, (), 0, len(MUTATORS))
+        which_key, draws_key = prng.split(key)
+        which = prng.randint(which_key, (), 0, len(MUTATORS))
         branches = [functools.partial(_run, mutator, capacity, config) for mutator in MUTATORS.values()]
         after = jax.lax.switch(which, branches, draws_key, edited)
         return dataclasses.replace(after, changed=after.changed | edited.changed), None
 
-    edited, _ = jax.lax.scan(change, begin(level), jax.random.split(key, num_changes))
+    edited, _ = jax.lax.scan(change, begin(level), prng.split(key, num_changes))
     return derive(edited.level, edited.is_fixed), edited.changed
 
 
@@ -117,7 +118,7 @@ def _choose(may: Array, draw: Array) -> Array:
 
 
 def _draws(key: Array) -> Array:
-    return jax.random.uniform(key, (_NUM_DRAWS,))
+    return prng.uniform(key, (_NUM_DRAWS,))
 
 
 # Shapes and joints
@@ -141,7 +142,7 @@ def _add(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig
         may_be_fixed=jnp.array(config.allow_fixed is not False),
         step=jnp.int32(capacity.shapes),
     )
-    draws = jax.random.uniform(key, (config.num_proposals, NUM_DRAWS))
+    draws = prng.uniform(key, (config.num_proposals, NUM_DRAWS))
     proposals = jax.vmap(lambda draw: propose(draft, request, draw, capacity.polygons, config))(draws)
     after = add_best(draft, proposals, jnp.array(is_joined), jnp.array(True))
     level = with_draft(edited.level, after, capacity)
@@ -158,9 +159,9 @@ def draft_of(edited: Edited, capacity: Capacity) -> Draft:
             active=shapes.active,
             position=level.position,
             angle=level.angle,
-            vertices=jnp.concatenate([shapes.vertices, jnp.zeros((circles, capacity.vertices, 2))]),
+            vertices=jnp.concatenate([shapes.vertices, jnp.zeros((circles, capacity.vertices, 2), jnp.float32)]),
             num_vertices=jnp.concatenate([shapes.num_vertices, jnp.zeros(circles, jnp.int32)]),
-            radius=jnp.concatenate([jnp.zeros(polygons), shapes.radius]),
+            radius=jnp.concatenate([jnp.zeros(polygons, jnp.float32), shapes.radius]),
             role=level.shape_role,
             is_fixed=edited.is_fixed,
             body=jnp.argmax(_bodies(level), axis=-1).astype(jnp.int32),
@@ -287,13 +288,13 @@ def move_body(key: Array, edited: Edited, capacity: Capacity, config: GeneratorC
     """A shape with all that joints hold to it, unless a wall is among them; centres stay inside the box."""
     draw = _draws(key)
     by = (2.0 * draw[1:3] - 1.0) * MAX_MOVE_M
-    return _move(edited, draw[0], by, jnp.zeros(()))
+    return _move(edited, draw[0], by, jnp.zeros((), jnp.float32))
 
 
 def turn_body(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig) -> Edited:
     """The same, about the shape's centre by any angle."""
     draw = _draws(key)
-    return _move(edited, draw[0], jnp.zeros(2), (2.0 * draw[1] - 1.0) * math.pi)
+    return _move(edited, draw[0], jnp.zeros(2, jnp.float32), (2.0 * draw[1] - 1.0) * math.pi)
 
 
 def _move(edited: Edited, choice: Array, by: Array, turn: Array) -> Edited:
@@ -306,7 +307,7 @@ def _move(edited: Edited, choice: Array, by: Array, turn: Array) -> Edited:
     x, y = from_centre[:, 0], from_centre[:, 1]
     turned = level.position[chosen] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1) + by
     position = jnp.where(here[:, None], turned, level.position)
-    inside = (position >= jnp.array([0.0, FLOOR_TOP_M])).all(-1) & (position <= WORLD_SIZE_M).all(-1)
+    inside = (position >= jnp.array([0.0, FLOOR_TOP_M], jnp.float32)).all(-1) & (position <= WORLD_SIZE_M).all(-1)
     level = dataclasses.replace(level, position=position, angle=jnp.where(here, level.angle + turn, level.angle))
     return Edited(level=level, is_fixed=edited.is_fixed, changed=may.any() & (inside | ~here).all())
 

@@ -60,7 +60,7 @@ class Partner(NamedTuple):
 
 def pick(weights: Array, draw: Array) -> Array:
     """Index chosen with the given weights by one uniform number; 0 where all weights are 0."""
-    total = jnp.cumsum(weights)
+    total = jnp.cumsum(jnp.asarray(weights, jnp.float32))
     return jnp.argmax(total > draw * total[-1]).astype(jnp.int32)
 
 
@@ -77,9 +77,9 @@ def sample_size(draw: Array, config: GeneratorConfig) -> tuple[Array, Array, Arr
 
 def box_or_triangle(half: Array, is_triangle: Array, num_corners: int) -> tuple[Array, Array]:
     """`[V, 2]` corners about the centroid, counter-clockwise, and how many of them count."""
-    signs = jnp.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    signs = jnp.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], jnp.float32)
     index = jnp.minimum(jnp.arange(num_corners), jnp.where(is_triangle, 2, 3))  # padding repeats the last corner
-    centroid = jnp.where(is_triangle, jnp.array([1.0 / 3.0, -1.0 / 3.0]), 0.0)
+    centroid = jnp.where(is_triangle, jnp.array([1.0 / 3.0, -1.0 / 3.0], jnp.float32), 0.0)
     return (signs[index] - centroid) * half, jnp.where(is_triangle, 3, 4).astype(jnp.int32)
 
 
@@ -121,7 +121,7 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
     anchor_new = jnp.where(is_polygon, point_inside(shape, draw[16:18]), 0.0)
     anchor_partner = jnp.where(partner.is_polygon, point_inside(partner.shape, draw[18:20]), 0.0)
     joined_at = world_corners(partner.shape.position, partner.shape.angle, anchor_partner[None])[0]
-    held = joined_at - world_corners(jnp.zeros(2), shape.angle, anchor_new[None])[0]
+    held = joined_at - world_corners(jnp.zeros(2, jnp.float32), shape.angle, anchor_new[None])[0]
     shape = dataclasses.replace(shape, position=jnp.where(request.is_joined, held, shape.position))
     # End a is the lower slot, so that of a wheel it is the polygon: motors run the same way whichever came first.
     is_first = slot < partner.slot
@@ -162,7 +162,8 @@ def _choose_partner(
     is_polygon_slot = slots < num_polygons
     room_polygon = ~shapes.active[:num_polygons].all()
     may_hold = shapes.active & (slots >= NUM_WALLS)
-    wish = jnp.where(is_polygon_slot, jnp.maximum(2 - shapes.num_joints, 0) / 2.0, shapes.num_joints == 0)
+    room_share = jnp.maximum(2 - shapes.num_joints, 0).astype(jnp.float32) / 2.0
+    wish = jnp.where(is_polygon_slot, room_share, shapes.num_joints == 0)
     wish = may_hold * wish * jnp.where(shapes.is_fixed, config.connect_to_fixed_factor, 1.0)
     wish_polygon, wish_circle = wish * is_polygon_slot, wish * ~is_polygon_slot * room_polygon
     any_polygon, any_circle = wish_polygon.sum() > 0, wish_circle.sum() > 0
@@ -267,7 +268,11 @@ def _count_contact_points(shapes: Shapes, new: Shapes) -> Array:
 def _from_published_origin(index: Array) -> Array:
     """[2] m, from the origin of a shape's frame in the public package to that of ours: side walls have it at (0, 0)."""
     side_walls = (1, 2)
-    offsets = jnp.zeros((NUM_WALLS, 2)).at[jnp.array(side_walls)].set(WALL_CENTRES_M[list(side_walls)])
+    offsets = (
+        jnp.zeros((NUM_WALLS, 2), jnp.float32)
+        .at[jnp.array(side_walls, jnp.int32)]
+        .set(WALL_CENTRES_M[list(side_walls)])
+    )
     return jnp.where(index < NUM_WALLS, offsets[jnp.minimum(index, NUM_WALLS - 1)], 0.0)
 
 

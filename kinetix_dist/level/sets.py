@@ -24,7 +24,9 @@ import jax
 import numpy as np
 
 from jax2d.scene import Array, stack_worlds
+from kinetix_dist import prng
 from kinetix_dist.level.filters import generate_filtered
+from kinetix_dist.level.fingerprints import FINGERPRINT_FILE, check_fingerprint, known_fingerprints
 from kinetix_dist.level.fit import LevelSizeError, capacity_of_size, fit_level, smallest_size
 from kinetix_dist.level.foreign_files import REMEDY, foreign_files, is_zarr_store
 from kinetix_dist.level.frontier import FRONTIER_FILE, frontier_levels, frontier_sets
@@ -107,9 +109,15 @@ def load_level_set(
         return _random_set(drawn, size, drawn.num_levels if num_levels is None else num_levels, noop_outcome_fn)
     if name in VARIED_SETS:
         levels, names = _stack(files_of_set(VARIED_SETS[name]), size)
-        return variants(jax.random.key(DEVELOPMENT_STREAM), levels, names)
+        levels, names = variants(prng.key(DEVELOPMENT_STREAM), levels, names)
+        if size in (None, size_of_drawn_set(name)):  # numbers are drawn for each slot of the arrays
+            _check(name, levels)
+        return levels, names
     if name in (frontier := frontier_sets()):
-        return _in_arrays_of(size, frontier[name].size, *frontier_levels(frontier[name]))
+        levels, names = frontier_levels(frontier[name])
+        if frontier[name].fingerprint:
+            check_fingerprint(name, levels, frontier[name].fingerprint)
+        return _in_arrays_of(size, frontier[name].size, levels, names)
     return _stack(files_of_set(name), size)
 
 
@@ -216,7 +224,7 @@ def data_files(directory: Path, pattern: str) -> list[Path]:
     if is_zarr_store(directory):
         raise LevelFormatError(str(directory), "is a zarr store of arrays", REMEDY)
     found = sorted(path for path in directory.glob(pattern) if path.is_file() and not is_hidden(path, directory))
-    return [path for path in found if path.name not in ("schema.json", FRONTIER_FILE)]
+    return [path for path in found if path.name not in ("schema.json", FRONTIER_FILE, FINGERPRINT_FILE)]
 
 
 def file_of_level(name: str) -> Path:
@@ -229,7 +237,7 @@ def file_of_level(name: str) -> Path:
 
 def held_out_key(size: str, stream: int = HELD_OUT_STREAM) -> Array:
     """Key of the random levels of one size that nobody trains on."""
-    return jax.random.fold_in(jax.random.key(stream), list(SIZES).index(size))
+    return prng.fold_in(prng.key(stream), list(SIZES).index(size))
 
 
 def _random_set(
@@ -238,7 +246,15 @@ def _random_set(
     config = generator(drawn.generator)
     levels = generate_filtered(held_out_key(drawn.size, drawn.stream), num_levels, drawn.size, config, noop_outcome_fn)
     levels = jax.tree.map(np.asarray, levels)
+    if noop_outcome_fn is noop_solved:  # else other levels are left out
+        _check(drawn.name, levels)
     return _in_arrays_of(size, drawn.size, levels, [f"{drawn.name}_{i}" for i in range(num_levels)])
+
+
+def _check(name: str, levels: Level) -> None:
+    known = known_fingerprints()
+    if name in known:
+        check_fingerprint(name, levels, known[name])
 
 
 def _in_arrays_of(size: str | None, own_size: str, levels: Level, names: list[str]) -> tuple[Level, list[str]]:

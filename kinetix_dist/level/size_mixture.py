@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
+from kinetix_dist import prng
 from kinetix_dist.level.fit import pad_levels
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
@@ -75,4 +76,4 @@ def generate_mixture(key: Array, counts: Counts, capacity: Capacity, config: Gen
 
 def key_of_size(size: str, key: Array) -> Array:
     """For the levels of that size of a mixture."""
-    return jax.random.fold_in(key, list(SIZES).index(size))
+    return prng.fold_in(key, list(SIZES).index(size))

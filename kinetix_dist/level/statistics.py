@@ -298,8 +298,8 @@ def separations(level: Level) -> Array:
 def _corners_and_radii(level: Level) -> tuple[Array, Array]:
     """[n, V, 2] corners in the world and [n] radii, as `separation` takes them."""
     shapes, capacity = level.scene.shapes, capacity_of(level)
-    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
-    radius = jnp.concatenate([jnp.zeros(capacity.polygons), shapes.radius])
+    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2), jnp.float32)])
+    radius = jnp.concatenate([jnp.zeros(capacity.polygons, jnp.float32), shapes.radius])
     return world_corners(jnp.asarray(level.position), jnp.asarray(level.angle), vertices), radius
 
 

@@ -162,7 +162,7 @@ class Table:
         """The thing with left and right exchanged, where that is wanted. Boxes and circles are their own mirror
         images."""
         sign = jnp.where(is_wanted, -1.0, 1.0)
-        flip = jnp.stack([sign, jnp.ones(())])
+        flip = jnp.stack([sign, jnp.ones((), jnp.float32)])
         return dataclasses.replace(
             self._with_places(lambda place: place * flip, lambda angle: angle * sign),
             jets=mirrored_jets(self.jets, is_wanted),

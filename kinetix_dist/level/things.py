@@ -11,10 +11,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from jax2d.fields import Array
+from kinetix_dist import prng
 from kinetix_dist.level.roles import Role
 
 _NUM_DRAWS = 80
@@ -50,7 +50,7 @@ class Draws:
 
 def draw_numbers(key: Array) -> Array:
     """[80] uniform, enough for any thing and its level. Consumes `key`."""
-    return jax.random.uniform(key, (_NUM_DRAWS,))
+    return prng.uniform(key, (_NUM_DRAWS,))
 
 
 def between(draw: Array, low: float | Array, high: float | Array) -> Array:
@@ -147,7 +147,7 @@ def moved(thing: Thing, by: Array) -> Thing:
 def mirrored_jets(jets: Any, is_wanted: Array) -> Any:
     """A `Jet`, or a table of them, with left and right exchanged about the origin of what it pushes, where that is
     wanted."""
-    flip = jnp.stack([jnp.where(is_wanted, -1.0, 1.0), jnp.ones(())])
+    flip = jnp.stack([jnp.where(is_wanted, -1.0, 1.0), jnp.ones((), jnp.float32)])
     return dataclasses.replace(jets, at=jets.at * flip, angle=jnp.where(is_wanted, math.pi - jets.angle, jets.angle))
 
 

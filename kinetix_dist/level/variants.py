@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.mirror import mirrored
 from kinetix_dist.level.select import select_first
@@ -28,9 +29,7 @@ VELOCITY_M_S = 0.1  # largest, along each axis, that all movable shapes have mor
 
 def variants(key: Array, levels: Level, names: Sequence[str]) -> tuple[Level, list[str]]:
     """`NUM_VARIANTS` of each of W levels, [W NUM_VARIANTS, ...] (numpy), and their names. Consumes the key."""
-    keys = jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), NUM_VARIANTS))(
-        jnp.arange(len(names))
-    )
+    keys = jax.vmap(lambda number: prng.split(prng.fold_in(key, number), NUM_VARIANTS))(jnp.arange(len(names)))
 
     def of_one(keys: Array, level: Level) -> Level:
         varied = jax.vmap(_varied, in_axes=(0, None))(keys, level)
@@ -46,14 +45,14 @@ def variants(key: Array, levels: Level, names: Sequence[str]) -> tuple[Level, li
 def _varied(key: Array, level: Level) -> Level:
     scene = level.scene
     shapes = scene.shapes
-    keys = jax.random.split(key, 6)
+    keys = prng.split(key, 6)
 
     def factor(key: Array, change: float, like: Array) -> Array:
-        return 1.0 + change * jax.random.uniform(key, jnp.shape(like), minval=-1.0, maxval=1.0)
+        return 1.0 + change * prng.uniform(key, jnp.shape(like), minval=-1.0, maxval=1.0)
 
     is_movable = jnp.asarray(shapes.active) & ((shapes.inverse_mass > 0) | (shapes.inverse_inertia > 0))
     density = jnp.where(is_movable, factor(keys[0], DENSITY, shapes.density), 1.0)
-    push = VELOCITY_M_S * jax.random.uniform(keys[1], (2,), minval=-1.0, maxval=1.0)
+    push = VELOCITY_M_S * prng.uniform(keys[1], (2,), minval=-1.0, maxval=1.0)
     varied = scene.replace(
         shapes={
             "density": shapes.density * density,
@@ -64,7 +63,7 @@ def _varied(key: Array, level: Level) -> Level:
         joints={"motor_power": scene.joints.motor_power * factor(keys[3], STRENGTH, scene.joints.motor_power)},
         thrusters={"power": scene.thrusters.power * factor(keys[4], STRENGTH, scene.thrusters.power)},
     )
-    gravity = scene.gravity * (1.0 + GRAVITY * jax.random.uniform(keys[5], minval=-1.0, maxval=1.0))
+    gravity = scene.gravity * (1.0 + GRAVITY * prng.uniform(keys[5], minval=-1.0, maxval=1.0))
     return dataclasses.replace(
         level,
         scene=dataclasses.replace(varied, gravity=gravity),

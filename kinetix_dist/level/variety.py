@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array, JointKind
+from kinetix_dist import prng
 from kinetix_dist.level.connections import connections
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.level import NUM_WALLS, Level
@@ -36,15 +37,15 @@ def vary(key: Array, level: Level, share: float) -> Level:
     """The level, or, with that chance, one that differs in some of these. Consumes `key`."""
     original = level
     num_shapes = level.angle.shape[0]
-    keys = jax.random.split(key, 4)
-    coin, *coins = jax.random.uniform(keys[0], (10,))
+    keys = prng.split(key, 4)
+    coin, *coins = prng.uniform(keys[0], (10,))
     motor, thruster, heavy, rough, moving, pulled, held, red, hung = (each < 0.5 for each in coins)
-    levelwide = jax.random.uniform(keys[1], (4,))
+    levelwide = prng.uniform(keys[1], (4,))
     wall = 1 + jnp.floor(levelwide[3] * (NUM_WALLS - 1)).astype(jnp.int32)  # not the floor, on which it could lie
     level = _either(hung, _hung_on_wall(level, wall), level)
     scene = level.scene
     shapes, joints, thrusters = scene.shapes, scene.joints, scene.thrusters
-    of_shape = jax.random.uniform(keys[2], (2, num_shapes))
+    of_shape = prng.uniform(keys[2], (2, num_shapes))
     exists = jnp.asarray(shapes.active)
     is_fixed = exists & (shapes.inverse_mass == 0)
 
@@ -63,7 +64,7 @@ def vary(key: Array, level: Level, share: float) -> Level:
     role = jnp.where(red & is_spare, Role.RED, level.shape_role).astype(level.shape_role.dtype)
 
     # Shapes that are joined move as one, if they move.
-    push = jax.random.uniform(keys[3], (num_shapes, 2), minval=-VELOCITY_M_S, maxval=VELOCITY_M_S)
+    push = prng.uniform(keys[3], (num_shapes, 2), minval=-VELOCITY_M_S, maxval=VELOCITY_M_S)
     push = push[jnp.argmax(is_one_body, axis=1)]
     is_held = (is_one_body & is_fixed[None, :]).any(axis=1)
     velocity = level.velocity + jnp.where((moving & exists & ~is_held)[:, None], push, 0.0)

@@ -153,7 +153,7 @@ def _rows(active: Array, columns: list[Array]) -> Array:
 def _order(draft: Draft, capacity: Capacity) -> Array:
     """What `permute_slots` sorts by."""
     shapes, joints, thrusters = draft.shapes, draft.joints, draft.thrusters
-    key = jnp.array(_ORDER)[shapes.role] + shapes.position[:, 0] / (2.0 * WORLD_SIZE_M)
+    key = jnp.array(_ORDER, jnp.float32)[shapes.role] + shapes.position[:, 0] / (2.0 * WORLD_SIZE_M)
     key = jnp.where(shapes.active, key, 9.0)
     ends = jnp.stack([key[joints.a], key[joints.b]])
     by_joint = jnp.where(joints.active, ends.min(0) + 0.1 * ends.max(0), 9.0)
@@ -220,7 +220,7 @@ def _shapes(rows: Array, floor: Array, walls: Shapes, capacity: Capacity, config
     radius = jnp.clip(rows[:, 6:8].mean(1) * size, config.min_radius, largest)
     corners, num_corners = jax.vmap(lambda one: box_or_triangle(one, jnp.array(False), capacity.vertices))(half)
     reach = jnp.where(is_polygon, 0.0, radius)[:, None]
-    low, high = jnp.array([0.0, FLOOR_TOP_M]) + reach, WORLD_SIZE_M - reach
+    low, high = jnp.array([0.0, FLOOR_TOP_M], jnp.float32) + reach, WORLD_SIZE_M - reach
     new = Shapes(
         active=_is_on(rows[:, 0]) | is_green | is_blue,
         position=jnp.clip(0.5 * (rows[:, 2:4] + 1.0) * WORLD_SIZE_M, low, high),
@@ -336,8 +336,8 @@ def _with_thrusters(draft: Draft, rows: Array, config: GeneratorConfig) -> Draft
 def overlaps_at_start(level: Level, capacity: Capacity) -> Array:
     """bool: two shapes that may collide overlap."""
     shapes = level.scene.shapes
-    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2))])
-    radius = jnp.concatenate([jnp.zeros(capacity.polygons), shapes.radius])
+    vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2), jnp.float32)])
+    radius = jnp.concatenate([jnp.zeros(capacity.polygons, jnp.float32), shapes.radius])
     corners = world_corners(level.position, level.angle, vertices)
     gap = jax.vmap(jax.vmap(separation, (None, None, 0, 0)), (0, 0, None, None))(corners, radius, corners, radius)
     return ((gap < 0.0) & shapes.can_touch).any()

@@ -63,9 +63,11 @@ class ColourReadOut(nn.Module):
 
     def _logits(self, kind: str, sums: Array, actor: Array, num_choices: int) -> Array:
         """[B, colours, choices] float32"""
-        sum_kernel = self.param(f"{kind}_sum_kernel", orthogonal(1.0), (sums.shape[-1], self.hidden_size))
-        actor_kernel = self.param(f"{kind}_actor_kernel", orthogonal(1.0), (actor.shape[-1], self.hidden_size))
-        bias = self.param(f"{kind}_bias", nn.initializers.zeros, (self.hidden_size,))
+        sum_kernel = self.param(f"{kind}_sum_kernel", orthogonal(1.0), (sums.shape[-1], self.hidden_size), jnp.float32)
+        actor_kernel = self.param(
+            f"{kind}_actor_kernel", orthogonal(1.0), (actor.shape[-1], self.hidden_size), jnp.float32
+        )
+        bias = self.param(f"{kind}_bias", nn.initializers.zeros, (self.hidden_size,), jnp.float32)
         of_actor = linear(actor, actor_kernel) + bias.astype(actor.dtype)
         hidden = jnp.tanh(linear(sums, sum_kernel) + of_actor[:, None])
         output = nn.Dense(num_choices, kernel_init=orthogonal(self.output_gain), name=f"{kind}_output")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
@@ -17,5 +18,5 @@ class DenseParameters(nn.Module):
 
     @nn.compact
     def __call__(self, num_features: int) -> tuple[Array, Array]:
-        kernel = self.param("kernel", self.kernel_init, (num_features, self.width))
-        return kernel, self.param("bias", nn.initializers.zeros, (self.width,))
+        kernel = self.param("kernel", self.kernel_init, (num_features, self.width), jnp.float32)
+        return kernel, self.param("bias", nn.initializers.zeros, (self.width,), jnp.float32)

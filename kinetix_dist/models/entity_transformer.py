@@ -158,14 +158,14 @@ class EntityTransformer(nn.Module):
 
     def _attention(self, layer: int, x: Array, mask_words: Array, parts: LayerParts) -> Array:
         size, features, name = self.encoder_size, self.attention_features, f"attention_{layer}"
-        kernel = self.param(f"{name}_qkv_kernel", lecun_normal(), (size, 3 * features))
-        bias = self.param(f"{name}_qkv_bias", zeros, (3 * features,))
+        kernel = self.param(f"{name}_qkv_kernel", lecun_normal(), (size, 3 * features), jnp.float32)
+        bias = self.param(f"{name}_qkv_bias", zeros, (3 * features,), jnp.float32)
         kernel, bias = self._fold_norm(name, kernel, bias)
         bias = without_key_bias(bias)
         if self.max_qk_norm:
             kernel, bias = limit_queries_and_keys(kernel, bias, self.num_heads, self.max_qk_norm)
-        out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (features, size))
-        out_bias = self.param(f"{name}_out_bias", zeros, (size,))
+        out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (features, size), jnp.float32)
+        out_bias = self.param(f"{name}_out_bias", zeros, (size,), jnp.float32)
         heads = (NUM_MASKS, self.num_heads // NUM_MASKS)
         arguments = (mask_words, kernel, bias, out_kernel, out_bias, heads)
         if self.gated:
@@ -175,21 +175,21 @@ class EntityTransformer(nn.Module):
 
     def _feed_forward(self, layer: int, x: Array, parts: LayerParts) -> Array:
         size, name = self.encoder_size, f"feed_forward_{layer}"
-        kernel = self.param(f"{name}_kernel", lecun_normal(), (size, size))
-        bias = self.param(f"{name}_bias", zeros, (size,))
+        kernel = self.param(f"{name}_kernel", lecun_normal(), (size, size), jnp.float32)
+        bias = self.param(f"{name}_bias", zeros, (size,), jnp.float32)
         kernel, bias = self._fold_norm(name, kernel, bias)
         if self.gated:
             return self._gate(name, *parts.beside_feed_forward(x, kernel, bias), parts)
         x, update = feed_forward_update(x, kernel, bias)
-        out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (size, size))
-        out_bias = self.param(f"{name}_out_bias", zeros, (size,))
+        out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (size, size), jnp.float32)
+        out_bias = self.param(f"{name}_out_bias", zeros, (size,), jnp.float32)
         return x + linear(update, out_kernel) + out_bias.astype(self.dtype)
 
     def _norm(self, name: str) -> tuple[Array, Array]:
         """Scale and offset."""
         return (
-            self.param(f"{name}_norm_scale", ones, (self.encoder_size,)),
-            self.param(f"{name}_norm_offset", zeros, (self.encoder_size,)),
+            self.param(f"{name}_norm_scale", ones, (self.encoder_size,), jnp.float32),
+            self.param(f"{name}_norm_offset", zeros, (self.encoder_size,), jnp.float32),
         )
 
     def _fold_norm(self, name: str, kernel: Array, bias: Array) -> tuple[Array, Array]:
@@ -202,10 +202,10 @@ class EntityTransformer(nn.Module):
         return parts.gate(
             x,
             update,
-            self.param(f"{name}_gate_update_kernel", lecun_normal(), (size, 3 * size)),
-            self.param(f"{name}_gate_stream_kernel", lecun_normal(), (size, 2 * size)),
-            self.param(f"{name}_gate_reset_kernel", lecun_normal(), (size, size)),
-            self.param(f"{name}_gate_bias", zeros, (size,)),
+            self.param(f"{name}_gate_update_kernel", lecun_normal(), (size, 3 * size), jnp.float32),
+            self.param(f"{name}_gate_stream_kernel", lecun_normal(), (size, 2 * size), jnp.float32),
+            self.param(f"{name}_gate_reset_kernel", lecun_normal(), (size, size), jnp.float32),
+            self.param(f"{name}_gate_bias", zeros, (size,), jnp.float32),
         )
 
     def _message_terms(
@@ -214,9 +214,10 @@ class EntityTransformer(nn.Module):
         """Of each layer: the kernel for the tokens at the ends [ends E, E], and the entities' terms [B, K, E]."""
         size, layers = self.encoder_size, range(self.num_layers)
         kernels = [
-            self.param(f"{name}_{layer}_kernel", lecun_normal(), ((num_ends + 1) * size, size)) for layer in layers
+            self.param(f"{name}_{layer}_kernel", lecun_normal(), ((num_ends + 1) * size, size), jnp.float32)
+            for layer in layers
         ]
-        biases = [self.param(f"{name}_{layer}_bias", zeros, (size,)) for layer in layers]
+        biases = [self.param(f"{name}_{layer}_bias", zeros, (size,), jnp.float32) for layer in layers]
         of_entity = [kernel[num_ends * size :] for kernel in kernels]
         if parts.joins_terms:
             joined = linear(entities, jnp.concatenate(of_entity, axis=1)) + jnp.concatenate(biases).astype(self.dtype)
@@ -231,8 +232,8 @@ class EntityTransformer(nn.Module):
     def _told(self, kind: str, x: Array, ends: Array, entities: Array, colours: Array) -> Array:
         """[B, colours, hidden_size]: what joints or thrusters tell the heads of their colours (colour_readout.py)."""
         rows = jnp.concatenate([take_rows(x, ends).reshape(*entities.shape[:2], -1), entities], axis=-1)
-        kernel = self.param(f"{kind}_told_kernel", lecun_normal(), (rows.shape[-1], self.hidden_size))
-        bias = self.param(f"{kind}_told_bias", zeros, (self.hidden_size,))
+        kernel = self.param(f"{kind}_told_kernel", lecun_normal(), (rows.shape[-1], self.hidden_size), jnp.float32)
+        bias = self.param(f"{kind}_told_bias", zeros, (self.hidden_size,), jnp.float32)
         return sum_by_colour(jnp.tanh(linear(rows, kernel) + bias.astype(self.dtype)), colours)
 
 

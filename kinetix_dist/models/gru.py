@@ -35,10 +35,12 @@ class Gru(nn.Module):
     @nn.compact
     def __call__(self, x: Array, memory: Array | None, is_first: Array | None) -> Array:
         """The memory after x [B, E]: [B, size] float32; with is_first [T, B], after each step of x [T B, E]."""
-        input_kernel = self.param("input_kernel", nn.initializers.lecun_normal(), (x.shape[-1], 3 * self.size))
-        input_bias = self.param("input_bias", nn.initializers.zeros, (3 * self.size,))
-        memory_kernel = self.param("memory_kernel", _orthogonal_gates, (self.size, 3 * self.size))
-        memory_bias = self.param("memory_bias", nn.initializers.zeros, (self.size,))
+        input_kernel = self.param(
+            "input_kernel", nn.initializers.lecun_normal(), (x.shape[-1], 3 * self.size), jnp.float32
+        )
+        input_bias = self.param("input_bias", nn.initializers.zeros, (3 * self.size,), jnp.float32)
+        memory_kernel = self.param("memory_kernel", _orthogonal_gates, (self.size, 3 * self.size), jnp.float32)
+        memory_bias = self.param("memory_bias", nn.initializers.zeros, (self.size,), jnp.float32)
         given = x.astype(jnp.float32) @ input_kernel + input_bias
 
         def step(memory: Array, given: Array) -> Array:

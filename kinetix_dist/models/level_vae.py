@@ -23,6 +23,7 @@ import optax
 from flax import linen as nn
 
 from jax2d.scene import Array, Capacity
+from kinetix_dist import prng
 from kinetix_dist.level.filters import OVERSAMPLING, keep_unsolved
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
@@ -94,10 +95,10 @@ class VaeLevels:
 
     def generate(self, key: Array, num_levels: int) -> Level:
         """Each between two levels of the set. Should more than half of what is drawn overlap, the last ones kept do."""
-        pair_key, share_key, order_key = jax.random.split(key, 3)
+        pair_key, share_key, order_key = prng.split(key, 3)
         num_drawn = OVERSAMPLING * num_levels
-        first, second = jax.random.randint(pair_key, (2, num_drawn), 0, self.latents.shape[0])
-        share = jax.random.uniform(share_key, (num_drawn, 1))
+        first, second = prng.randint(pair_key, (2, num_drawn), 0, self.latents.shape[0])
+        share = prng.uniform(share_key, (num_drawn, 1))
         drawn = self.decode(order_key, share * self.latents[first] + (1.0 - share) * self.latents[second])
         overlaps = jax.vmap(lambda level: overlaps_at_start(level, self.capacity))(drawn)
         return keep_unsolved(drawn, overlaps, num_levels)
@@ -110,7 +111,7 @@ class VaeLevels:
     def decode(self, key: Array, latents: Array) -> Level:
         """Valid levels [B, ...] of latents [B, latent_size]. The key orders slots."""
         vectors = self._network.apply(self.params, latents, method=Vae.decode)
-        draws = jax.random.uniform(key, (latents.shape[0], num_order_draws(self.capacity)))
+        draws = prng.uniform(key, (latents.shape[0], num_order_draws(self.capacity)))
         return jax.vmap(lambda vector, draw: from_vector(vector, draw, self.capacity, self.generator))(vectors, draws)
 
     @property
@@ -128,7 +129,7 @@ def fit(
     check_describable(levels)
     vectors = jax.jit(lambda levels: _vectors(levels, capacity, generator))(levels)
     network, optimizer = Vae(config, vector_size(capacity)), optax.adam(config.learning_rate)
-    init_key, step_key = jax.random.split(key)
+    init_key, step_key = prng.split(key)
 
     def loss(params: Any, batch: Array, noise: Array) -> Array:
         outputs: Any = network.apply(params, batch, noise)
@@ -139,16 +140,17 @@ def fit(
 
     def step(carry: tuple[Any, Any], number: Array) -> tuple[tuple[Any, Any], Array]:
         params, opt_state = carry
-        batch_key, noise_key = jax.random.split(jax.random.fold_in(step_key, number))
-        batch = vectors[jax.random.randint(batch_key, (config.batch_size,), 0, vectors.shape[0])]
-        noise = jax.random.normal(noise_key, (config.batch_size, config.latent_size))
+        batch_key, noise_key = prng.split(prng.fold_in(step_key, number))
+        batch = vectors[prng.randint(batch_key, (config.batch_size,), 0, vectors.shape[0])]
+        noise = prng.normal(noise_key, (config.batch_size, config.latent_size))
         value, grads = jax.value_and_grad(loss)(params, batch, noise)
         updates, opt_state = optimizer.update(grads, opt_state, params)
         return (optax.apply_updates(params, updates), opt_state), value
 
     @jax.jit
     def train() -> tuple[Any, Array]:
-        params = network.init(init_key, vectors[:1], jnp.zeros((1, config.latent_size)))
+        with prng.pinned():  # Flax's initializers draw
+            params = network.init(init_key, vectors[:1], jnp.zeros((1, config.latent_size), jnp.float32))
         (params, _), losses = jax.lax.scan(step, (params, optimizer.init(params)), jnp.arange(config.num_steps))
         return params, losses
 

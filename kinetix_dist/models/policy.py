@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.env.observations import ENTITIES, IMAGE, VECTOR
 from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.entity_transformer import NUM_MASKS, EntityTransformer
@@ -176,7 +177,8 @@ NETWORKS.register(
 def init_params(policy: nn.Module, obs: Any, key: Array) -> Any:
     """Parameters, float32, drawn for one world of `obs` (the batch size does not matter)."""
     one_world = jax.tree.map(lambda x: x[:1], obs)
-    return jax.jit(policy.init)(key, one_world)
+    with prng.pinned():  # Flax's initializers draw
+        return jax.jit(policy.init)(key, one_world)
 
 
 def num_parameters(params: Any) -> int:

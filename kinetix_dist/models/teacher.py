@@ -55,7 +55,7 @@ def construction_features(building: Construction, step: Array, noise: Array, cap
     shapes = jax.tree.map(lambda column: column[NUM_WALLS:], draft.shapes)
     joints, thrusters = draft.joints, draft.thrusters
     half = jnp.maximum(jnp.abs(shapes.vertices).max(1), shapes.radius[:, None])
-    roles = (shapes.role[:, None] == jnp.array(list(Role)[1:])) * 1.0
+    roles = (shapes.role[:, None] == jnp.array(list(Role)[1:], jnp.int32)) * 1.0
     by_slot = [
         shapes.position / WORLD_SIZE_M,
         jnp.stack([jnp.cos(shapes.angle), jnp.sin(shapes.angle), shapes.is_fixed, shapes.num_joints / 2.0], -1),
@@ -69,7 +69,7 @@ def construction_features(building: Construction, step: Array, noise: Array, cap
         shapes.active * 1.0,
         jnp.stack([joints.active, joints.motor_on & joints.active], -1).reshape(-1) * 1.0,
         thrusters.active * 1.0,
-        (building.what == jnp.array(list(What))) * 1.0,
+        (building.what == jnp.array(list(What), jnp.int32)) * 1.0,
         new_half,
         jnp.stack([jnp.cos(new.angle), jnp.sin(new.angle)]),
         (step == jnp.arange(num_steps(capacity))) * 1.0,

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.models.colour_readout import ColourReadOut
 from kinetix_dist.models.contraction import linear
 from kinetix_dist.models.stored import stored_gradient
@@ -24,7 +25,7 @@ def stacked(initializer: Callable[..., Any]) -> Callable[..., Any]:
     """An initializer of `[k, ...]` that draws each of the k parts on its own."""
 
     def init(key: Array, shape: tuple[int, ...], dtype: Any = jnp.float32) -> Array:
-        return jnp.stack([initializer(part, shape[1:], dtype) for part in jax.random.split(key, shape[0])])
+        return jnp.stack([initializer(part, shape[1:], dtype) for part in prng.split(key, shape[0])])
 
     return init
 
@@ -44,8 +45,8 @@ class Towers(nn.Module):
         both = jnp.broadcast_to(embedding, (2, *embedding.shape))  # actor, critic
         for layer in range(self.hidden_layers):
             shape = (2, both.shape[-1], self.hidden_size)
-            kernel = self.param(f"kernel_{layer}", stacked(orthogonal(TANH_GAIN)), shape)
-            bias = self.param(f"bias_{layer}", nn.initializers.zeros, (2, self.hidden_size))
+            kernel = self.param(f"kernel_{layer}", stacked(orthogonal(TANH_GAIN)), shape, jnp.float32)
+            bias = self.param(f"bias_{layer}", nn.initializers.zeros, (2, self.hidden_size), jnp.float32)
             both = jnp.tanh(jax.vmap(linear)(both, kernel) + bias[:, None].astype(both.dtype))
         actor, critic = both.astype(jnp.float32)  # the last layer is small: float32 keeps log-probabilities exact
         value = nn.Dense(1, kernel_init=orthogonal(1.0), name="critic_output")(critic)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import PreparedLevels
 from kinetix_dist.evaluation.evaluate import Playing, SolveRate, attempt_keys, begin_play, play_on, solve_rate
@@ -47,7 +48,7 @@ def play_attempts(
     """First episodes of `attempts` copies of a level (no leading axis), of one where all would be the same. `report`
     may raise, which ends it."""
     attempts = distinct_attempts(player.policy, attempts)
-    prepared, keys = _prepare(env, level, jax.random.key(seed), attempts)
+    prepared, keys = _prepare(env, level, prng.key(seed), attempts)
     check_effects(prepared)
     playing = _begin(env, player.policy, prepared)
     while True:

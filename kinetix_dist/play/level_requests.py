@@ -12,6 +12,7 @@ import numpy as np
 
 from jax2d.display_list import DisplayList, display_list
 from jax2d.scene import Array, Capacity
+from kinetix_dist import prng
 from kinetix_dist.editor.documents import check_document
 from kinetix_dist.level.document import LevelInfo, level_to_json
 from kinetix_dist.level.filters import generate_filtered
@@ -160,7 +161,7 @@ def mutate_level(request: Request) -> Answer:
     if name is not None:
         request.choice("mutator", MUTATORS)
     level, changed = given.level, False
-    keys = jax.random.split(jax.random.key(seed), changes)
+    keys = prng.split(prng.key(seed), changes)
     for key in keys:
         request.check_cancelled()
         level, has_changed = _change(name, key, level, capacity_of(given.level))
@@ -174,7 +175,7 @@ def generate(request: Request) -> Answer:
     seed = request.number("seed", low=0, high=MAX_SEED, default=0)
     count = request.number("count", low=1, high=MAX_GENERATED, default=1)
     request.progress("compiling")
-    levels = jax.device_get(generate_filtered(jax.random.key(seed), MAX_GENERATED, size, generator(name), noop_solved))
+    levels = jax.device_get(generate_filtered(prng.key(seed), MAX_GENERATED, size, generator(name), noop_solved))
     documents = [
         level_to_json(
             jax.tree.map(lambda x: x[i], levels),  # noqa: B023 (called at once)

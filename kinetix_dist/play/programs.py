@@ -15,6 +15,7 @@ import numpy as np
 
 from jax2d.effects import names_of_bits
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.env.action_spaces.space import ActionSpace
 from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
 from kinetix_dist.env.actions import controls_of
@@ -132,12 +133,12 @@ def choose(
     memory: Array | None,
 ) -> Choice:
     """What a policy does in step `step` of one world. Draws as rollout 0 of `record_rollouts` with this seed does."""
-    world_key = jax.random.fold_in(jax.random.key(seed), 0)
-    keys = jax.random.fold_in(world_key, step)[None]
+    world_key = prng.fold_in(prng.key(seed), 0)
+    keys = prng.fold_in(world_key, step)[None]
     seen = env.observe(prepared, obs)
     actions, next_memory = act(policy, params, seen, keys, memory)
     if not isinstance(policy, NetworkPolicy):
-        return Choice(actions, next_memory, jnp.zeros(1), jnp.zeros((1, 0)))
+        return Choice(actions, next_memory, jnp.zeros(1, jnp.float32), jnp.zeros((1, 0), jnp.float32))
     # The same application of the network as in `act`, which XLA computes once.
     outputs, value, *_ = policy.module.apply(params, seen, *(() if memory is None else (memory,)))
     if isinstance(policy.distribution, TruncatedNormal):

@@ -27,7 +27,7 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_arithmetic", "jax_settings", "registry", "text_files", "user_directories"),
+    ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
     ("engine_package", "errors", "installation", "near_names"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jax2d.palette import ROLE_PALETTE
+from kinetix_dist import prng
 from kinetix_dist.env.wrappers.kinetix import (
     ActionType,
     EnvParams,
@@ -68,3 +69,29 @@ def test_what_is_no_size_and_other_parameters_are_refused():
     env = make_kinetix_env(ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, lambda key: None, None, SMALL)
     with pytest.raises(ValueError, match=r"made for EnvParams.*max_timesteps=256"):
         env.step(jax.random.key(0), None, 0, EnvParams(max_timesteps=3))
+
+
+def test_an_episode_starts_from_the_level_or_state_that_a_call_gives():
+    params = EnvParams(max_timesteps=2)
+    draw = make_reset_fn_sample_kinetix_level(params, SMALL)
+    level, other = draw(prng.key(1)), draw(prng.key(2))
+    # As the public package: no function, so that each call says where its episode starts.
+    env = make_kinetix_env(ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, None, params, SMALL)
+    nothing = 8
+    first_obs, first = env.reset(prng.key(0), env_params=params, override_reset_state=level)
+    np.testing.assert_array_equal(first.source.position, level.position)
+    obs, second, _, done, _ = env.step(prng.key(0), first, nothing, params, other)
+    assert not done and second.time == 1 and not np.array_equal(obs, first_obs)
+    # The episode ends in its second step, and the next one starts from the level of this call.
+    obs, state, _, done, info = env.step(prng.key(0), second, nothing, params, override_reset_state=other)
+    assert done and state.time == 0
+    np.testing.assert_array_equal(state.source.position, other.position)
+    np.testing.assert_array_equal(obs, env.reset(prng.key(5), params, other)[0])
+    # A state goes on where it is, with its clock.
+    obs, again = env.reset(prng.key(0), params, second)
+    assert again.time == 1
+    *_, done, goes_on = env.step(prng.key(3), again, nothing, params, level)
+    assert done
+    np.testing.assert_allclose(goes_on["final_observation"], info["final_observation"], atol=1e-6)
+    with pytest.raises(ValueError, match="no reset_fn; give a level or a state as override_reset_state"):
+        env.reset(prng.key(0), params)

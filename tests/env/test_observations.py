@@ -12,6 +12,7 @@ import pytest
 
 from jax2d.fields import empty
 from jax2d.scene import Capacity, JointKind, Scene
+from kinetix_dist.env.action_spaces.colours import bound_colours
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.env.observations.entities import (
     JOINT_COLOUR,
@@ -189,6 +190,31 @@ def test_colours_are_where_the_read_out_by_colour_looks_for_them(observation: st
     of_thrusters = jax.nn.one_hot(levels.thruster_colour, NUM_THRUSTER_COLOURS)
     np.testing.assert_array_equal(rows.thrusters[..., THRUSTER_COLOUR][thrusters], of_thrusters[thrusters])
     assert drives.sum() > 20 and thrusters.sum() > 20
+
+
+@pytest.mark.parametrize("observation", ["entity", "flat", "pixels", "entity_kinetix"])
+def test_a_motor_that_runs_by_itself_has_the_colour_of_no_action(observation: str) -> None:
+    """And of the public package's observation nothing changes, which does not tell."""
+    obeys = batch(small_level(joint=MOTOR_JOINT))
+    runs = dataclasses.replace(obeys, motor_auto=np.ones_like(obeys.motor_auto))
+    one, other = (_seen(observation, levels) for levels in (obeys, runs))
+    if observation == "entity_kinetix":
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+        return
+    if observation == "entity":
+        without = one.joints.at[..., JOINT_COLOUR].set(0.0)
+        assert one.joints[..., JOINT_COLOUR].any()
+        jax.tree.map(np.testing.assert_array_equal, other, dataclasses.replace(one, joints=without))
+    else:
+        differs = np.asarray(one != other)
+        assert differs.any() and differs.mean() < 0.02
+    assert bound_colours(obeys).any() and not bound_colours(runs)[:, :NUM_MOTOR_COLOURS].any()
+
+
+def _seen(observation: str, levels: Level) -> Any:
+    parts = OBSERVATIONS[observation]
+    dynamic = parts.dynamic(moving_of(levels, jnp.zeros((*levels.angle.shape, 1), jnp.uint32)))
+    return parts.join(parts.static(levels), dynamic)
 
 
 def test_thruster_row_has_the_8_features_in_the_published_order() -> None:

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import ClipReward, DictInfoToList, RecordEpisodeStatistics
 from gymnax.experimental.rollout import RolloutWrapper
 
 from jax2d.effects import Effects
@@ -89,6 +89,70 @@ def test_gymnasiums_own_vector_wrappers_take_it(envs):
         obs, _, terminations, truncations, infos = wrapped.step(wrapped.action_space.sample())
     assert (terminations | truncations).any() and any("final_obs" in info for info in infos)
     assert any("episode" in info for info in infos)
+
+
+def test_a_vector_without_autoreset_starts_the_worlds_of_the_mask_and_no_others(levels):
+    ours = KinetixVectorEnv(config(), levels, num_envs=3, autoreset=False)
+    theirs = SyncVectorEnv([lambda: KinetixEnv(config(), levels)] * 3, autoreset_mode=AutoresetMode.DISABLED)
+    ours.reset(options={"levels": [1, 1, 1]})
+    theirs.reset(options={"level": 1})
+    num_resets = 0
+    for step in range(2 * MAX_STEPS):
+        actions = np.full((3, 6), step % 2)
+        obs, rewards, terminations, truncations, _ = ours.step(actions)
+        expected = theirs.step(actions)
+        np.testing.assert_allclose(obs, expected[0], atol=1e-6)  # compiled apart
+        np.testing.assert_allclose(rewards, expected[1], atol=1e-6)
+        np.testing.assert_array_equal((terminations, truncations), expected[2:4])
+        mask = terminations | truncations
+        if step == 2:
+            mask = np.array([False, True, False])  # from now on it is behind the others
+        if mask.any():
+            num_resets += 1
+            begun, _ = ours.reset(options={"reset_mask": mask, "levels": [4, 1, 2]})
+            np.testing.assert_array_equal(begun[~mask], obs[~mask])
+            for world in np.flatnonzero(mask):
+                own = np.arange(3) == world
+                expected_obs, _ = theirs.reset(options={"reset_mask": own, "level": int(ours.level_numbers[world])})
+            np.testing.assert_allclose(begun, expected_obs, atol=1e-6)
+    assert num_resets == 4 and ours.level_numbers.tolist() == [4, 1, 2]
+
+
+def test_a_world_that_ended_waits_for_its_reset(levels):
+    envs = KinetixVectorEnv(config(), levels, num_envs=2, autoreset=False)
+    with pytest.raises(gymnasium.error.ResetNeeded, match="for all worlds before"):
+        envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.reset(seed=0)
+    before = envs.level_numbers.copy()
+    for _ in range(MAX_STEPS):
+        *_, terminations, truncations, _ = envs.step(np.zeros((2, 6), int))
+        if (terminations | truncations).any():
+            break
+    ended = terminations | truncations
+    with pytest.raises(gymnasium.error.ResetNeeded, match=rf"worlds \{np.flatnonzero(ended).tolist()} have ended"):
+        envs.step(np.zeros((2, 6), int))
+    for bad in (np.array([True]), np.zeros(2, bool), np.array([0, 1])):
+        with pytest.raises(ValueError, match="give 2 booleans, True in one world or more"):
+            envs.reset(options={"reset_mask": bad})
+    envs.reset(options={"reset_mask": ended})
+    assert (envs.level_numbers == before)[~ended].all()
+    envs.step(np.zeros((2, 6), int))
+
+
+@pytest.mark.parametrize("autoreset", [True, False])
+def test_what_a_vector_gives_is_the_callers_to_write(autoreset, levels):
+    envs = KinetixVectorEnv(config(), levels, num_envs=2, autoreset=autoreset)
+    wrapped = ClipReward(envs, -0.5, 0.5)
+    obs, _ = wrapped.reset(seed=0)
+    obs *= 0.5
+    for _ in range(MAX_STEPS):
+        obs, *arrays, infos = wrapped.step(np.zeros((2, 6), int))
+        for array in (obs, *arrays, *(x for x in infos.values() if not autoreset)):
+            array[:] = 0
+        if infos:
+            break
+    kept, _ = envs.reset(options={"reset_mask": np.array([True, False])})
+    assert infos and kept[1].any()  # what the caller wrote is not what the world is
 
 
 def test_bad_calls_of_a_vector_are_refused(levels, envs):

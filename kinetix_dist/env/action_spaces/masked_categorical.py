@@ -34,7 +34,7 @@ class MaskedCategorical:
 
     def sample(self, outputs: tuple[Array, ...], uniforms: Array) -> tuple[Array, Array]:
         """Actions [..., heads] int32 and their log-probability [...] from uniform numbers [..., heads] in [0, 1)."""
-        actions, total = [], jnp.zeros(uniforms.shape[:-1])
+        actions, total = [], jnp.zeros(uniforms.shape[:-1], jnp.float32)
         for head, logits in enumerate(outputs):
             log_probs = jax.nn.log_softmax(logits.astype(jnp.float32))
             choice = jnp.sum(uniforms[..., head, None] >= jnp.cumsum(jnp.exp(log_probs), axis=-1), axis=-1)
@@ -48,7 +48,7 @@ class MaskedCategorical:
 
     def log_prob_and_entropy(self, outputs: tuple[Array, ...], actions: Array) -> tuple[Array, Array]:
         """Both summed over heads: (log-probability [...], entropy [...] in nats)."""
-        log_prob = entropy = jnp.zeros(actions.shape[:-1])
+        log_prob = entropy = jnp.zeros(actions.shape[:-1], jnp.float32)
         for head, logits in enumerate(outputs):
             log_probs = jax.nn.log_softmax(logits.astype(jnp.float32))
             log_prob = log_prob + _at(log_probs, actions[..., head].astype(jnp.int32))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.level.level import Level
 
 
@@ -91,10 +92,10 @@ class ActionSpace(abc.ABC):
         """Uniform actions, [W, num_dimensions] or [W]. Consumes the key."""
         shape = (num_worlds, self.num_dimensions)
         if self.is_integer:
-            actions = jax.random.randint(key, shape, 0, jnp.asarray(self.high, jnp.int32) + 1, jnp.int32)
+            actions = prng.randint(key, shape, 0, jnp.asarray(self.high, jnp.int32) + 1)
         else:
             low, high = jnp.asarray(self.low, jnp.float32), jnp.asarray(self.high, jnp.float32)
-            actions = jax.random.uniform(key, shape, jnp.float32) * (high - low) + low
+            actions = prng.uniform(key, shape) * (high - low) + low
         return actions[:, 0] if self.is_flat else actions
 
     def noop_actions(self, num_worlds: int) -> Array:

@@ -27,8 +27,9 @@ What differs from the public package, so that what is the same is seen the same:
   of the other sign): it says which end is which, and the two rows do not depend on which end is called a;
 - masks 2 and 3 have True on the diagonal and are symmetric, and shapes that cannot collide do not touch: there a shape
   does not see itself, only one slot of a touching pair sees the other, and joined shapes that overlap touch;
-- numbers that nothing depends on are zero: of a motor that is off (speed, power, colour), of limits that are not there,
-  and the rest angle of a hinge without limits. Makers of levels fill them in differently.
+- numbers that nothing depends on are zero: of a motor that is off (speed, power, colour), the colour of one that runs
+  by itself, of limits that are not there, and the rest angle of a hinge without limits. Makers of levels fill them in
+  differently.
 `kinetix_entities.py` is the observation with none of these differences.
 
 Rows of things that do not exist are zero. Units: m, m/s, rad, 1/kg; powers and speeds in units of the engine
@@ -50,7 +51,7 @@ from jax2d.scene import Array, Capacity, JointKind, Joints, pack_bits, touch_mat
 from kinetix_dist.env.observations.observation import ENTITIES, Moving, Observation
 from kinetix_dist.level.canonical import swap_ends
 from kinetix_dist.level.connections import connections
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level, obeying_motors
 from kinetix_dist.level.roles import Role
 
 NUM_BODY_FEATURES = 7
@@ -196,7 +197,7 @@ def assemble_static_obs(
             inverse_mass[..., None],
             inverse_inertia[..., None],
             scene.shapes.density[..., None],
-            jax.nn.one_hot(levels.shape_role, len(Role)),
+            jax.nn.one_hot(levels.shape_role, len(Role), dtype=jnp.float32),
             scene.shapes.friction[..., None],
             scene.shapes.restitution[..., None],
         ],
@@ -243,7 +244,8 @@ def _polygon_features(vertices: Array, num_vertices: Array) -> Array:
 def _joint_features(levels: Level) -> Array:
     """[W, 2 J, 25]: joints as seen from a, then the same joints as seen from b."""
     joints = levels.scene.joints
-    colour = jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS)
+    obeys = obeying_motors(levels)[..., None]  # what runs by itself has the colour of no action
+    colour = jnp.where(obeys, jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS, dtype=jnp.float32), 0.0)
     return jnp.concatenate([_seen_from_a(joints, colour), _seen_from_a(swap_ends(joints), colour)], axis=1)
 
 
@@ -263,7 +265,7 @@ def _seen_from_a(joints: Joints, colour: Array) -> Array:
         jnp.where(is_limited | is_fixed | slides, sin_cos(joints.rest_angle), 0.0),
         jnp.where(drives, motor, 0.0),
         is_limited,
-        jnp.where(drives, colour, 0.0),
+        colour,
         jnp.where(turns, sin_cos(joints.lower_limit), 0.0),
         jnp.where(turns, sin_cos(joints.upper_limit), 0.0),
         jnp.where(is_limited, jnp.where(slides, limits, limits - joints.rest_angle[..., None]), 0.0),
@@ -280,7 +282,7 @@ def sin_cos(angle: Array) -> Array:
 
 def _thruster_features(levels: Level) -> Array:
     scene = levels.scene
-    colour = jax.nn.one_hot(levels.thruster_colour, NUM_THRUSTER_COLOURS)
+    colour = jax.nn.one_hot(levels.thruster_colour, NUM_THRUSTER_COLOURS, dtype=jnp.float32)
     direction = jnp.stack(
         [jnp.sin(scene.thrusters.angle), jnp.cos(scene.thrusters.angle), scene.thrusters.power], axis=-1
     )

@@ -38,9 +38,9 @@ def flatten(obs: EntityObs) -> Array:
     num_shapes = obs.shape_mask.shape[-1]
     num_joints = obs.joints.shape[-2] // 2
     is_joint = obs.joint_mask[..., :num_joints, None]
-    ends_from = jax.nn.one_hot(obs.joint_from[..., :num_joints], num_shapes) * is_joint
-    ends_to = jax.nn.one_hot(obs.joint_to[..., :num_joints], num_shapes) * is_joint
-    owners = jax.nn.one_hot(obs.thruster_owner, num_shapes) * obs.thruster_mask[..., None]
+    ends_from = jax.nn.one_hot(obs.joint_from[..., :num_joints], num_shapes, dtype=jnp.float32) * is_joint
+    ends_to = jax.nn.one_hot(obs.joint_to[..., :num_joints], num_shapes, dtype=jnp.float32) * is_joint
+    owners = jax.nn.one_hot(obs.thruster_owner, num_shapes, dtype=jnp.float32) * obs.thruster_mask[..., None]
     parts = [obs.polygons, obs.circles, obs.joints[..., :num_joints, :], obs.thrusters, ends_from, ends_to, owners]
     return jnp.concatenate([part.reshape(*part.shape[:-2], -1) for part in parts], axis=-1)
 

@@ -132,7 +132,7 @@ def _frame_origin(levels: Level) -> Array:
 def _inverse_inertia(levels: Level) -> Array:
     shapes = levels.scene.shapes
     is_circle = np.arange(levels.angle.shape[1]) >= shapes.vertices.shape[1]
-    return shapes.inverse_inertia * np.where(is_circle, DISC_INERTIA_RATIO, 1.0)
+    return shapes.inverse_inertia * np.where(is_circle, np.float32(DISC_INERTIA_RATIO), np.float32(1.0))
 
 
 def _clockwise(levels: Level, frame_origin: Array) -> Array:
@@ -162,7 +162,7 @@ def _joint_features(levels: Level, frame_origin: Array) -> Array:
     of_hinge = [
         jnp.stack([joints.motor_speed, joints.motor_power, joints.motor_on], axis=-1),
         is_limited,
-        jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS),
+        jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS, dtype=jnp.float32),
         *(jnp.where(is_limited, part, 0.0) for part in limit_parts),
     ]
     hinge = jnp.where(is_fixed, 0.0, jnp.concatenate(of_hinge, axis=-1))
@@ -210,7 +210,7 @@ def _overlap(bodies: Array, vertices: Array, radius: Array) -> Array:
     )
     corners = world_corners(bodies[..., :num_polygons, :2], angle[..., :num_polygons], vertices)
     corners = jnp.concatenate([corners, centres], axis=-3)
-    radii = jnp.concatenate([jnp.zeros((*leading, num_polygons)), radius], axis=-1)
+    radii = jnp.concatenate([jnp.zeros((*leading, num_polygons), jnp.float32), radius], axis=-1)
     one, other = np.triu_indices(num_shapes, k=1)
     gap = separation
     for _ in range(len(leading) + 1):

@@ -5,7 +5,8 @@
 
 So a rollout stores 84 to 192 bytes a world and step, where a picture has 46,875; frames are uint8 when a policy takes
 them, and no longer kept than it needs. Shapes are in the colours of their roles, fixed ones darker; motors and
-thrusters in the colours of the actions that drive them, since nothing else says which these are.
+thrusters in the colours of the actions that drive them, since nothing else says which these are; a motor that runs by
+itself in that of outlines.
 
 View: 5 x 5 m, 25 pixels a metre, x to the right and y up (row 0 is the top). What a picture does not show: velocities,
 gravity, strengths of motors and thrusters, limits of joints, friction.
@@ -128,7 +129,7 @@ def static_picture(levels: Level) -> PixelStatic:
         rail=_rails(levels),
         rail_follows=~jnp.asarray(joints.has_limits),
         motor_on=jnp.asarray(joints.motor_on, jnp.float32),
-        motor_colour=jnp.asarray(palette.MOTOR_PALETTE, jnp.float32)[levels.motor_colour],
+        motor_colour=_motor_colours(levels),
         thruster_active=jnp.asarray(scene.thrusters.active, jnp.float32),
         thruster_body=jnp.asarray(scene.thrusters.body),
         thruster_edges=_nozzles(levels),
@@ -136,6 +137,12 @@ def static_picture(levels: Level) -> PixelStatic:
     )
     fixed = _shapes(static, jnp.asarray(levels.position), jnp.asarray(levels.angle), active * is_fixed, first=0)
     return dataclasses.replace(static, background=paint(fixed, static.background))
+
+
+def _motor_colours(levels: Level) -> Array:
+    """[W, J, 3] float32 0..255: that of the action that drives a motor, ink where it runs by itself."""
+    of_actions = jnp.asarray(palette.MOTOR_PALETTE, jnp.float32)[levels.motor_colour]
+    return jnp.where(jnp.asarray(levels.motor_auto)[..., None], jnp.asarray(palette.INK, jnp.float32), of_actions)
 
 
 def _used_vertices(vertices: Array, num_vertices: Array) -> Array:
@@ -213,7 +220,8 @@ def _joints(static: PixelStatic, position: Array, angle: Array) -> list[Primitiv
         middle = 0.5 * (lower + upper) + jnp.where(static.rail_follows[..., k], slid, 0.0)
         rail, rail_faint = line_edges(upper - lower, _LINE_M, axis_angle)
         arms = [
-            line_edges(2 * palette.JOINT_RADIUS_M, _WELD_M, jnp.full(there.shape, turn)) for turn in palette.WELD_ANGLES
+            line_edges(2 * palette.JOINT_RADIUS_M, _WELD_M, jnp.full(there.shape, turn, jnp.float32))
+            for turn in palette.WELD_ANGLES
         ]
         first = jnp.where(slides[..., None, None], rail, arms[0][0])
         middle_of_first = at + jnp.where(slides, middle, 0.0)[..., None] * _direction(axis_angle)
@@ -225,7 +233,7 @@ def _joints(static: PixelStatic, position: Array, angle: Array) -> list[Primitiv
         layers.append(
             Primitive(
                 centre=at,
-                radius=jnp.full(there.shape, palette.JOINT_RADIUS_M),
+                radius=jnp.full(there.shape, palette.JOINT_RADIUS_M, jnp.float32),
                 colour=jnp.broadcast_to(jnp.asarray(palette.HINGE, jnp.float32), ink.shape),
                 outline=ink,
                 outline_width=_LINE_M,

@@ -4,9 +4,10 @@
     obs, infos = envs.reset(seed=0)                                    each world draws one of the levels
     obs, rewards, terminations, truncations, infos = envs.step(envs.action_space.sample())
 
-Arrays are numpy. An episode that is solved or has failed is terminated, one that ran out of steps truncated. Worlds of
-a vector restart in the same step on the level they have (`AutoresetMode.SAME_STEP`): `obs` is the first observation of
-the next episode, `infos["final_obs"]` the last one of that which ended, `infos["final_info"]` what became of it.
+Arrays are numpy and the caller's own. An episode that is solved or has failed is terminated, one that ran out of steps
+truncated. Worlds of a vector restart in the same step on the level they have (`AutoresetMode.SAME_STEP`): `obs` is the
+first observation of the next episode, `infos["final_obs"]` the last one of that which ended, `infos["final_info"]` what
+became of it. With `autoreset=False` (`AutoresetMode.DISABLED`) the caller resets worlds that ended, and no others.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class KinetixVectorEnv(VectorEnv):
     def __init__(
         self, config: EnvConfig, levels: Level, *, num_envs: int, render_mode: str | None = None, autoreset: bool = True
     ) -> None:
-        """levels: [N, ...] on every field. autoreset False: worlds that ended stay as they are until `reset`."""
+        """levels: [N, ...] on every field. autoreset False: a world that ended is reset before the next step."""
         if not autoreset:
             self.metadata = self.metadata | {"autoreset_mode": AutoresetMode.DISABLED}
         _check_render_mode(render_mode)
@@ -63,28 +64,49 @@ class KinetixVectorEnv(VectorEnv):
         self._observe = jax.jit(self.env.observe)
         self._advance = jax.jit(self.env.transition)
         self._restart = jax.jit(self.env.restart)
-        self._episode: tuple[Any, Any] | None = None  # (prepared levels, state)
+        self._select = jax.jit(self.env.select)
+        self.level_numbers = np.zeros(num_envs, np.int32)  # of each world, [num_envs]
+        self._has_ended = np.zeros(num_envs, bool)  # worlds that wait for `reset`; none where they restart
+        self._episode: tuple[Any, Any, Any] | None = None  # (prepared levels, state, observation before `observe`)
 
     @property
     def num_levels(self) -> int:
         return self._pool.num_levels
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """options: {"levels": numbers [num_envs] of the levels to play}, by default drawn at random."""
+        """Observations of all worlds, of which some or all are at the start of an episode.
+
+        options: {"levels": numbers [num_envs] of the levels to play}, by default drawn at random; {"reset_mask": bool
+        [num_envs]} starts episodes in these worlds alone, and others stay where they are.
+        """
         super().reset(seed=seed)
-        numbers = (options or {}).get("levels")
+        options = options or {}
+        mask = _reset_mask(options.get("reset_mask"), self.num_envs)
+        if self._episode is None and not mask.all():
+            raise gymnasium.error.ResetNeeded("call reset() for all worlds before reset() for some of them")
+        numbers = options.get("levels")
         if numbers is None:
-            numbers = self.np_random.integers(self._pool.num_levels, size=self.num_envs)
-        self.level_numbers = _level_numbers(numbers, self.num_envs, self._pool.num_levels)
+            numbers = self.level_numbers.copy()
+            numbers[mask] = self.np_random.integers(self._pool.num_levels, size=np.count_nonzero(mask))
+        chosen = _level_numbers(numbers, self.num_envs, self._pool.num_levels)
+        self.level_numbers = np.where(mask, chosen, self.level_numbers)
         prepared, state, obs = self._start(jnp.asarray(self.level_numbers))
-        self._episode = prepared, state
+        if self._episode is not None and not mask.all():
+            state, obs = self._select(prepared, jnp.asarray(mask), (state, obs), self._episode[1:])
+        self._episode = prepared, state, obs
+        self._has_ended = self._has_ended & ~mask
         return self._to_numpy(prepared, obs), {}
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """actions: of `action_space`. Raises ValueError for others."""
+        """actions: of `action_space`. Raises ValueError for others, `ResetNeeded` while a world waits for `reset`."""
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        prepared, state = self._episode
+        if self._has_ended.any():
+            raise gymnasium.error.ResetNeeded(
+                f"episodes of worlds {np.flatnonzero(self._has_ended).tolist()} have ended; "
+                'call reset(options={"reset_mask": mask}) for them before step()'
+            )
+        prepared, state, _ = self._episode
         actions = np.asarray(actions)
         self.env.action_space.check(actions, self.num_envs)  # before the cast, which would cut 0.9 to 0
         state, obs, reward, done, info = self._advance(
@@ -102,15 +124,16 @@ class KinetixVectorEnv(VectorEnv):
                 state, obs = self._restart(prepared, jnp.asarray(done), state, obs)
             else:
                 infos = info
-        self._episode = prepared, state
-        truncations = info["timed_out"]
-        return self._to_numpy(prepared, obs), np.asarray(reward), done & ~truncations, truncations, infos
+                self._has_ended = done
+        self._episode = prepared, state, obs
+        truncations = info["timed_out"].copy()
+        return self._to_numpy(prepared, obs), np.array(reward), done & ~truncations, truncations, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture of every world, uint8 [rows, columns, 3]."""
         if self.render_mode is None or self._episode is None:
             return None
-        prepared, state = self._episode
+        prepared, state, _ = self._episode
         position, angle, *_ = jax.tree.map(
             np.asarray, self.env.stepper.bodies(prepared.packed_scene, state.packed_state)
         )
@@ -190,11 +213,21 @@ def _space_of(part: jax.ShapeDtypeStruct, env: Environment) -> spaces.Space:
 
 
 def _as_numpy(x: Any) -> np.ndarray:
-    return np.asarray(x, np.int8) if x.dtype == np.bool_ else np.asarray(x)  # as MultiBinary has it
+    return np.array(x, np.int8 if x.dtype == np.bool_ else None)  # as MultiBinary has it
 
 
 def _info_arrays(info: StepInfo) -> dict[str, np.ndarray]:
-    return {name: np.asarray(getattr(info, name)) for name in INFO_FIELDS}
+    return {name: np.array(getattr(info, name)) for name in INFO_FIELDS}
+
+
+def _reset_mask(mask: np.ndarray | None, num_envs: int) -> np.ndarray:
+    """[num_envs] bool, by default all of them."""
+    if mask is None:
+        return np.ones(num_envs, bool)
+    found = np.asarray(mask)
+    if found.dtype != np.bool_ or found.shape != (num_envs,) or not found.any():
+        raise ValueError(f"reset_mask is {mask!r}; give {num_envs} booleans, True in one world or more")
+    return found
 
 
 def _level_numbers(numbers: Sequence[int] | np.ndarray, num_envs: int, num_levels: int) -> np.ndarray:

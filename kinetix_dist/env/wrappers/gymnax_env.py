@@ -20,6 +20,7 @@ from flax import struct
 from gymnax.environments import environment, spaces
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.env.action_spaces import ActionSpace
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
@@ -69,7 +70,7 @@ class GymnaxEnv(environment.Environment):
         return int(space.high[0]) + 1 if space.is_flat else space.num_dimensions
 
     def reset_env(self, key: Array, params: GymnaxParams) -> tuple[Any, GymnaxState]:
-        number = jax.random.randint(key, (1,), 0, self._pool.num_levels)
+        number = prng.randint(key, (1,), 0, self._pool.num_levels)
         return self.first(*self._pool.start(number))
 
     def first(self, level: PreparedLevels, episode: EnvState, obs: Any) -> tuple[Any, GymnaxState]:
@@ -121,7 +122,7 @@ class MultiDiscreteSpace(spaces.Space):
         self.dtype = jnp.int32
 
     def sample(self, key: Array) -> Array:
-        return jax.random.randint(key, self.shape, 0, jnp.asarray(self.choices), jnp.int32)
+        return prng.randint(key, self.shape, 0, jnp.asarray(self.choices))
 
     def contains(self, x: Array) -> Array:
         return jnp.all((x >= 0) & (x < jnp.asarray(self.choices)))

@@ -3,7 +3,10 @@
     from kinetix_dist.env.wrappers.kinetix import (ActionType, EnvParams, ObservationType, StaticEnvParams,
         make_kinetix_env, make_render_pixels, make_reset_fn_sample_kinetix_level)
 
-Signatures are those of kinetix-env 3.0.2: `reset(key, params)`, `step(key, state, action, params)` with one `done`.
+Signatures are those of kinetix-env 3.0.2: `reset(key, env_params, override_reset_state)` and
+`step(key, state, action, env_params, override_reset_state)` with one `done`. A given `override_reset_state`, a level or
+a state, is where the episode starts that begins in this call; it holds for this call alone.
+
 What differs: observations are those of this package (a picture is uint8 [125, 125, 3] with row 0 at the top), and room
 is that of a size: `StaticEnvParams()` is size L (12 circles, joints and thrusters there).
 """
@@ -23,6 +26,7 @@ from flax import struct
 
 from jax2d.draw import draw
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.wrappers.gymnax_env import GymnaxEnv, GymnaxState
 from kinetix_dist.level.generator import generate_level
@@ -91,9 +95,11 @@ class KinetixState(GymnaxState):
 
 
 class KinetixEnv(GymnaxEnv):
-    """One world whose episodes start where `reset_fn` says."""
+    """One world whose episodes start where `reset_fn` says, unless a call says otherwise."""
 
-    def __init__(self, config: EnvConfig, reset_fn: Callable[[Array], Level], static_params: StaticEnvParams) -> None:
+    def __init__(
+        self, config: EnvConfig, reset_fn: Callable[[Array], Level] | None, static_params: StaticEnvParams
+    ) -> None:
         some = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(config.capacity))
         super().__init__(config, some)
         self._reset_fn = reset_fn
@@ -104,29 +110,61 @@ class KinetixEnv(GymnaxEnv):
         config = self.env.config
         return EnvParams(max_timesteps=config.max_steps, dense_reward_scale=config.dense_reward_scale)
 
-    def step(self, key: Array, state: Any, action: Any, params: Any = None) -> tuple[Any, Any, Array, Array, dict]:
-        """(observation, state, reward, done, info)"""
-        params = self.default_params if params is None else params
-        if params != self.default_params:
-            raise ValueError(f"this environment was made for {self.default_params}; make one for {params}")
-        obs, state, reward, terminated, truncated, info = super().step(key, state, action, params)
-        return obs, state, reward, terminated | truncated, info
+    @functools.partial(jax.jit, static_argnames=("self",))
+    def reset(
+        self, key: Array, env_params: Any = None, override_reset_state: Level | KinetixState | None = None
+    ) -> tuple[Any, KinetixState]:
+        """(observation, state). Raises ValueError without a level where the environment has no `reset_fn`."""
+        self._check(env_params)
+        return self._start(key, override_reset_state)
+
+    @functools.partial(jax.jit, static_argnames=("self",))
+    def step(
+        self,
+        key: Array,
+        state: Any,
+        action: Any,
+        env_params: Any = None,
+        override_reset_state: Level | KinetixState | None = None,
+    ) -> tuple[Any, Any, Array, Array, dict]:
+        """(observation, state, reward, done, info). Where done, observation and state are those of a new episode."""
+        params = self._check(env_params)
+        step_key, reset_key = prng.split(key)
+        last_obs, next_state, reward, terminated, info = self.step_env(step_key, state, action, params)
+        truncated = self.is_truncated(next_state, params)
+        done = terminated | truncated
+        first = self._start(reset_key, override_reset_state)
+        obs, next_state = jax.tree.map(lambda new, old: jnp.where(done, new, old), first, (last_obs, next_state))
+        info |= {"terminated": terminated, "truncated": truncated, "final_observation": last_obs}
+        return obs, next_state, reward, done, info
 
     def reset_env(self, key: Array, params: Any) -> tuple[Any, KinetixState]:
-        source = self._reset_fn(key)
+        return self._start(key, None)
+
+    def _start(self, key: Array, given: Level | KinetixState | None) -> tuple[Any, KinetixState]:
+        if isinstance(given, KinetixState):
+            return self._joined(given.level, self.env.obs_of_start(given.level, given.episode)), given
+        if given is None and self._reset_fn is None:
+            raise ValueError("this environment has no reset_fn; give a level or a state as override_reset_state")
+        source = given if given is not None or self._reset_fn is None else self._reset_fn(key)
         level = self.env.prepare(jax.tree.map(lambda x: jnp.asarray(x)[None], source))
         obs, state = self.first(level, *self.env.reset(level))
         return obs, KinetixState(**vars(state), source=source)
+
+    def _check(self, params: Any) -> Any:
+        if params is not None and params != self.default_params:
+            raise ValueError(f"this environment was made for {self.default_params}; make one for {params}")
+        return self.default_params
 
 
 def make_kinetix_env(
     action_type: ActionType,
     observation_type: ObservationType,
-    reset_fn: Callable[[Array], Level],
+    reset_fn: Callable[[Array], Level] | None,
     env_params: EnvParams | None = None,
     static_env_params: StaticEnvParams | None = None,
 ) -> KinetixEnv:
-    """An environment that draws a level for every episode."""
+    """An environment that draws a level for every episode. reset_fn None: each `reset` and `step` is given one."""
     params, static = env_params or EnvParams(), static_env_params or StaticEnvParams()
     config = EnvConfig(
         size=static.size,

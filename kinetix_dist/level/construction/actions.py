@@ -94,7 +94,7 @@ def _described(
     role = jnp.where(number == 0, Role.GREEN, jnp.where(number == 1, Role.BLUE, plain_or_red))
     shape = Shapes(
         active=jnp.array(True),
-        position=jnp.zeros(2),
+        position=jnp.zeros(2, jnp.float32),
         angle=_within(choice["angle"], draws[2], NUM_ANGLES, 0.0, 2.0 * math.pi),
         vertices=jnp.where(is_box, corners, 0.0),
         num_vertices=jnp.where(is_box, num_corners, 0),
@@ -131,7 +131,7 @@ def _with_shape(
     slot = jnp.where(is_box, free_box, free_circle).astype(jnp.int32)
 
     # Anywhere in its cell where that is free, else in the middle.
-    somewhere, middle = in_cell(choice["place"], draws[0:2]), in_cell(choice["place"], jnp.full(2, 0.5))
+    somewhere, middle = in_cell(choice["place"], draws[0:2]), in_cell(choice["place"], jnp.full(2, 0.5, jnp.float32))
     stands = jnp.where(overlaps(building, somewhere), middle, somewhere)
     target, anchor = attachment(choice["attach"])
     partner = read_slot(shapes, target)
@@ -165,7 +165,7 @@ def _joint(
 ) -> DrivenJoints:
     """From the partner to the new shape; `derive` puts the ends into their order."""
     is_weld, is_driven = choice["motor"] == Motor.WELD, choice["motor"] == Motor.DRIVEN
-    limit = jnp.where(both_boxes, jnp.array(LIMITS_RAD)[choice["limits"]], 0.0)
+    limit = jnp.where(both_boxes, jnp.array(LIMITS_RAD, jnp.float32)[choice["limits"]], 0.0)
     strongest = jnp.where(both_boxes, config.motor_power_max, config.wheel_power_max)
     weakest = jnp.minimum(config.motor_power_min, strongest)
     speed = _within(choice["speed"], draws[5], NUM_SPEEDS, config.motor_speed_min, config.motor_speed_max)

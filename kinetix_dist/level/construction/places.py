@@ -24,7 +24,7 @@ def free_places(building: Construction, capacity: Capacity) -> Array:
 
 
 def is_free_place(building: Construction, cell: Array) -> Array:
-    return ~overlaps(building, in_cell(cell, jnp.full(2, 0.5)))
+    return ~overlaps(building, in_cell(cell, jnp.full(2, 0.5, jnp.float32)))
 
 
 def free_joints(building: Construction, capacity: Capacity) -> Array:
@@ -82,4 +82,4 @@ def anchor_point(shape: Shapes, anchor: Array, draw: Array | float = 0.5) -> Arr
 def held_at(building: Construction, partner: Shapes, anchor: Array) -> Array:
     """[2] m: the centre of the described shape when a joint holds it to this anchor of a partner."""
     joined_at = world_corners(partner.position, partner.angle, anchor[None])[0]
-    return joined_at - world_corners(jnp.zeros(2), building.shape.angle, building.own_anchor[None])[0]
+    return joined_at - world_corners(jnp.zeros(2, jnp.float32), building.shape.angle, building.own_anchor[None])[0]

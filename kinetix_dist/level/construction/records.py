@@ -143,7 +143,7 @@ def begin(capacity: Capacity) -> Construction:
     """The empty box."""
     draft = empty_draft(capacity)
     nothing = jax.tree.map(lambda column: jnp.zeros_like(column[0]), draft.shapes)
-    return Construction(draft=draft, what=jnp.int32(What.NOTHING), shape=nothing, own_anchor=jnp.zeros(2))
+    return Construction(draft=draft, what=jnp.int32(What.NOTHING), shape=nothing, own_anchor=jnp.zeros(2, jnp.float32))
 
 
 def num_order_draws(capacity: Capacity) -> int:
@@ -172,4 +172,4 @@ def is_placing(step: Array, capacity: Capacity) -> Array:
 
 
 def is_one_of(what: Array, kinds: tuple[What, ...]) -> Array:
-    return (what[..., None] == jnp.array(kinds)).any(-1)
+    return (what[..., None] == jnp.array(kinds, jnp.int32)).any(-1)

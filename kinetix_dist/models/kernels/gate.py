@@ -33,7 +33,7 @@ def pack(kernel_y: Array, kernel_x: Array, kernel_h: Array, bias: Array) -> Arra
     flat array.
     """
     kernels = jnp.concatenate([kernel_y, kernel_x, kernel_h], axis=1)
-    below = jnp.zeros((_BIAS_ROWS, kernels.shape[1])).at[0, :WIDTH].set(bias)
+    below = jnp.zeros((_BIAS_ROWS, kernels.shape[1]), jnp.float32).at[0, :WIDTH].set(bias)
     return jnp.concatenate([kernels, below]).astype(jnp.bfloat16)
 
 

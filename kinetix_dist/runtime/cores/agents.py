@@ -12,6 +12,7 @@ from flax import linen as nn
 from jax.sharding import Mesh
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.action_spaces import ActionDistribution
 from kinetix_dist.env.environment import Environment
@@ -90,7 +91,7 @@ class PpoAgent:
         self._ppo = ppo
         self._mesh = mesh
         self._num_blocks = num_blocks
-        self._keys = jax.random.split(key)
+        self._keys = prng.split(key)
 
     def init(self) -> LearnerState:
         zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), self._obs)

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 
+from kinetix_dist import prng
 from kinetix_dist.checkpoint import flatten_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum
@@ -35,7 +36,7 @@ class CuratorCore:
         params = jax.device_put(params)
         self._params = jax.eval_shape(lambda: params)
         config, curriculum = self._config, self._curriculum(policy_version)
-        key = jax.random.fold_in(stream(config.run.seed, CURATE), policy_version)
+        key = prng.fold_in(stream(config.run.seed, CURATE), policy_version)
         if given is not None:
             template = jax.eval_shape(lambda: curriculum.refresh_input(curriculum.init()))
             given = unflatten_arrays(template, flatten_arrays(given))
@@ -43,7 +44,7 @@ class CuratorCore:
         refreshed = jax.device_get(refreshed)
         played = {}
         if probe is not None:
-            probe_key = jax.random.fold_in(stream(config.run.seed, PROBE), policy_version)
+            probe_key = prng.fold_in(stream(config.run.seed, PROBE), policy_version)
             played = curriculum.play_probe(params, probe, probe_key)
         return {"seconds": time.monotonic() - began, "probe": played}, refreshed
 

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from kinetix_dist import prng
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.evaluate import compile_evaluation, evaluate
@@ -103,7 +104,7 @@ class Evaluator:
             return self._sets
 
     def _key(self) -> Any:
-        return jax.random.key(EVALUATION_STREAM)
+        return prng.key(EVALUATION_STREAM)
 
 
 def _repeat(levels: Level, count: int) -> Level:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import functools
 
-import jax
-
 from jax2d.effects import called_for
+from kinetix_dist import prng
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.effect_variants import choose_variants
 from kinetix_dist.env.env_config import EnvConfig
@@ -31,9 +30,9 @@ def make_environment(config: TrainConfig) -> Environment:
         levels = load_level_set(config.curriculum.levels, config.env.size)[0]
     elif config.curriculum.sizes:
         counts = counts_of(config.curriculum.sizes, NUM_SAMPLED)
-        levels = generate_mixture(jax.random.key(0), counts, config.env.capacity, config.curriculum.generator)
+        levels = generate_mixture(prng.key(0), counts, config.env.capacity, config.curriculum.generator)
     else:
-        levels = generate_levels(jax.random.key(0), NUM_SAMPLED, config.env.capacity, config.curriculum.generator)
+        levels = generate_levels(prng.key(0), NUM_SAMPLED, config.env.capacity, config.curriculum.generator)
     return Environment(config.env, variants=choose_variants(called_for(levels.scene), config.env.capacity))
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.actors.random_starts import after_random_actions
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
@@ -113,10 +114,10 @@ class RolloutCore:
         parts = jnp.asarray(self.division.parts)[device]
         groups = self._first_group + members(parts, self._groups_per_part)
         num_groups = groups.size
-        level_key = jax.random.fold_in(stream(config.run.seed, LEVELS), num_updates)
-        play_key = jax.random.fold_in(stream(config.run.seed, PLAY), num_updates)
+        level_key = prng.fold_in(stream(config.run.seed, LEVELS), num_updates)
+        play_key = prng.fold_in(stream(config.run.seed, PLAY), num_updates)
 
-        group_keys = jax.vmap(lambda group: jax.random.fold_in(level_key, group))(groups)
+        group_keys = jax.vmap(lambda group: prng.fold_in(level_key, group))(groups)
         proposal = self._curriculum.propose(state, group_keys, groups)
         expected, found = num_groups * worlds_per_group, proposal.levels.position.shape[0]
         if found != expected:
@@ -135,7 +136,7 @@ class RolloutCore:
                 env,
                 prepared,
                 *start,
-                jax.random.fold_in(stream(config.run.seed, STARTS), num_updates),
+                prng.fold_in(stream(config.run.seed, STARTS), num_updates),
                 numbers,
                 share=config.rollout.random_start_share,
                 max_steps=config.rollout.random_start_steps,

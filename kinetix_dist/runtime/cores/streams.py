@@ -4,9 +4,8 @@ keep, and no result depends on how worlds are spread over devices.
 
 from __future__ import annotations
 
-import jax
-
 from jax2d.scene import Array
+from kinetix_dist import prng
 
 # Folded into the key of the seed, then whatever varies within a stream.
 INIT, LEVELS, PLAY, SHUFFLE, CURATE, TEACHER, ANTAGONIST, PROBE, STARTS = range(9)
@@ -14,4 +13,4 @@ INIT, LEVELS, PLAY, SHUFFLE, CURATE, TEACHER, ANTAGONIST, PROBE, STARTS = range(
 
 def stream(seed: int, number: int) -> Array:
     """A typed key; streams of one seed are independent."""
-    return jax.random.fold_in(jax.random.key(seed), number)
+    return prng.fold_in(prng.key(seed), number)
