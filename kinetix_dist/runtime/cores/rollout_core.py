@@ -230,7 +230,10 @@ def sums_of(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[st
 
 def attempts_by(group: Array, outcome: LevelOutcome, is_counted: Array, num_groups: int) -> dict[str, Array]:
     """Attempts by the group of a world, and those solved, over all devices, each world once: [num_groups] int32."""
-    counts = {"solved": outcome.first_solved, "attempts": 1}
+    # Ones that depend on the outcome: a count that needs no rollout is compiled together with what does, which then
+    # rounds otherwise for another number of groups (tests/finetune/test_specialists.py, with the flags of the tests).
+    attempts = jnp.where(outcome.num_finished < 0, 0, 1)
+    counts = {"solved": outcome.first_solved, "attempts": attempts}
     return {name: _totals_by(group, jnp.where(is_counted, count, 0), num_groups) for name, count in counts.items()}
 
 
