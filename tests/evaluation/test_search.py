@@ -64,14 +64,14 @@ def test_how_near_green_came_is_the_distance_of_the_surfaces(env: Environment) -
         "format": "kinetix-dist-level", "version": 1, "name": "near", "size": "s", "gravity": [0.0, 0.0],
         "shapes": [
             {"id": "disc", "type": "circle", "radius": 0.3, "position": [1.0, 2.0], "role": "green"},
-            {"id": "box", "type": "box", "width": 1.0, "height": 2.0, "position": [3.0, 1.0], "role": "blue"},
+            {"id": "box", "type": "box", "width": 1.0, "height": 1.0, "position": [3.0, 1.5], "role": "blue"},
         ],
         "thrusters": [{"shape": "disc", "position": [0.0, 0.0], "angle": 3.14159265, "power": 0.01}],
     }  # fmt: skip
     worlds = Worlds(env, level_from_json(document), NUM_WORLDS)
     played = worlds.play(worlds.start, np.zeros((1, NUM_WORLDS, 6), np.int32), budget := Budget(1.0))
     np.testing.assert_allclose(played.min_gap, 3.0 - 0.5 - 1.0 - 0.3, atol=1e-5)  # from the disc to the corner
-    np.testing.assert_allclose(played.min_distance, np.hypot(2.0, 1.0), atol=1e-5)
+    np.testing.assert_allclose(played.min_distance, np.hypot(2.0, 0.5), atol=1e-5)
     assert budget.min_gap == pytest.approx(1.2, abs=1e-5)
 
 
