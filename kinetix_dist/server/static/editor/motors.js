@@ -23,7 +23,7 @@ export const newMotor = (document, joint) => ({ speed: wheelOf(document, joint) 
 export function forwardWords(document, joint) {
   const { speed = 1, colour = 0, auto = false } = joint.motor;
   const who = auto ? "It always runs forward, which" : `Forward (${keyMark((MOTOR_KEYS[colour] ?? MOTOR_KEYS[0])[0])})`;
-  if (!speed) return `${who} does nothing: its speed is 0.`;
+  if (!speed) return `${who} brakes, and so does backward: its speed is 0.`;
   if (joint.type === "prismatic") return `${who} pushes ${joint.b} ${speed > 0 ? "along" : "against"} the axis.`;
   const wheel = wheelOf(document, joint);
   if (wheel === null) return `${who} turns ${joint.b} ${speed > 0 ? "counter-clockwise" : "clockwise"} against ${joint.a}.`;
