@@ -20,8 +20,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-
 import warp as wp
+
 from jax2d.contact_report import ContactReport, contact_report
 from jax2d.effects import Effects
 from jax2d.fields import Array, Field, fields_of, num_elements
