@@ -14,11 +14,11 @@ import dataclasses
 import sys
 from pathlib import Path
 
-import jax
 import numpy as np
 
 from bench.program import exit_code, parser_of
 from jax2d.scene import index_worlds
+from kinetix_dist import prng
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import evaluate
@@ -52,7 +52,7 @@ def solved_counts(
     if len(chosen):
         unit = min(PADDED_TO, len(which))  # few programs to compile
         padded = np.resize(chosen, -(-len(chosen) // unit) * unit)
-        rates = evaluate(env, player, index_worlds(levels, padded), attempts=attempts, key=jax.random.key(seed))
+        rates = evaluate(env, player, index_worlds(levels, padded), attempts=attempts, key=prng.key(seed))
         counts[chosen] = [level.solved for level in rates.levels[: len(chosen)]]
     return counts
 

@@ -31,6 +31,7 @@ import jax
 import numpy as np
 
 from bench.program import exit_code, output_file, parser_of
+from kinetix_dist import prng
 from kinetix_dist.checkpoint import list_checkpoints, select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.level_buffer import num_in_play
@@ -76,7 +77,7 @@ def solved_of(trained: Trained, levels: Level, attempts: int) -> np.ndarray:
     env = make_environment(trained.config)
     module, params = load_policy(trained.checkpoint, trained.config.policy, env, levels)
     player = Player(NetworkPolicy(module, env.action_distribution), jax.device_put(params))
-    rates = evaluate(env, player, levels, attempts=attempts, key=jax.random.key(0))
+    rates = evaluate(env, player, levels, attempts=attempts, key=prng.key(0))
     return np.array([rate.solved for rate in rates.levels])
 
 
@@ -142,7 +143,7 @@ def by_their_own_policy(run: Path, attempts: int) -> list[dict[str, Any]]:
 def levels_of(config: TrainConfig, arrays: Mapping[str, np.ndarray], num_levels: int) -> Level:
     """From arrays [n, ...] by path."""
     generator = config.curriculum.generator
-    template = jax.eval_shape(lambda: generate_levels(jax.random.key(0), num_levels, config.env.capacity, generator))
+    template = jax.eval_shape(lambda: generate_levels(prng.key(0), num_levels, config.env.capacity, generator))
     return unflatten_arrays(template, arrays)
 
 

@@ -39,6 +39,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from bench.program import exit_code, output_file, parser_of, report_each
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.errors import UserError, user_errors
@@ -96,7 +97,7 @@ def rounding_of(trained: Trained, config: TrainConfig, *, is_checked: bool) -> d
     """The record of one type and mask."""
     mesh = data_mesh(jax.local_devices()[:1])
     env = make_environment(config)
-    one_level = generate_levels(jax.random.key(0), 1, env.capacity, config.curriculum.generator)
+    one_level = generate_levels(prng.key(0), 1, env.capacity, config.curriculum.generator)
     with user_errors(ValueError, prefix=f"checkpoint {trained.checkpoint.path}: "):
         policy, params = load_policy(trained.checkpoint, config.policy, env, one_level)
     params = jax.tree.map(jnp.asarray, params)
@@ -111,7 +112,7 @@ def rounding_of(trained: Trained, config: TrainConfig, *, is_checked: bool) -> d
         update = make_update(
             policy, env.observation, env.action_distribution, config.ppo, mesh, division=rollout.division
         )
-        _, metrics = update(config.ppo.initial_state(params, jax.random.key(0)), *batch)
+        _, metrics = update(config.ppo.initial_state(params, prng.key(0)), *batch)
         update_clipped = float(metrics["clip_fraction"])
     found = np.abs(first)
     clip = config.ppo.clip
@@ -156,7 +157,7 @@ def log_ratios_of(
         given = trajectory, advantages, advantages + trajectory.values
         flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), given)
         is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(True).reshape(-1)
-        index = _shuffled(jax.random.wrap_key_data(key), num_steps, num_worlds, program)
+        index = _shuffled(prng.wrap_key_data(key), num_steps, num_worlds, program)
 
         def minibatch(total: Array, index: Array) -> tuple[Array, Array]:
             steps, of_steps, targets = jax.tree.map(lambda x: x[index], flat)
@@ -184,7 +185,7 @@ def log_ratios_of(
     on_mesh = jax.jit(on_devices(of_device, mesh, **specs))
 
     def compute(params: Any, batch: Batch, epoch: int) -> np.ndarray:
-        total, index, found = on_mesh(jax.random.key_data(jax.random.key(epoch)), params, *batch)
+        total, index, found = on_mesh(jax.random.key_data(prng.key(epoch)), params, *batch)
         if not np.isfinite(total):
             raise UserError("the gradient is not finite; give a checkpoint that learned with this engine and network")
         ordered = np.empty(found.shape, np.float32)

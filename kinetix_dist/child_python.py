@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import runpy
+import site
 import sys
 from pathlib import Path
 
@@ -27,7 +28,22 @@ def command_of(target: str, *arguments: object) -> list[str]:
 
 def import_path() -> list[str]:
     """sys.path of this process with absolute directories, so that it means the same in another directory."""
-    return [str(Path(entry).absolute()) for entry in sys.path if entry or _has_current_directory()]
+    return [_absolute(entry) for entry in sys.path if entry or _has_current_directory()]
+
+
+def directories_outside_python() -> list[str]:
+    """Those of `import_path` that belong to no installation of Python: checkouts, and directories of PYTHONPATH."""
+    installed = [Path(prefix).resolve() for prefix in (sys.prefix, sys.base_prefix, *site.getsitepackages())]
+    return [
+        entry
+        for entry in import_path()
+        if not any(Path(entry).resolve().is_relative_to(prefix) for prefix in installed)
+    ]
+
+
+def _absolute(entry: str) -> str:
+    """A directory; what setuptools puts there for an editable installation is no path and stays as it is."""
+    return entry if entry.endswith(".__path_hook__") else str(Path(entry).absolute())
 
 
 def _has_current_directory() -> bool:

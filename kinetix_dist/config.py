@@ -517,10 +517,14 @@ def from_dict_for_playing(data: Mapping[str, Any]) -> TrainConfig:
         data = {**data, "env": {**env, "physics": to_dict(preset(name))}}
     curriculum, env = data.get("curriculum"), data.get("env")
     if isinstance(curriculum, Mapping) and isinstance(env, Mapping):
-        # Older versions trained with fewer steps than an episode has; what is only played scores nothing.
-        steps, least = curriculum.get("scoring_steps"), env.get("max_steps")
+        # Older versions trained with settings by which levels are scored that are refused now; what is only played
+        # scores nothing.
+        steps, least, replay = curriculum.get("scoring_steps"), env.get("max_steps"), curriculum.get("plr")
         if isinstance(steps, int) and isinstance(least, int) and steps < least:
-            data = {**data, "curriculum": {**curriculum, "scoring_steps": least}}
+            curriculum = {**curriculum, "scoring_steps": least}
+        if isinstance(replay, Mapping):
+            curriculum = {**curriculum, "plr": {name: value for name, value in replay.items() if name != "score"}}
+        data = {**data, "curriculum": curriculum}
     policy = data.get("policy")
     if isinstance(policy, Mapping) and policy.get("kernels") == "mosaic":  # also of a network that has no kernels
         data = {**data, "policy": {**policy, "kernels": "auto"}}

@@ -1,4 +1,4 @@
-"""Names that are nearly right: the one place that says "did you mean"."""
+"""Names that are nearly right: what says "did you mean" in this package."""
 
 from __future__ import annotations
 

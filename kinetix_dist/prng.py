@@ -42,7 +42,7 @@ def pinned() -> Iterator[None]:
 
 def key(seed: int | Array) -> jax.Array:
     """A typed key of the lower 32 bits of a seed, which may be traced."""
-    low = np.uint32(seed & MASK) if isinstance(seed, int | np.integer) else jnp.asarray(seed).astype(jnp.uint32)
+    low = np.uint32(int(seed) & MASK) if isinstance(seed, int | np.integer) else jnp.asarray(seed).astype(jnp.uint32)
     return wrap_key_data(jnp.stack([jnp.zeros_like(low), low]))
 
 

@@ -28,16 +28,20 @@ def settle() -> str:
     home = Path(os.path.expanduser("~"))
     has_home = home.is_absolute() and home.is_dir()
     cache = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    if has_home and can_be_written(cache):
+    token = home / ".ray" / "auth_token"  # Ray makes one
+    has_cache = has_home and can_be_written(cache)
+    has_token = not has_home or token.exists() or can_be_written(token) or bool(os.environ.get("RAY_AUTH_TOKEN_PATH"))
+    if has_cache and has_token:
         return ""
     instead = _directory_of_user()
+    if not has_token:
+        os.environ["RAY_AUTH_TOKEN_PATH"] = str(instead / "ray_auth_token")
+    if has_cache:
+        return f"{token.parent} cannot be written: Ray's token is kept in {instead}; set RAY_AUTH_TOKEN_PATH to move it"
     if not has_home:
         os.environ["HOME"] = str(instead)
     if not cache.is_absolute() or not can_be_written(cache):
         os.environ["XDG_CACHE_HOME"] = str(instead / ".cache")
-    token = home / ".ray" / "auth_token"
-    if has_home and not token.exists() and not can_be_written(token):  # Ray makes one
-        os.environ.setdefault("RAY_AUTH_TOKEN_PATH", str(instead / "ray_auth_token"))
     why = f"{cache} cannot be written" if has_home else f"user {getpass.getuser()} has no home directory"
     return f"{why}: caches are kept in {instead}; set HOME or XDG_CACHE_HOME to keep them elsewhere"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.level.control import obeying_motors, pushing_thrusters
+from kinetix_dist.level.control import motors_with_effect, pushing_thrusters
 from kinetix_dist.level.fit import capacity_of_size, usage
 from kinetix_dist.level.kinetix_format import is_kinetix_document
 from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
@@ -67,7 +67,7 @@ def facts_of(level: Level, document: dict[str, Any]) -> dict[str, Any]:
         for slot, path in paths_in(level, document).shapes.items()
         if slot >= NUM_WALLS
     }
-    driven, pushed = obeying_motors(level), pushing_thrusters(level)
+    driven, pushed = motors_with_effect(level), pushing_thrusters(level)
     return {
         "counts": used | {"polygons": used["polygons"] - NUM_WALLS},
         "room": {kind: getattr(capacity, kind) - count for kind, count in used.items()},

@@ -64,7 +64,12 @@ def interval_over_levels(solved: Sequence[int], attempts: int, base_levels: Sequ
     binomial = rate * (1 - rate)
     # All or none solved: each base level is a trial. More than all attempts there cannot be.
     effective = min(binomial / variance, trials) if variance > 0 else (trials if binomial > 0 else count)
-    low, high = _score_interval(rate, effective, float(stdtrit(count - 1, 0.975)))
+    quantile = float(stdtrit(count - 1, 0.975))
+    low, high = _score_interval(rate, effective, quantile)
+    # Nearly all or none solved: the few levels that differ say nothing of the next one. Wide enough for base levels of
+    # which all or none are solved.
+    low = min(low, _score_interval(1.0, count, quantile)[0])
+    high = max(high, _score_interval(0.0, count, quantile)[1])
     return {"low": low, "high": high, "base_levels": count, "levels": len(solved)}
 
 

@@ -8,9 +8,9 @@ from jax2d.scene import JointKind
 from kinetix_dist.level.level import Level
 
 
-def obeying_motors(level: Level) -> np.ndarray:
-    """[J] bool: motors that an action reaches, of hinges and sliders that hold something that can move. One of speed 0
-    among them can only brake."""
+def motors_with_effect(level: Level) -> np.ndarray:
+    """[J] bool: motors by which an action does something: those that obey one (`level.obeying_motors`), have power and
+    hold something that can move. One of speed 0 among them can only brake."""
     joints, moves = level.scene.joints, _moves(level)
     obeys = np.asarray(joints.active) & np.asarray(joints.motor_on) & ~np.asarray(level.motor_auto)
     obeys &= ~np.asarray(joints.is_kind(JointKind.FIXED)) & (np.asarray(joints.motor_power) > 0)
@@ -19,7 +19,7 @@ def obeying_motors(level: Level) -> np.ndarray:
 
 def driving_motors(level: Level) -> np.ndarray:
     """[J] bool: those with a speed, which an action makes move."""
-    return obeying_motors(level) & (np.asarray(level.scene.joints.motor_speed) != 0)
+    return motors_with_effect(level) & (np.asarray(level.scene.joints.motor_speed) != 0)
 
 
 def pushing_thrusters(level: Level) -> np.ndarray:

@@ -162,6 +162,19 @@ def test_a_home_that_cannot_be_written_keeps_its_place_and_caches_go_elsewhere(n
     assert os.environ["RAY_AUTH_TOKEN_PATH"] == str(nobody / "ray_auth_token")
 
 
+def test_rays_token_moves_too_where_only_the_caches_have_a_place(nobody, monkeypatch, tmp_path):
+    home, cache = tmp_path / "home", tmp_path / "cache"
+    home.mkdir()
+    cache.mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_relative_to(home))
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    said = user_directories.settle.__wrapped__()
+    assert said.startswith(f"{home / '.ray'} cannot be written: Ray's token is kept in {nobody};")
+    assert os.environ["RAY_AUTH_TOKEN_PATH"] == str(nobody / "ray_auth_token")
+    assert os.environ["XDG_CACHE_HOME"] == str(cache)
+
+
 def test_a_directory_of_that_name_that_others_can_read_is_not_taken(nobody, tmp_path):
     nobody.mkdir(mode=0o755)
     user_directories.settle.__wrapped__()

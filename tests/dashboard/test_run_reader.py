@@ -149,5 +149,9 @@ def test_the_table_has_the_newest_evaluation_of_the_policy(run: Path) -> None:
     (run / run_files.EVALUATION_LINES).unlink()
     (run / "report.json").write_text(json.dumps({"solve_rate": {"after": {"random_s": {"rate": 0.25}}}}))
     assert rate() == 0.25, "an older run has its report alone"
+    over = {"low": 0.1, "high": 0.5, "base_levels": 2, "levels": 16}
+    after = {"random_s": {"rate": 0.75, "low": 0.7, "high": 0.8, "attempts": 64, "interval_over_levels": over}}
+    (run / "report.json").write_text(json.dumps({"solve_rate": {"after": after}}))
+    assert summary("a", run)["evaluated"]["random_s"]["interval_over_levels"] == over
     (run / "report.json").write_text("{")
     assert "report.json is damaged" in summary("a", run)["problems"][0]

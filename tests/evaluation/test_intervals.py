@@ -80,6 +80,16 @@ def test_the_interval_over_levels_holds_the_rate_on_levels_like_these(
         )
 
 
+@pytest.mark.parametrize(("num_levels", "never"), [(20, 0.05), (74, 0.02), (10, 0.1)])
+def test_intervals_over_levels_hold_where_all_but_a_few_levels_are_always_solved(num_levels: int, never: float) -> None:
+    """A sample may hold none of the few levels that nobody solves, or one attempt of all that fails."""
+    rng = np.random.default_rng(0)
+    solved = 20 * (rng.random((800, num_levels)) >= never)
+    names = [str(level) for level in range(num_levels)]
+    over = [interval_over_levels(counts.tolist(), 20, names) for counts in solved]
+    assert np.mean([found is not None and found["low"] <= 1 - never <= found["high"] for found in over]) > 0.93
+
+
 def test_intervals_over_levels_at_the_ends_are_those_of_as_many_trials_as_base_levels() -> None:
     names = [f"level_{i // 8}" for i in range(80)]
     found = interval_over_levels([0] * 80, 4, names)

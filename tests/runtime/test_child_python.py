@@ -13,7 +13,13 @@ from ray.core.generated import common_pb2
 from ray.job_config import JobConfig
 
 import kinetix_dist
-from kinetix_dist.child_python import command_of, difference_of_imports, import_path, imported_from
+from kinetix_dist.child_python import (
+    command_of,
+    difference_of_imports,
+    directories_outside_python,
+    import_path,
+    imported_from,
+)
 from kinetix_dist.runtime.processes.facts import refuse_other_imports, whereabouts
 from kinetix_dist.runtime.processes.placement import PlacementError
 from kinetix_dist.runtime.processes.ray_private import job_of_this_import_path
@@ -48,12 +54,20 @@ def test_an_import_path_means_the_same_in_another_directory(monkeypatch, tmp_pat
     assert import_path() == [str(tmp_path), str(tmp_path / "beside"), "/at/a/place"]
 
 
-def test_ray_hands_on_this_import_path_and_not_the_current_directory():
+def test_what_an_editable_installation_puts_on_the_path_stays_as_it_is(monkeypatch):
+    monkeypatch.setattr(sys, "path", ["__editable__.mine-0.1.finder.__path_hook__"])
+    assert import_path() == sys.path
+
+
+def test_ray_hands_on_checkouts_and_neither_the_current_directory_nor_this_python(monkeypatch):
+    monkeypatch.setattr(sys, "path", ["/a/checkout", *sys.path])
+    assert not [path for path in directories_outside_python() if path.startswith(sys.prefix)]
     job = job_of_this_import_path()
     assert isinstance(job, JobConfig)
     job._py_driver_sys_path.append("/the/current/directory")  # as ray.init does
     told = common_pb2.JobConfig.FromString(job._serialize())
-    assert list(told.py_driver_sys_path) == import_path()[::-1]
+    assert list(told.py_driver_sys_path) == directories_outside_python()[::-1]
+    assert told.py_driver_sys_path[-1] == "/a/checkout"  # inserted last, so it comes first
 
 
 def test_a_process_that_imports_from_elsewhere_is_refused_in_one_line():

@@ -46,6 +46,13 @@ def test_a_run_that_a_time_limit_ended_names_that_limit(copy, capsys):
     assert "; --run.max_seconds " in capsys.readouterr().out
 
 
+def test_other_evaluations_of_a_finished_run_are_made(copy, capsys):
+    assert main(["train", "--run", str(copy), "--resume", "--evaluation.min_attempts", "8"]) == 0
+    assert "is finished" not in capsys.readouterr().out
+    assert _report(copy)["policy_updates"] == NUM_UPDATES
+    assert json.loads((copy / "config.json").read_text())["config"]["evaluation"]["min_attempts"] == 8
+
+
 @pytest.mark.parametrize("lost", ["report.json", "checkpoints"])
 def test_what_is_missing_of_a_finished_run_is_made_again(copy, lost, capsys):
     if lost == "report.json":

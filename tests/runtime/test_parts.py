@@ -92,6 +92,9 @@ def test_learnability_of_a_fresh_level_needs_two_episodes():
     with pytest.raises(ConfigError, match=r"with plr.score 'learnability' needs the ends of 2 episodes in every world"):
         dataclasses.replace(config, curriculum=plr)
     dataclasses.replace(config, curriculum=plr, rollout=dataclasses.replace(config.rollout, num_steps=512))
+    old = to_dict(config)
+    old["curriculum"]["plr"]["score"] = "learnability"
+    assert from_dict_for_playing(old).policy == config.policy  # such policies are still played
 
 
 def test_engines_of_grouped_worlds_suit_the_levels_of_the_run():

@@ -21,7 +21,7 @@ from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import PreparedLevels
 from kinetix_dist.env.reward import goal_distance, judge
-from kinetix_dist.level.control import driving_motors, obeying_motors, pushing_thrusters
+from kinetix_dist.level.control import driving_motors, motors_with_effect, pushing_thrusters
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
 from kinetix_dist.level.overlap import surface_distance, world_corners
 from kinetix_dist.level.roles import Role
@@ -146,7 +146,7 @@ def useful_actions(level: Level) -> np.ndarray:
 
     Raises ValueError for a level in which no action moves anything.
     """
-    driving, obeying = driving_motors(level), obeying_motors(level)
+    driving, obeying = driving_motors(level), motors_with_effect(level)
     flames = set(level.thruster_colour[pushing_thrusters(level)].tolist())
     if not driving.any() and not flames:
         brakes = ", and a motor of speed 0 can only brake" if obeying.any() else ""

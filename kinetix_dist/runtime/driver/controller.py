@@ -78,8 +78,10 @@ class Controller:
         stop: StopSignals | None = None,
         evaluations: Evaluations | None = None,
         resizing: Resizing | None = None,
+        began: float | None = None,
     ) -> None:
-        """evaluations: those during training, beside it; None: the trainer makes them."""
+        """evaluations: those during training, beside it; None: the trainer makes them. began: the session, by
+        time.monotonic; None: now."""
         self._data = RunData(config, run, reporter)
         self.config = config
         self.run = run
@@ -91,7 +93,7 @@ class Controller:
         self.num_updates = 0
         self.seconds_before = 0.0  # training time of earlier sessions
         self._before = SessionTotals()
-        self._began = time.monotonic()
+        self._began = time.monotonic() if began is None else began
         self._warmup_before = 0.0  # s of it, see `warmup_seconds`
         self._warmup: float | None = None  # s of this session; None: its first update is not done
         self.training_seconds_at_end = 0.0

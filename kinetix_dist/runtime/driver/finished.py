@@ -6,19 +6,25 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.checkpoint import newest_good
-from kinetix_dist.config import TrainConfig
+from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.runtime.driver.clock import is_over
 from kinetix_dist.runtime.driver.session_totals import read_report
+from kinetix_dist.text_files import read_json
+
+MADE_AT_THE_END = ("evaluation", "recording")  # sections that change no number of training
 
 
 def finished_report(path: Path, config: TrainConfig) -> dict[str, Any] | None:
     """Report of the run in `path` where `config` asks for no more than it has done, and its last checkpoint is good.
 
-    None where training goes on, or where the report or the last checkpoint is missing or damaged: resuming makes them
-    again. Reads only.
+    None where training goes on, where other evaluations or recordings than those stored are asked for, or where the
+    report or the last checkpoint is missing or damaged: resuming makes them again. Reads only.
     """
     report = read_report(path / "report.json")
     if report is None or report["config_hash"] != config.hash:
+        return None
+    stored, asked = read_json(path / "config.json")["config"], to_dict(config)
+    if any(stored.get(section) != asked[section] for section in MADE_AT_THE_END):
         return None
     if not is_over(config.run, env_steps=report["env_steps"], training_seconds=report["training_seconds"]):
         return None

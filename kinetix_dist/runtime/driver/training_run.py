@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -150,6 +151,7 @@ def _from_start_to_report(
     resume: bool,
 ) -> dict[str, Any]:
     """The report. `started` gets what ends what was started, first to last."""
+    began = time.monotonic()
     if config.cut_episodes:
         reporter.note(config.cut_episodes)
     recorder = Recorder(run)
@@ -160,7 +162,7 @@ def _from_start_to_report(
         backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
         stop.install()
         started += [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
-        told = {"on_rollouts": recorder, "stop": stop, "evaluations": evaluations, "resizing": resizing}
+        told = {"on_rollouts": recorder, "stop": stop, "evaluations": evaluations, "resizing": resizing, "began": began}
         controller = Controller(config, run, trainer, curator, reporter, **told)
         started.insert(0, controller.close)
         controller.restore(resume=resume)

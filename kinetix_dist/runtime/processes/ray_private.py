@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import psutil
 
-from kinetix_dist.child_python import import_path
+from kinetix_dist.child_python import directories_outside_python
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.processes.failures import RayFailedError
 
@@ -34,13 +34,14 @@ def print_nothing() -> None:
 
 def job_of_this_import_path() -> JobConfig:
     """For `ray.init`: processes import what this one does. Ray would put the current directory of the driver first,
-    where another checkout or a jax.py may lie."""
+    where another checkout or a jax.py may lie. Python's own directories, and those of its installed packages, are left
+    to the Python of each node, which may lie elsewhere."""
     from ray.job_config import JobConfig
 
     class _Job(JobConfig):
         def _serialize(self) -> str:
             # Ray has added its directories by now. A process inserts one after the other: the last comes first.
-            self._py_driver_sys_path = import_path()[::-1]
+            self._py_driver_sys_path = directories_outside_python()[::-1]
             return super()._serialize()
 
     return _Job()
