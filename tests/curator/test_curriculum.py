@@ -87,7 +87,7 @@ def test_a_share_that_is_no_whole_number_of_worlds_is_refused():
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"name": "plr2"}, "choose one of sfl"),
+        ({"name": "plr2"}, "did you mean 'plr'"),
         ({"name": "fixed"}, "level set is needed"),
         ({"num_candidates": 10, "scoring_batch": 4}, "not a multiple of scoring_batch"),
         ({"num_candidates": 8, "scoring_batch": 4, "buffer_size": 9}, "larger than num_candidates 8"),

@@ -99,8 +99,6 @@ def test_what_changes_an_update_makes_another_program(
     assert is_another()
     assert not is_another()
     assert is_another(config=dataclasses.replace(PPO, clip=0.1))
-    with jax.default_prng_impl("rbg"):
-        assert is_another()
     for target, name in ((flax, "__version__"), (optax, "__version__"), (exported_program, "_SOURCES")):
         with monkeypatch.context() as patch:
             patch.setattr(target, name, "0.0.1")
