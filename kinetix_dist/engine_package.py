@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 
 NAME = "jax2d"
-ENGINE = Path(__file__).resolve().parent.parent / NAME  # of this checkout or installation
+ENGINE = Path(__file__).absolute().parent.parent / NAME  # beside this package, either may be a link
 _REMEDY = f"uninstall that one (`pip uninstall {NAME}`), or give kinetix-dist an environment of its own"
 
 
@@ -30,13 +30,13 @@ class EngineImportError(ImportError):
 def engine_complaint() -> str:
     """One line that says which package stands in for the engine, and what to do; empty: none does."""
     directory = _imported_directory()
-    if directory is not None and directory != ENGINE:
+    if directory is not None and directory != ENGINE.resolve():
         return (
             f"the package {NAME} at {directory} is imported in place of the engine of kinetix-dist at {ENGINE}, which "
             f"has the same name; {_REMEDY}, or take its directory off PYTHONPATH"
         )
     published = _published()
-    if published is not None and published[1] == ENGINE.parent:
+    if published is not None and published[1] == ENGINE.parent.resolve():
         return (
             f"files of the published package {NAME} {published[0]} lie among those of the engine at {ENGINE}, which "
             f"has the same name; uninstall both (`pip uninstall {NAME} kinetix-dist`) and install kinetix-dist again"
