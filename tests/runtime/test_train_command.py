@@ -304,7 +304,7 @@ def test_phases_of_a_file_that_cannot_run(capsys, tmp_path, text, message):
 
 
 def test_a_file_of_phases_that_is_no_text(capsys, tmp_path):
-    (tmp_path / "phases.toml").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "phases.toml").write_bytes(b"\xe4\x00")
     line = _refusal(capsys, "--recipe", "tiny", "--phases", tmp_path / "phases.toml")
     assert "phases.toml cannot be read as TOML: 'utf-8' codec" in line
 

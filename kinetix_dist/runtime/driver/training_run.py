@@ -152,8 +152,6 @@ def _from_start_to_report(
 ) -> dict[str, Any]:
     """The report. `started` gets what ends what was started, first to last."""
     began = time.monotonic()
-    if config.cut_episodes:
-        reporter.note(config.cut_episodes)
     recorder = Recorder(run)
     stored = run.config = {"hash": config.hash, "config": to_dict(config)}
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
@@ -170,6 +168,8 @@ def _from_start_to_report(
         if not resume:
             run.config_path.unlink(missing_ok=True)
         raise
+    if config.cut_episodes:
+        reporter.note(config.cut_episodes)
     if resume:  # what is refused leaves the one there is
         _write_or_fail(run, run.config_path, stored, f"then --run {run.path} --resume")
     evaluations = _from_first_to_last_update(controller, run, reporter)
