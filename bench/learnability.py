@@ -45,8 +45,8 @@ from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import Level
 from kinetix_dist.play.players import Trained, checkpoint_at, newest_checkpoint_of
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.stored import CURRICULUM
+from kinetix_dist.runtime.cores.playing import make_environment
+from kinetix_dist.runtime.cores.run_names import CURRICULUM
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, REFRESH, list_snapshots, read_snapshot
 
 COLUMNS = "{:>8} {:>7} {:>8} {:>16} {:>16} {:>24} {:>8} {:>30}"

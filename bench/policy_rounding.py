@@ -52,7 +52,7 @@ from kinetix_dist.models.policy import DTYPES
 from kinetix_dist.play.players import Trained, checkpoint_at
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.playing import make_environment
 from kinetix_dist.runtime.cores.rollout_core import Batch, RolloutCore
 
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "q999": 0.999, "max": 1.0}

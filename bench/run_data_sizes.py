@@ -32,7 +32,7 @@ def measure(name: str) -> dict[str, object]:
     from kinetix_dist.level.fit import capacity_of_size
     from kinetix_dist.level.generator import generate_levels
     from kinetix_dist.recipes import recipe
-    from kinetix_dist.runtime.driver.snapshots import SnapshotSink, UnfinishedSnapshot
+    from kinetix_dist.runtime.driver.run_files import SnapshotSink, UnfinishedSnapshot
     from kinetix_dist.telemetry.curriculum_log import REFRESH, read_snapshot, snapshot_name, write_snapshot
 
     config = recipe(name)

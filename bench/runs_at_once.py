@@ -33,7 +33,7 @@ from kinetix_dist.models.policy import make_policy
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
-from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.playing import make_environment
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 
 

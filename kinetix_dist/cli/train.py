@@ -182,8 +182,8 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.models.kernels.support import KernelError
+    from kinetix_dist.runtime.driver.checkpoints import starting_point
     from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.driver.starting import starting_point
     from kinetix_dist.runtime.driver.training_run import check_devices, hold_to_cpu, start_fork_server, train
     from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
@@ -235,7 +235,7 @@ def _run(args: Args, stop: StopSignals) -> None:
 
 def _is_finished(args: Args) -> bool:
     """Whether the run to resume is at the end that its configuration asks for; says so, and how it goes on."""
-    from kinetix_dist.runtime.driver.finished import finished_report
+    from kinetix_dist.runtime.driver.checkpoints import finished_report
 
     assert args.run is not None
     report = finished_report(args.run, args.config)

@@ -11,8 +11,8 @@ from kinetix_dist.checkpoint import list_checkpoints
 from kinetix_dist.config import RecordingConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.evaluations import MAX_WAITING, Evaluations
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan

@@ -17,11 +17,10 @@ from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_chec
 from kinetix_dist.config import to_dict
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.runtime.driver import refreshes
+from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
-from kinetix_dist.runtime.driver.resumable import newest_checkpoint
+from kinetix_dist.runtime.driver.refreshes import CurationByWorkers, CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals

@@ -13,13 +13,11 @@ import pytest
 
 from kinetix_dist.config import RecordingConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import RunFailedError, train
-from kinetix_dist.runtime.processes.failures import TooManyLossesError, WorkerLostError
+from kinetix_dist.runtime.processes.failures import Losses, TooManyLossesError, WorkerLostError
 from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
-from kinetix_dist.runtime.processes.losses import Losses
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config

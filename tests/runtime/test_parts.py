@@ -12,10 +12,9 @@ from jax2d.effects import Effects, effects_of
 from kinetix_dist.config import ConfigError, differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.recipes import RECIPES, recipe
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.driver.clock import RoleClock
-from kinetix_dist.runtime.driver.weight_sync import WeightStore
-from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer, WorkBufferFullError
+from kinetix_dist.runtime.cores.playing import make_environment
+from kinetix_dist.runtime.driver.totals import RoleClock
+from kinetix_dist.runtime.driver.work_buffer import WeightStore, Work, WorkBuffer, WorkBufferFullError
 from kinetix_dist.runtime.processes.placement import PlacementError, plan, resolve_device
 from kinetix_dist.telemetry.names import METRICS, UnknownMetricError, check_metrics
 from kinetix_dist.telemetry.sinks.console import ConsoleSink

@@ -12,12 +12,12 @@ from kinetix_dist.config import TrainConfig, differences, from_dict, to_dict
 from kinetix_dist.models.added_layers import GATE_BIAS
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
+from kinetix_dist.runtime.driver.checkpoints import lineage_from, starting_point
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
-from kinetix_dist.runtime.driver.starting import lineage_from, starting_point
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
 from tests.runtime.runs import NotingReporter, assert_same_bits, final_arrays, tiny_config

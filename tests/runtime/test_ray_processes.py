@@ -17,11 +17,10 @@ from ray._private.internal_api import memory_summary  # no public function says 
 
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.processes.actor import _doing
-from kinetix_dist.runtime.processes.backend import Group
+from kinetix_dist.runtime.processes.backend import Group, Sections
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
-from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.telemetry.names import check_metrics
 from tests.helpers import PATIENCE_S
 from tests.runtime.cores_for_tests import (

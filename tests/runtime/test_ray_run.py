@@ -16,9 +16,7 @@ from kinetix_dist.config import from_dict, to_dict
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.registry import PluginError, import_plugins
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
-from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CurationByWorkers, CuratorClient
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan

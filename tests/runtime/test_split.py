@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import newest_good
-from kinetix_dist.runtime.driver.provenance import what_differs
 from kinetix_dist.runtime.driver.split import SplitTrainer
-from kinetix_dist.runtime.driver.stragglers import TIMES_THE_OTHERS
+from kinetix_dist.runtime.driver.work_buffer import TIMES_THE_OTHERS
 from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.provenance import what_differs
 from kinetix_dist.telemetry.names import COPIES
 from tests.helpers import PATIENCE_S, REPOSITORY, environment_of_cpus
 from tests.runtime.runs import NotingReporter, QuietReporter, assert_same_bits, final_arrays, run_updates
