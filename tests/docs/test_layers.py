@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from kinetix_dist import runtime
 from tests.helpers import REPOSITORY
 
 # A module may import layers to the right of its own, and its own package; siblings in one layer never see each other.
@@ -31,8 +32,8 @@ LAYERS = (
     ("engine_package", "errors", "installation", "near_names"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
-# Rooms of runtime/, and which of the others each may import.
-ROOMS = {"driver": {"cores", "processes"}, "cores": set(), "processes": set()}
+# Subpackages of runtime/, and which of the others each may import.
+SUBPACKAGES = {"driver": {"cores", "processes"}, "cores": set(), "processes": set()}
 RAY_ALLOWED = ("kinetix_dist/runtime/processes/", "kinetix_dist/cli/doctor_probes.py")
 SOURCES = sorted([*REPOSITORY.glob("jax2d/**/*.py"), *REPOSITORY.glob("kinetix_dist/**/*.py")])
 
@@ -71,8 +72,8 @@ def part_of(module: str) -> str | None:
     return names[1] if names[0] == "kinetix_dist" and len(names) > 1 else None
 
 
-def room_of(module: str) -> str | None:
-    """The room of runtime/ a module belongs to."""
+def subpackage_of(module: str) -> str | None:
+    """The subpackage of runtime/ a module belongs to."""
     names = module.split(".")
     return names[2] if names[:2] == ["kinetix_dist", "runtime"] and len(names) > 2 else None
 
@@ -110,17 +111,36 @@ def test_a_module_imports_lower_layers_only(file: Path) -> None:
         assert LAYER_OF[other] > LAYER_OF[own], f"{name_of(file)} imports {module}: {own} may not import {other}"
 
 
-@pytest.mark.parametrize("file", [f for f in SOURCES if room_of(module_of(f))], ids=name_of)
-def test_rooms_of_the_runtime_see_what_they_may(file: Path) -> None:
-    own = room_of(module_of(file))
-    assert own in ROOMS, f"{name_of(file)} is in no room of runtime/; put it into one of {', '.join(ROOMS)}"
+@pytest.mark.parametrize("file", [f for f in SOURCES if subpackage_of(module_of(f))], ids=name_of)
+def test_subpackages_of_the_runtime_import_what_they_may(file: Path) -> None:
+    own = subpackage_of(module_of(file))
+    assert own in SUBPACKAGES, f"{name_of(file)} is in no subpackage of runtime/: {', '.join(SUBPACKAGES)}"
     for module in imports(file):
-        other = room_of(module)
-        assert other in {None, own, *ROOMS[own]}, f"{name_of(file)} imports {module}: {own} may not import {other}"
+        other = subpackage_of(module)
+        assert other in {None, own, *SUBPACKAGES[own]}, (
+            f"{name_of(file)} imports {module}: {own} may not import {other}"
+        )
 
 
-def test_no_file_of_the_runtime_lies_outside_its_rooms() -> None:
+def test_no_file_of_the_runtime_lies_outside_its_subpackages() -> None:
     assert [file.name for file in REPOSITORY.glob("kinetix_dist/runtime/*.py")] == ["__init__.py"]
+
+
+def test_other_packages_import_the_public_names_of_the_runtime_alone() -> None:
+    callers = [
+        file for file in SOURCES if name_of(file).startswith("kinetix_dist/") and not subpackage_of(module_of(file))
+    ]
+    found = [
+        f"{name_of(file)} imports {module}"
+        for file in callers
+        if module_of(file) != "kinetix_dist.runtime"
+        for module in imports(file)
+        if subpackage_of(module) in SUBPACKAGES
+    ]
+    assert not found, "; ".join(found)
+    for name in runtime.__all__:
+        assert getattr(runtime, name) is not None, name
+    assert set(runtime.__all__) == set(runtime._MODULE_OF)
 
 
 @pytest.mark.parametrize("package", ["kinetix_dist", "jax2d"])

@@ -19,7 +19,14 @@ from kinetix_dist.runtime.driver.evaluations import Evaluations
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
-from kinetix_dist.runtime.processes.placement import Placement, PlacementError, counted, needed_by, nodes_in_words, plan
+from kinetix_dist.runtime.processes.placement import (
+    Placement,
+    PlacementError,
+    counted,
+    needed_by,
+    nodes_in_words,
+    plan_placement,
+)
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 
 POLL_S = 0.2
@@ -126,7 +133,7 @@ class Resizing:
         room = self._backend.room()
         for config in self._smaller_and_smaller(least):
             try:
-                placement = plan(config, num_gpus=room.gpus)
+                placement = plan_placement(config, num_gpus=room.gpus)
             except PlacementError:
                 continue
             if room.holds(needed_by(placement)):

@@ -42,7 +42,7 @@ from kinetix_dist.runtime.processes.placement import (
     ProcessPlan,
     check_devices_here,
     count_gpus,
-    plan,
+    plan_placement,
     resolve_device,
 )
 from kinetix_dist.runtime.processes.provenance import check_nodes, versions
@@ -293,7 +293,7 @@ def _start_roles(
     try:
         if backend.has_joined_a_cluster:
             check_nodes(run.path)
-        placement = plan(config, num_gpus=backend.num_gpus)
+        placement = plan_placement(config, num_gpus=backend.num_gpus)
         backend.reserve(placement)
     except ValueError:
         backend.stop()

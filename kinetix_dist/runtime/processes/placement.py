@@ -58,7 +58,7 @@ class Placement:
         return tuple(process for process in self.processes if process.role == role)
 
 
-def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
+def plan_placement(config: TrainConfig, *, num_gpus: int) -> Placement:
     """The processes of a run on a machine with `num_gpus` GPUs; raises PlacementError where they do not fit."""
     on_gpus = resolve_device(config.run.device, num_gpus=num_gpus) == "gpu"
     is_split = config.run.placement == "split"
