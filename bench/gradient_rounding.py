@@ -29,8 +29,8 @@ from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.models import entity_transformer
-from kinetix_dist.play.players import Trained, checkpoint_at
 from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.trained_policy import Trained, checkpoint_at
 
 SHOWN = ("attention_0_qkv_kernel", "attention_0_norm_offset", "feed_forward_0_kernel")
 FIRST_ATTENTION = ("norm_scale", "norm_offset", "qkv_kernel", "qkv_bias")

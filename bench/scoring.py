@@ -26,10 +26,10 @@ from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.load_policy import released_arrays
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
-from kinetix_dist.play.players import Trained, newest_checkpoint_of
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.driver.weight_sync import nested
+from kinetix_dist.trained_policy import Trained, newest_checkpoint_of
 
 VERSION = 1  # of the policy; not 0, at which `sfl_slices` fills a whole buffer
 
