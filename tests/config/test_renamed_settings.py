@@ -3,6 +3,7 @@
 import copy
 import json
 
+import numpy as np
 import pytest
 
 from kinetix_dist import renamed_settings
@@ -91,7 +92,7 @@ def test_a_removed_setting_that_was_in_use_is_refused_for_training_and_left_out_
 def test_a_run_of_before_a_rename_is_resumed(tables, tmp_path):
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     description = {"config": _old(recipe("tiny"), haste=0), "config_hash": "of the old names", "training_seconds": 1.0}
-    save_checkpoint(run.checkpoints, 2, {}, description, keep=1)
+    save_checkpoint(run.checkpoints, 2, {"a": np.zeros(1)}, description, keep=1)
     config = _todays()
     found = newest_checkpoint(run, config, QuietReporter())
     assert found is not None and found.path.name == "00000002"
