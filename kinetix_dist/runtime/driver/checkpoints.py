@@ -42,6 +42,7 @@ from kinetix_dist.config import (
     differing,
     from_dict,
     from_dict_for_playing,
+    has_same_numbers,
     to_dict,
 )
 from kinetix_dist.env.env_config import EnvConfig
@@ -49,6 +50,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.errors import one_line
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX, load_policy
 from kinetix_dist.models.policy import NETWORKS
+from kinetix_dist.renamed_settings import translated
 from kinetix_dist.runtime.cores.run_names import LEARNER, OPTIMIZER, PARAMS, START, one_level
 from kinetix_dist.runtime.driver.roles import Reporter
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -139,12 +141,13 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
             f"none of the {len(rejected)} checkpoints in {run.checkpoints} can be used (see above); nothing was "
             f"changed: put back a good copy of one, or start a new run with another --run"
         )
-    if checkpoint is None or checkpoint.description["config_hash"] == config.hash:
+    about = None if checkpoint is None else checkpoint.description
+    if about is None or has_same_numbers(config, about["config"], about["config_hash"]):
         for bad in rejected:
             _set_aside(bad.path, reporter)
         return checkpoint
     try:
-        theirs = from_dict(checkpoint.description["config"])
+        theirs = from_dict(about["config"])
     except ConfigError as error:
         raise CheckpointError(f"checkpoint {checkpoint.path} cannot be resumed: {error}") from error
     if fields := differences(config, theirs):
@@ -174,9 +177,12 @@ def finished_report(path: Path, config: TrainConfig) -> dict[str, Any] | None:
     report or the last checkpoint is missing or damaged: resuming makes them again. Reads only.
     """
     report = read_report(path / "report.json")
-    if report is None or report["config_hash"] != config.hash:
+    if report is None:
         return None
     stored, asked = read_json(path / "config.json")["config"], to_dict(config)
+    if not has_same_numbers(config, stored, report["config_hash"]):
+        return None
+    stored = translated(stored, for_playing=True)
     if any(stored.get(section) != asked[section] for section in MADE_AT_THE_END):
         return None
     if not is_over(config.run, env_steps=report["env_steps"], training_seconds=report["training_seconds"]):
