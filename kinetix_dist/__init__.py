@@ -21,7 +21,7 @@ from kinetix_dist import engine_package
 
 if TYPE_CHECKING:
     from kinetix_dist.api.batched_env import BatchedEnv, BatchState, draw, make
-    from kinetix_dist.api.trained_policy import TrainedPolicy, load_policy
+    from kinetix_dist.api.policy_function import PolicyFunction, load_policy
     from kinetix_dist.env.env_config import EnvConfig
     from kinetix_dist.level.level import Level
     from kinetix_dist.level.sets import load_level_set
@@ -31,7 +31,7 @@ __all__ = [
     "BatchedEnv",
     "EnvConfig",
     "Level",
-    "TrainedPolicy",
+    "PolicyFunction",
     "draw",
     "load_level_set",
     "load_policy",
@@ -43,10 +43,10 @@ _MODULES = {
     "BatchedEnv": "api.batched_env",
     "EnvConfig": "env.env_config",
     "Level": "level.level",
-    "TrainedPolicy": "api.trained_policy",
+    "PolicyFunction": "api.policy_function",
     "draw": "api.batched_env",
     "load_level_set": "level.sets",
-    "load_policy": "api.trained_policy",
+    "load_policy": "api.policy_function",
     "make": "api.batched_env",
 }
 
