@@ -47,9 +47,7 @@ class PolicyFunction:
                 f"observation is of type {type(observation).__name__}; this policy takes {kind!r} observations: make "
                 f"the environment with EnvConfig(observation={kind!r})"
             )
-        num_worlds = jax.tree.leaves(observation)[0].shape[0]
-        memory = self.initial_memory(num_worlds) if memory is None else memory
-        return act(self.network_policy, self.params, observation, prng.split(key, num_worlds), memory)
+        return _act(self, observation, key, memory)
 
     @property
     def network(self) -> nn.Module:
@@ -63,6 +61,13 @@ class PolicyFunction:
     def reset_memory(self, memory: Array | None, done: Array) -> Array | None:
         """Memory after a step: zeros in worlds whose episode ended, where `done` [W]."""
         return forget(memory, done)
+
+
+@jax.jit  # compiled also where a caller is not
+def _act(policy: PolicyFunction, observation: Any, key: Array, memory: Array | None) -> tuple[Array, Array | None]:
+    num_worlds = jax.tree.leaves(observation)[0].shape[0]
+    memory = policy.initial_memory(num_worlds) if memory is None else memory
+    return act(policy.network_policy, policy.params, observation, prng.split(key, num_worlds), memory)
 
 
 def load_policy(name: str | Path = "generalist", *, greedy: bool = False) -> PolicyFunction:
@@ -79,10 +84,8 @@ def load_policy(name: str | Path = "generalist", *, greedy: bool = False) -> Pol
     one_level = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(config.capacity))
     player = trained.player(env, one_level, greedy=greedy)
     assert isinstance(player.policy, NetworkPolicy)  # of a checkpoint, always
-    # On the device: arrays of numpy would be copied there by every program that they are a constant of.
-    params = jax.tree.map(jnp.asarray, player.params)
     return PolicyFunction(
-        params=params,
+        params=player.params,
         network_policy=player.policy,
         env_config=config,
         observation_structure=jax.tree.structure(env.observation_space),

@@ -71,7 +71,7 @@ def test_worlds_that_end_together_all_start_another_level(env: kd.BatchedEnv) ->
     prepared = other.prepare(jax.tree.map(lambda x: x[np.asarray(state.level_number)], env.levels))
     np.testing.assert_array_equal(observation[done], other.observe(prepared, other.reset(prepared)[1])[done])
     np.testing.assert_array_equal(state.levels.motor_colour, prepared.motor_colour)
-    np.testing.assert_array_equal(state.levels.packed_scene, prepared.packed_scene)
+    jax.tree.map(np.testing.assert_array_equal, state.levels.packed_scene, prepared.packed_scene)
 
 
 def test_a_state_is_drawn_in_one_call(env: kd.BatchedEnv) -> None:

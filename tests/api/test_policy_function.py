@@ -66,7 +66,10 @@ def test_another_kind_of_observation_is_refused(policy: kd.PolicyFunction) -> No
 def test_a_recurrent_policy_gives_its_memory(env: kd.BatchedEnv) -> None:
     observation, _ = env.reset(prng.key(0))
     environment = env.environment
-    network = make_policy(PolicyConfig(recurrent="gru", memory_size=8), environment.action_distribution.head_sizes)
+    network = make_policy(
+        PolicyConfig(recurrent="gru", memory_size=8, encoder_size=16, hidden_size=16, hidden_layers=1),
+        environment.action_distribution.head_sizes,
+    )
     policy = kd.PolicyFunction(
         params=init_params(network, observation, prng.key(0)),
         network_policy=NetworkPolicy(network, environment.action_distribution),
