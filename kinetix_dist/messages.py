@@ -31,7 +31,7 @@ class Trajectory:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StaticInput:
-    """What levels fix of what is learned from W worlds."""
+    """Parts of the learner's input that levels fix, of W worlds."""
 
     obs: Any  # [W, ...], see `Observation.static`
     bound_heads: Array | None = None  # [W, heads] bool, see `ActionSpace.bound_heads`; None: all heads count
@@ -55,9 +55,10 @@ class PhysicsCounts:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelOutcome:
-    """What became of each level, world by world: its first episode, and sums over all episodes that finished.
+    """Outcome of each level, world by world: its first episode, and sums over all episodes that finished.
 
     Over many worlds count first episodes (`actors/outcomes.py`): a world whose episodes end early finishes more.
+
     """
 
     first_solved: Array  # [W] int32, 1 where the first episode ended and was solved: green touched blue

@@ -107,7 +107,7 @@ def _go_through(
 
 
 def _gives_known(called: ClosedJaxpr, operands: Sequence[Any]) -> bool:
-    """Whether an operation of a function, or a result of it, is known before the loop."""
+    """Says whether an operation of a function, or a result of it, is known before the loop."""
     found = False
 
     def look(operation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -121,7 +121,7 @@ def _gives_known(called: ClosedJaxpr, operands: Sequence[Any]) -> bool:
 
 
 def _is_known(operation: JaxprEqn, operands: list[Any]) -> bool:
-    """Whether it can be computed before the loop."""
+    """Says whether an operation can be computed before the loop."""
     return not operation.effects and not any(value is UNKNOWN for value in operands)
 
 

@@ -27,7 +27,7 @@ from kinetix_dist.models.gru import act, forget, initial_memory
 
 
 class Worlds(NamedTuple):
-    """Where a batch of worlds stands."""
+    """State of a batch of worlds."""
 
     prepared: PreparedLevels
     env_state: EnvState
@@ -35,7 +35,7 @@ class Worlds(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What `unroll` gives."""
+    """Result of `unroll`."""
 
     trajectory: Trajectory
     env_state: EnvState

@@ -37,7 +37,7 @@ from kinetix_dist.runtime.cores.run_names import ANTAGONIST, CURRICULUM, TEACHER
 
 
 class PpoAgents:
-    """Those of one run, which learn on the devices of a mesh."""
+    """PPO agents of one run, which learn beside the policy on the devices of a mesh (`curator/agents.py`)."""
 
     def __init__(self, config: TrainConfig, env: Environment, policy: nn.Module, mesh: Mesh) -> None:
         self._config = config
@@ -146,7 +146,7 @@ class _OfNoEnvironment(Observation):
 
 
 def some_observation(config: TrainConfig, env: Environment) -> Any:
-    """What a policy takes, of any level of the run: [1, ...], for shapes."""
+    """Observation that a policy takes, of any level of the run: [1, ...], for shapes."""
     prepared = env.prepare(one_level(config))
     return env.observe(prepared, prepared.initial_obs)
 
@@ -199,7 +199,7 @@ class CurriculumState:
         self._observe = _observe_program(curriculum, self._mesh)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
-        """From a checkpoint's arrays or afresh."""
+        """Starts from a checkpoint's arrays, or afresh."""
         stored = select_arrays(arrays or {}, CURRICULUM)
         if stored:
             self._place(self.restored(stored))
@@ -233,7 +233,7 @@ class CurriculumState:
 
     @property
     def shapes(self) -> Any:
-        """Of `placed`, with its shardings; also before the start and a first refresh."""
+        """Shapes of `on_devices`, with its shardings; also before the start and a first refresh."""
         return shapes_of_replicated(jax.eval_shape(self._curriculum.init), self._mesh)
 
     def metrics(self, num_updates: int) -> dict[str, float]:

@@ -82,8 +82,11 @@ T = TypeVar("T")
 
 
 class Playing:
-    """Of one process. groups, division: see `RolloutCore`. Methods take the configuration of a phase, and give the same
-    object until one differs in what that depends on."""
+    """Environment, curriculum and rollout of one process. groups, division: see `RolloutCore`.
+
+    Methods take the configuration of a phase, and give the same object until one differs in what the object depends on.
+
+    """
 
     def __init__(
         self, config: TrainConfig, mesh: Mesh, *, groups: range | None = None, division: Division | None = None

@@ -39,7 +39,7 @@ MIN_CORES = 8
 
 
 def has_cores() -> bool:
-    """Whether this process has cores enough to compile several programs at a time."""
+    """Says whether this process has cores enough to compile several programs at a time."""
     return len(os.sched_getaffinity(0)) >= MIN_CORES
 
 

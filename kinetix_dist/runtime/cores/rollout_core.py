@@ -35,9 +35,10 @@ BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and
 
 
 class Batch(NamedTuple):
-    """What the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded.
+    """Batch that the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded.
 
-    Worlds lie in all places of a division, see `Division.spread`.
+    Worlds lie in all slots of a division, see `Division.spread`.
+
     """
 
     static: Any  # `StaticInput`
@@ -200,7 +201,7 @@ _kept = functools.lru_cache(maxsize=MAX_KEPT)(RolloutCore)
 
 
 def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
-    """Of each group the first `kept` worlds, those that the policy learns from."""
+    """The first `num_trained` worlds of each group, those that the policy learns from."""
     size = batch.last_value.shape[0] // num_groups
     if kept == size:
         return batch
@@ -213,7 +214,8 @@ def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
 
 
 def sums_of(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
-    """What the metrics need, over the worlds of all devices, each once. An attempt is the first episode of a world."""
+    """Sums that the metrics need, over the worlds of all devices, each once. An attempt is the first episode of a
+    world."""
     outcome, rewards = jax.tree.map(lambda x: jnp.where(is_counted, x, 0), (outcome, rewards))
     local = {
         "finished": outcome.num_finished.sum(),

@@ -110,7 +110,7 @@ class Stored(Protocol):
 
 
 class Staging:
-    """Of one learner process. `add` may be called in another thread than `take`."""
+    """Batches on their way in one learner process. `add` may be called in another thread than `take`."""
 
     def __init__(self, config: TrainConfig, mesh: Mesh, division: Division) -> None:
         self._config = config
@@ -152,12 +152,12 @@ class Staging:
         return own_rows(self._mesh, self._division, config.num_trained_envs)
 
     def _in_order(self, coming: _Coming) -> tuple[Batch, Any]:
-        """As numpy."""
+        """The batch as numpy, its parts in order."""
         seen = [coming.seen[part] for part in sorted(coming.seen)] if self._observes else []
         return coming.batch, jax.tree.map(lambda *xs: np.concatenate(xs), *seen) if seen else None
 
     def _placed(self, batch: Batch, seen: Any) -> tuple[Batch, Any]:
-        """On the devices, when it is there."""
+        """The batch on the devices, once it is there."""
         static, trajectory, last_value = batch
         placed = Batch(
             shard_worlds(static, self._mesh),
@@ -168,7 +168,7 @@ class Staging:
 
 
 def _here(own: np.ndarray, config: TrainConfig, part: int, num_parts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of a part: which of its worlds are among `own`, as (places there, rows of the part)."""
+    """Worlds of a part that are among `own`, as (slots there, rows of the part)."""
     worlds_a_group = config.num_trained_envs // config.rollout.num_groups
     groups = config.groups_of_part(part, num_parts)
     first = groups.start * worlds_a_group

@@ -201,7 +201,7 @@ _KEPT = ("config_hash", "num_updates", "env_steps", "training_seconds")
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """What a new run takes of an earlier one."""
+    """Parts of an earlier run that a new run takes."""
 
     arrays: dict[str, np.ndarray] | None = None  # for `Trainer.start` at update 0; None: all from the seed
     lineage: tuple[Mapping[str, Any], ...] = ()
@@ -259,7 +259,7 @@ def starting_point(config: TrainConfig) -> Start:
 
 
 def lineage_from(checkpoint: Checkpoint) -> tuple[Mapping[str, Any], ...]:
-    """Of what starts from this checkpoint: its own ancestors, then itself."""
+    """Lineage of what starts from this checkpoint: its own ancestors, then itself."""
     description = checkpoint.description
     itself = {"checkpoint": str(checkpoint.path), "recipe": description["config"]["run"]["name"]}
     itself |= {name: description[name] for name in _KEPT if name in description}

@@ -19,7 +19,7 @@ from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
 
 def learning_devices(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Of what a process that learns says of itself."""
+    """Devices that learn, from the facts of a process that does."""
     device = facts["device"]
     return {"devices": device["count"], "platform": device["platform"], "kind": device["kind"]}
 
@@ -62,7 +62,7 @@ class ColocatedTrainer:
         return self._handles[0].call("refresh_input")
 
     def refresh(self, weights: Any, policy_version: int, probe: Any, given: Any) -> Refresh:
-        """What a curator would work out, see `Curator.request`, by the workers: waits for it."""
+        """Refreshes on the workers, as a curator would (see `Curator.request`); waits for it."""
         has_parts, curriculum = self._config.curriculum_class.shares_refresh, self._config.curriculum
         num_parts = min(len(self._handles), curriculum.num_batches) if has_parts else 1
         last = num_parts - 1  # it has no more batches to score than the others

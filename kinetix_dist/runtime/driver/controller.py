@@ -170,7 +170,7 @@ class Controller:
         self._repeated(lambda: self._record(num_rollouts))
 
     def facts(self) -> dict[str, Any]:
-        """What the processes say of themselves, for the report."""
+        """Facts of the processes, for the report."""
         return self._repeated(self._facts)
 
     @property
@@ -183,12 +183,12 @@ class Controller:
 
     @property
     def warmup_seconds(self) -> float:
-        """Of the training time: until the first update of each session was done, for which programs are compiled."""
+        """Part of the training time until the first update of each session was done, for which programs are compiled."""
         return self._warmup_before + (self.clock.elapsed if self._warmup is None else self._warmup)
 
     @property
     def wall_seconds(self) -> float:
-        """Of all sessions, from the start of each to its last checkpoint or report."""
+        """Wall time of all sessions, from the start of each to its last checkpoint or report."""
         return self._before.wall_seconds + time.monotonic() - self._began
 
     @property
@@ -288,7 +288,7 @@ class Controller:
             self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
 
     def _begin_phase(self) -> None:
-        """Where this update, or the batch that is played meanwhile, is the first of a phase: programs are compiled."""
+        """Begins a phase where this update, or the batch that is played meanwhile, is its first: programs are compiled."""
         if self._schedule.beginning(self.num_updates + self.trainer.policy_lag) is not None:
             self.backend.sections.forget()
         phase = self._schedule.beginning(self.num_updates)
@@ -350,7 +350,7 @@ class Controller:
                 self.reporter.note(f"update {self.num_updates} was skipped: no gradient was finite")
 
     def _go_back(self) -> None:
-        """To the last checkpoint, after too many updates were skipped in a row."""
+        """Goes back to the last checkpoint, after too many updates were skipped in a row."""
         left_at = self.num_updates
         try:
             with self._section("recover"):
@@ -473,7 +473,7 @@ class Controller:
                 error = again
 
     def _grow(self) -> None:
-        """Where nodes have come back and this update is saved: nothing has to be done again."""
+        """Gives the run more processes where nodes came back and this update is saved: nothing has to be done again."""
         is_saved = _is_due(self.config.run.checkpoint_every, self.num_updates)
         if self._resizing is None or not is_saved or not self._resizing.has_room_to_grow():
             return

@@ -58,7 +58,7 @@ class Evaluated:
 
 
 class Evaluations(ProcessBeside):
-    """Of one run."""
+    """Evaluations and recordings of one run by the evaluator process."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Evaluations(ProcessBeside):
         self._jobs: list[_Job] = []  # the first one is what the process is at
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """As a checkpoint has it; afresh where both are empty."""
+        """Starts as a checkpoint says; afresh where both are empty."""
         self._call = None  # what the process is at is not waited for any more
         self._due.start(description)
         asked = description.get("evaluations_in_flight", [])
@@ -118,7 +118,7 @@ class Evaluations(ProcessBeside):
         return evaluated
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {"evaluations_in_flight": [[job.kind, job.update] for job in self._jobs], **self._due.description()}
 
     def in_flight(self) -> dict[str, np.ndarray]:
@@ -198,8 +198,12 @@ class EvaluationsHere:
 
 
 class Due:
-    """What of EVALUATE and RECORD is due after an update. What was due by time at an update that was saved without
-    looking, since the run was stopped in it, is due at the next."""
+    """Schedule: which of EVALUATE and RECORD are due after an update.
+
+    An evaluation that came due by time at an update which was saved without looking, since the run was stopped in it,
+    is due at the next.
+
+    """
 
     def __init__(self, config: TrainConfig) -> None:
         self._every = {EVALUATE: config.evaluation.every, RECORD: config.recording.every}
@@ -207,16 +211,19 @@ class Due:
         self._seconds: float | None = None  # up to where it was looked
 
     def start(self, description: Mapping[str, Any]) -> None:
-        """As a checkpoint has it; afresh where it has nothing."""
+        """Starts as a checkpoint says; afresh where it has nothing."""
         self._seconds = description.get(LOOKED_UNTIL)
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {LOOKED_UNTIL: self._seconds}
 
     def after(self, num_updates: int, seconds: float) -> list[str]:
-        """Of so many updates; seconds: of training after its warm-up. Evaluations by time are due at the first update
-        at or after each multiple of every_seconds."""
+        """Kinds due after so many updates; seconds: of training after its warm-up.
+
+        Evaluations by time are due at the first update at or after each multiple of every_seconds.
+
+        """
         due = [kind for kind, every in self._every.items() if every and num_updates % every == 0]
         every, before, self._seconds = self._every_seconds, self._seconds, seconds
         if every and before is not None and seconds // every > before // every:
@@ -225,7 +232,7 @@ class Due:
 
 
 def evaluation_metrics(rates: Mapping[str, Mapping[str, Any]], num_updates: int) -> dict[str, float]:
-    """By the names of `telemetry.names`. rates: by level set, of the weights after so many updates."""
+    """Metrics of an evaluation (`telemetry.names`). rates: by level set, of the weights after so many updates."""
     metrics = {
         f"evaluation/{name}/{metric}": rate[field]
         for name, rate in rates.items()

@@ -51,7 +51,11 @@ NEVER = math.inf
 
 
 class Adoptions:
-    """By policy version of the refresh: the update that first used it, or NEVER."""
+    """Updates that first used each refresh, or NEVER, by its policy version: adoptions.json of a run.
+
+    The record is part of what a run's numbers depend on: computing again, after a loss or with --resume, follows it.
+
+    """
 
     def __init__(self, run: RunDirectory) -> None:
         self._run = run
@@ -94,7 +98,7 @@ MAX_EARLY_S = 5.0  # that a refresh may hold up a checkpoint, also of a run that
 
 
 class Refreshes:
-    """Of one run. Without a curator nothing is ever asked for."""
+    """Schedule of the refreshes of one run. Without a curator none is ever requested."""
 
     def __init__(
         self,
@@ -130,7 +134,7 @@ class Refreshes:
         self._taken_in: dict[tuple[int, bool], float] = {}
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """As a checkpoint has it; afresh where both are empty. What was in flight is asked for again."""
+        """Starts as a checkpoint says; afresh where both are empty. A refresh that was in flight is requested again."""
         self._pending, self._taken_in = None, {}
         self._curated_for = description.get("curated_for", -1)
         self._is_stale = description.get("buffer_is_stale", False)
@@ -141,8 +145,12 @@ class Refreshes:
             self._request(version, nested(select_arrays(arrays, PENDING)), given or None)
 
     def ask_for_first(self) -> None:
-        """Of a run that begins, before its first update: a curator starts, compiles and scores while others do. Where
-        nothing is done at the same time, that would only come before the first evaluation."""
+        """Requests the first refresh of a new run before its first update: a curator starts, compiles and scores
+        meanwhile.
+
+        Where nothing is done at the same time, that would only come before the first evaluation.
+
+        """
         if self._curator is not None and self._curator.works_beside:
             self._request(0, self._trainer.weights(), None)
 
@@ -153,15 +161,18 @@ class Refreshes:
 
     @property
     def may_be_early(self) -> bool:
-        """Whether what is to be done before the next update may as well be done before a checkpoint: nothing is worked
-        out beside training, no batch is drawn ahead, and a refresh that would have to be waited for has all programs
-        compiled and is quick."""
+        """Says whether the refresh before the next update may as well be made before a checkpoint.
+
+        So it is where no process works in the background, no batch is drawn ahead, and a refresh that would have to be
+        waited for has all programs compiled and is quick.
+
+        """
         if self._curator is None or self._curator.works_beside or self._trainer.policy_lag or self._has_input:
             return False
         return self._pending is None or self._taken_in.get(self._programs(self._pending[0]), math.inf) < MAX_EARLY_S
 
     def _programs(self, policy_version: int) -> tuple[int, bool]:
-        """What decides which programs a refresh runs: the phase that it is for, and whether it has a probe."""
+        """Key of the programs that a refresh runs: the phase that it is for, and whether it has a probe."""
         phase = self._schedule.at(self._config.adopted_at(policy_version))
         return phase.number, self._has_probe(policy_version)
 
@@ -192,7 +203,7 @@ class Refreshes:
             self._adoptions.record(version, NEVER)
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {
             "curated_for": self._curated_for,
             "refresh_in_flight": self._pending[0] if self._pending is not None else None,
@@ -377,9 +388,10 @@ class CuratorProcess(ProcessBeside):
             self._look()
 
     def poll(self, patience_s: float | None) -> tuple[Ticket, dict[str, Any]] | None:
-        """What was asked for and its stamp, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
+        """Part of the refresh and its timing, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
 
         The process `is_late` where it was lost, or is silent for more than `patience_s`.
+
         """
         assert self._call is not None
         stamp, refreshed = self._call
@@ -392,11 +404,11 @@ class CuratorProcess(ProcessBeside):
         return None
 
     def cancel(self) -> None:
-        """What was asked for is not wanted any more."""
+        """Gives up the refresh that was requested."""
         self._asked, self._is_wanted = None, False
 
     def facts(self) -> list[dict[str, Any]]:
-        """Of its process; that it was lost is a fact too, since training does not depend on it."""
+        """Facts of its process; a loss is one too, since training does not depend on it."""
         if self._handle is None or not self._backend.works_beside:
             return []
         try:
@@ -405,7 +417,7 @@ class CuratorProcess(ProcessBeside):
             return [{"process": self._plan.name, "lost": str(error)}]
 
     def _look(self) -> float | None:
-        """For how long (s) the process has been silent; None where it is lost, and replaced by now."""
+        """Seconds for which the process has been silent; None where it is lost, and replaced by now."""
         assert self._call is not None
         try:
             silence = self._silence(is_waited_for=True)
@@ -478,7 +490,7 @@ class _Request(NamedTuple):
 
 
 class CurationByWorkers:
-    """Of a run whose workers learn and play."""
+    """Curator of a run whose workers learn, play and score: a `roles.Curator` without a process of its own."""
 
     works_beside = False
 

@@ -86,7 +86,7 @@ class RunReporter:
         self._news.tell(self._last_update)
 
     def ended(self, state: str, error: str | None = None) -> None:
-        """What status.json says from now on: a state of `telemetry.status`, and the line that the command ends with."""
+        """Sets the end in status.json: a state of `telemetry.status`, and the line that the command ends with."""
         self._status.ended(state, error)
 
     def close(self) -> None:
@@ -162,7 +162,7 @@ def _tensorboard() -> ModuleType:
 
 
 def _import_tensorboard() -> None:
-    """What keeps it from being imported is raised again, and told, where a file is opened."""
+    """Imports TensorBoard; an error is raised again, and reported, where a file is opened."""
     with contextlib.suppress(Exception):
         _tensorboard()
 
@@ -172,7 +172,7 @@ STARTED = "run_started"  # the event that sessions are counted by
 
 
 class RunStatus:
-    """Of one session. No call waits for the disk."""
+    """status.json of one session. No call waits for the disk."""
 
     def __init__(self, run: RunDirectory, *, total_env_steps: int, tell: Callable[[str, dict[str, Any]], None]) -> None:
         """total_env_steps: at which the run ends; 0: it ends by time."""

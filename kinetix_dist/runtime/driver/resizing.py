@@ -1,11 +1,12 @@
-"""How many workers (or rollout actors and learners) a run has: as many as asked for, and fewer while nodes are lost.
+"""Number of workers (or rollout actors and learners) of a run: as many as requested, and fewer while nodes are lost.
 
 consumes      nodes of the cluster
-produces      a placement that they have room for
-waits for     a lost node, `run.node_wait_seconds`; then, where fewer than `run.min_workers` have room, for any
+produces      a placement that they have resources for
+waits for     a lost node, `run.node_wait_seconds`; then, where fewer than `run.min_workers` fit, for any
 unblocked by  a node that comes, or a stop
 
 A run of another size goes on from a checkpoint, and is not bit for bit the unbroken one.
+
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ NOTE_AFTER_S = 3.0  # what ended processes held is free a little after their end
 
 
 class Resizing:
-    """Of a run on Ray. Where processes are lost and their nodes are not, it does nothing."""
+    """Resizing of a run on Ray. Where processes are lost and their nodes are not, it does nothing."""
 
     def __init__(
         self,
@@ -81,7 +82,7 @@ class Resizing:
         self.place(update, stop)
 
     def has_room_to_grow(self) -> bool:
-        """Whether a run that was made smaller can have more processes again."""
+        """Says whether a run that was made smaller can have more processes again."""
         if self.size == self._asked_size:
             return False
         return self._largest(least=self.size + 1) is not None

@@ -59,7 +59,7 @@ _FILES: dict[str, tuple[Callable[[Row], bool], Callable[[Row, int], bool]]] = {
 
 
 class RunData:
-    """Of one run. All methods are for the thread that drives it."""
+    """Files of one run for dashboards. All methods are for the thread that drives it."""
 
     def __init__(self, config: TrainConfig, run: RunDirectory, reporter: Reporter) -> None:
         self._config = config
@@ -80,8 +80,8 @@ class RunData:
         self._pids: set[tuple[str, int]] = set()  # in the last line
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
-        """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
-        is removed."""
+        """Starts as a checkpoint says, taken after so many updates; afresh where both are empty. Later rows are
+        removed."""
         self._close_sinks()
         self._resume_at = num_updates if num_updates or self._has_evaluated else -1
         self._is_curated = description.get("curated_for") == num_updates
@@ -92,7 +92,7 @@ class RunData:
             self._window.start(description, arrays, num_updates=num_updates)
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {} if self._window is None else self._window.description()
 
     def in_flight(self) -> dict[str, np.ndarray]:
@@ -164,7 +164,7 @@ class RunData:
         self._sink(self._run.processes).write(num_updates, row)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
-        """Also says what the threads have to say."""
+        """Metrics of dropped writes. Also reports the events of the threads."""
         self._news.tell(num_updates)
         dropped = self._num_dropped + sum(sink.num_dropped for sink in self._sinks.values())
         return {DROPPED_WRITES: float(dropped)}
@@ -182,7 +182,7 @@ class RunData:
         self._sink(self._run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
 
     def _sink(self, path: Path, *, opens_at_once: bool = False) -> BackgroundSink[Any]:
-        """That of a file, or of the directory of snapshots."""
+        """Sink of a file, or of the directory of snapshots."""
         if path not in self._sinks:
             bound = {"max_queued": MAX_QUEUED_SNAPSHOTS} if path == self._run.curriculum else {}
             self._sinks[path] = BackgroundSink(
@@ -237,7 +237,7 @@ class OutcomeWindow:
         self.start({}, {}, num_updates=0)
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
-        """As a checkpoint has it, taken after so many updates; empty where both are."""
+        """Starts as a checkpoint says, taken after so many updates; empty where both are."""
         self._from_update: int = description.get("outcomes_from", num_updates)
         self._buffer: int | None = description.get("outcomes_buffer")
         self._counts = {name: array.astype(np.int64) for name, array in select_arrays(arrays, WINDOW).items()}
@@ -275,7 +275,7 @@ class OutcomeWindow:
         return [line]
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {"outcomes_from": self._from_update, "outcomes_buffer": self._buffer}
 
     def in_flight(self) -> dict[str, np.ndarray]:

@@ -54,7 +54,7 @@ class RunDirectoryError(Exception):
 
 
 def no_run_in(path: Path) -> str:
-    """What is wrong with a directory without config.json, and what to do."""
+    """Message for a directory without config.json, and what to do."""
     if not _has_checkpoints(path):
         return f"{path} holds no run (no config.json); start one without --resume"
     return (
@@ -231,8 +231,11 @@ class RunDirectory:
         replace_file(path, (json.dumps(content, indent=2) + "\n").encode())
 
     def read_json(self, path: Path, *, is_whole: Callable[[Any], bool]) -> Any:
-        """What `write_json` wrote; None where there is no such file. One that cannot be read, or is not `is_whole`, is
-        renamed, with an event."""
+        """Reads what `write_json` wrote; None where there is no such file.
+
+        A file that cannot be read, or is not `is_whole`, is renamed, with an event.
+
+        """
         try:
             content = json.loads(path.read_text())
             if is_whole(content):
@@ -246,9 +249,11 @@ class RunDirectory:
         return None
 
     def restore_config(self) -> bool:
-        """Whether config.json was gone, without which nothing goes on from a checkpoint, and is written again.
+        """Writes config.json again where it is gone, without which no run goes on from a checkpoint; says whether it
+        was.
 
         For any thread. Raises OSError, also where the whole directory is gone.
+
         """
         if not self.path.is_dir():
             raise FileNotFoundError(f"run directory {self.path} is gone; put it back, nothing is saved until then")
@@ -267,7 +272,7 @@ class RunInUseError(RunDirectoryError):
 
 
 def newest_run(parent: Path, name: str) -> Path | None:
-    """Of `name`, `name-2`, `name-3` ... below `parent`, the run with the highest number; None if there is none."""
+    """The run with the highest number among `name`, `name-2`, `name-3` ... below `parent`; None if there is none."""
     numbered = {}
     for path in parent.glob(f"{glob.escape(name)}*") if parent.is_dir() else []:
         match = re.fullmatch(re.escape(name) + r"(?:-(\d+))?", path.name)

@@ -77,7 +77,7 @@ class SinkNews:
 
 @dataclasses.dataclass(frozen=True)
 class UnfinishedSnapshot:
-    """What is to be written."""
+    """Snapshot that is to be written."""
 
     kind: str  # of curriculum_log.KINDS
     written_after: int  # updates

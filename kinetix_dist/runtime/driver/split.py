@@ -155,7 +155,7 @@ class SplitTrainer:
         return metrics, slowest, attempts
 
     def check(self) -> None:
-        """Of learners alone: a rollout actor that is lost is replaced where its part of a batch is waited for."""
+        """Checks the learners alone: a lost rollout actor is replaced where its part of a batch is waited for."""
         self.backend.check(self._learners)
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -215,11 +215,11 @@ class SplitTrainer:
         return [version for version, _ in self._orders.values()]
 
     def _ask_first(self, method: str, *arguments: Any) -> Any:
-        """Of what all learners hold."""
+        """Answer of the first learner about state that all of them hold."""
         return self.backend.gather([self._learners[0].call(method, *arguments)])[0]
 
     def _ask_learners(self, method: str, *arguments: Any) -> list[Any]:
-        """What they do together."""
+        """Answers of all learners to a call that they make together."""
         return self.backend.gather([learner.call(method, *arguments) for learner in self._learners])
 
     def _issue(self, update: int, policy_version: int, state: Any) -> None:
@@ -311,5 +311,5 @@ class SplitTrainer:
 
 
 def _copied(stamp: Mapping[str, Any], put: str) -> dict[str, tuple[int, float]]:
-    """What a process copied for an answer, storing it included."""
+    """Copies that a process made for an answer, storing it included."""
     return {**stamp["copies"], put: stamp["put"]}

@@ -93,7 +93,7 @@ class StopSignals:
 
     @contextmanager
     def deferred(self) -> Generator[None]:
-        """What stands inside is finished first."""
+        """Finishes the block first: a signal inside raises after it."""
         with self._deferring(True):
             yield
 
@@ -159,7 +159,7 @@ class StopSignals:
 
 
 def _is_swallowed(frame: FrameType | None) -> bool:
-    """Whether Python would print what is raised in this frame and go on: callbacks of the garbage collector."""
+    """Says whether Python would print what is raised in this frame and go on: callbacks of the garbage collector."""
     while frame is not None:
         if frame.f_code.co_name in _SWALLOWING:
             return True

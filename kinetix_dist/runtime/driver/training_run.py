@@ -204,7 +204,7 @@ def _from_first_to_last_update(controller: Controller, run: RunDirectory, report
 
 
 def _write_evaluations(run: RunDirectory, reporter: RunReporter, evaluations: dict[str, Any]) -> None:
-    """They are in the report too, and written again after training: no reason to end a run."""
+    """Writes evaluations.json. The report has them too: a failure is an event, no reason to end a run."""
     try:
         run.write_json(run.evaluations_path, evaluations)
     except OSError as error:
@@ -248,8 +248,12 @@ def check_devices(config: TrainConfig) -> None:
 
 
 def start_fork_server(config: TrainConfig) -> ForkServer | None:
-    """What the processes of a run are forked from, before the command itself has done all that it does until then: the
-    server imports meanwhile, on another core. None where there will be none."""
+    """Starts the process that those of a run are forked from, early: it imports on another core while the command goes
+    on.
+
+    None where there will be none.
+
+    """
     if config.run.placement == "local" or "RAY_ADDRESS" in os.environ or not ForkServer.can_run():
         return None
     return ForkServer(MODULES)

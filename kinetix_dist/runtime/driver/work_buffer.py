@@ -40,7 +40,7 @@ class Work:
 
     @property
     def policy_version(self) -> int:
-        """Of the policy that acted."""
+        """Version of the policy that acted."""
         return self.stamp["policy_version"]
 
     @property
@@ -134,7 +134,7 @@ def copy_metrics(processes: Sequence[Copied]) -> dict[str, float]:
 
 
 def added(parts: Sequence[Copied]) -> dict[str, tuple[int, float]]:
-    """Of one process, which copied several parts one after another."""
+    """Copies of one process summed: it made several, one after another."""
     names = dict.fromkeys(name for copied in parts for name in copied)
     of = {name: [copied[name] for copied in parts if name in copied] for name in names}
     return {name: (sum(size for size, _ in found), sum(s for _, s in found)) for name, found in of.items()}
@@ -188,13 +188,13 @@ class Stragglers:
 
 @dataclasses.dataclass
 class _Found:
-    """Of one actor."""
+    """State of one actor."""
 
     is_straggler: bool = False
     in_a_row: int = 0  # batches that say the contrary
 
     def is_news(self, *, is_slow: bool) -> bool:
-        """Whether it has become one with this batch."""
+        """Says whether it has become a straggler with this batch."""
         self.in_a_row = self.in_a_row + 1 if is_slow != self.is_straggler else 0
         if self.in_a_row < UPDATES_IN_A_ROW:
             return False

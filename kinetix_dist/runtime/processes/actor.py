@@ -40,7 +40,7 @@ COMPILING = (
 
 @dataclasses.dataclass(frozen=True)
 class Doing:
-    """What a process is at."""
+    """Activity of a process."""
 
     what: str
     is_waiting: bool  # for work, a device or its group: another process may be the cause
@@ -89,13 +89,13 @@ class ProcessActor:
 
     @ray.method(concurrency_group="control")
     def doing(self) -> Doing:
-        """What this process is at, while a call runs too."""
+        """Activity of this process, while a call runs too."""
         found = [_doing(thread, *working) for thread, working in list(self._working.items())]
         return next((one for one in found if not one.is_waiting), found[0]) if found else Doing("idle", True)
 
     @ray.method(concurrency_group="control")
     def read(self) -> Reading:
-        """What this process measures of itself, while a call runs too."""
+        """Measurements of this process by itself, while a call runs too."""
         return self._meter.read(has_device=self._core is not None)
 
     def prepare(self) -> dict[str, Any]:

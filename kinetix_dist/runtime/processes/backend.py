@@ -95,7 +95,8 @@ class Backend(Protocol):
 
     @property
     def has_lost_room(self) -> bool:
-        """Whether nodes were lost without which the processes of the run have no room; it comes back with them."""
+        """Says whether nodes were lost without which the processes of the run do not fit; the resources return with
+        them."""
         ...
 
     def put(self, value: Any) -> Ticket:
@@ -105,8 +106,12 @@ class Backend(Protocol):
         """All answers. Raises WorkerLostError as soon as a process is lost, ProcessFailedError as soon as one fails."""
 
     def first_of(self, tickets: Sequence[Ticket], *, beside: Sequence[Handle] = ()) -> list[Ticket]:
-        """Those that are answered or lost: waits until it is one at least. Raises WorkerLostError where a process is
-        silent for too long or the limit of the section is exceeded, and where one of `beside` is lost."""
+        """Futures that are answered or lost: waits until there is one at least.
+
+        Raises WorkerLostError where a process is silent for too long or the limit of the section is exceeded, and where
+        one of `meanwhile` is lost.
+
+        """
 
     def check(self, handles: Sequence[Handle]) -> None:
         """Raises WorkerLostError where one of them is lost. Does not wait; a death is noticed within five seconds."""
@@ -115,13 +120,13 @@ class Backend(Protocol):
         """Raises WorkerLostError where these, who are waited for, exceed the limit of the section."""
 
     def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
-        """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""
+        """Facts of each process for the report: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""
 
     def measures(self) -> dict[str, float]:
         """Metrics of all processes: idle shares, memory, what was compiled and moved. Does not wait."""
 
     def processes(self) -> list[dict[str, Any]]:
-        """Of each process what processes.jsonl says, as old as `measures`."""
+        """Rows of processes.jsonl, one a process, as old as `measures`."""
 
     def kill(self, handles: Sequence[Handle]) -> None:
         """Ends processes and returns when they are gone."""
@@ -130,7 +135,7 @@ class Backend(Protocol):
 
 
 class ProcessBeside:
-    """It starts with the first request."""
+    """Process that works in the background, one call at a time. It starts with the first request."""
 
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan) -> None:
         self._config = config
@@ -210,7 +215,7 @@ class Sections:
 
     @property
     def limits_in_words(self) -> str:
-        """Which the section that runs now has."""
+        """Limits of the section that runs now, in words."""
         words = f"the {self.limit_s:g} s of run.limits.{self.name}"
         if self._last_deadline > self.since + self.limit_s:  # a pass that may compile
             words += f" and the {self.limits['compile']:g} s of run.limits.compile"

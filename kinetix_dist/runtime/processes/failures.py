@@ -71,7 +71,7 @@ class InputLostError(WorkerLostError):
 
 
 def silent(process: str, seconds: float) -> WorkerLostError:
-    """Of a process that has not answered for so long."""
+    """Loss of a process that has not answered for so long."""
     return WorkerLostError(
         f"{process} has not answered for {seconds:.0f} s", process=process, since=time.monotonic() - seconds
     )
@@ -96,12 +96,12 @@ class ProcessFailedError(RuntimeError):
 
     @property
     def is_loss_of_group(self) -> bool:
-        """Whether another process of its group is the cause: a collective broke."""
+        """Says whether another process of its group is the cause: a collective broke."""
         return any(sign in self.reason for sign in GROUP_IS_BROKEN)
 
     @property
     def is_taken_port(self) -> bool:
-        """Whether the port of its group's coordinator was taken: with another one it may go well."""
+        """Says whether the port of its group's coordinator was taken: with another one it may go well."""
         return any(sign in self.reason for sign in PORT_IS_TAKEN)
 
 
@@ -151,7 +151,7 @@ class Loss:
 
 
 class Losses:
-    """Of one run."""
+    """Losses of one run."""
 
     def __init__(
         self,
@@ -208,8 +208,12 @@ class Losses:
         return loss
 
     def _keep_logs(self, loss: Loss) -> Path | None:
-        """Of the lost process and the others of its role: one that dies takes its group along. Where that of the lost
-        one is, if it wrote anything."""
+        """Stores the ends of the logs of the lost process and the others of its role: one that dies takes its group
+        along.
+
+        Returns where that of the lost one is, if it wrote anything.
+
+        """
         found = None
         for process, log in self._logs.items():
             if process.split()[0] == loss.role and (text := _end_of(log)):

@@ -74,7 +74,7 @@ class ForkServer:
 
     @staticmethod
     def can_run() -> bool:
-        """Whether this system has abstract sockets."""
+        """Says whether this system has abstract sockets."""
         return sys.platform == "linux"
 
     @property
@@ -93,7 +93,7 @@ class ForkServer:
 
     @property
     def why_no_answer(self) -> str:
-        """What keeps it from answering, as far as can be seen; empty: nothing."""
+        """Reason why it does not answer, as far as can be seen; empty: none."""
         try:
             if psutil.Process(self.pid).status() == psutil.STATUS_STOPPED:
                 return "is stopped"
@@ -134,7 +134,8 @@ def serve(listener_number: int, modules: Sequence[str]) -> Request | None:
 
 
 def _import_all(modules: Sequence[str]) -> None:
-    """What every process of a run imports: not Ray itself, whose numbers at random would be the same in all forks."""
+    """Imports the modules of every process of a run: not Ray itself, whose random numbers would be the same in all
+    forks."""
     gc.disable()  # all that is imported stays: looking for garbage in it takes a seventh of the time
     import google.protobuf.json_format  # noqa: F401
     import jax  # noqa: F401

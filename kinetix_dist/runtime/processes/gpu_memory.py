@@ -67,7 +67,7 @@ class Gpu:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MemoryNeeds:
-    """What one process needs on a GPU, known before there is one."""
+    """Needs of one process on a GPU, known before there is one."""
 
     process: str  # "worker 0"
     thread_bytes: int  # local memory of a thread of its largest engine
@@ -86,7 +86,7 @@ class GpuShare:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Of one process on its GPU."""
+    """Budget of one process on its GPU."""
 
     process: str
     gpu: Gpu
@@ -99,7 +99,7 @@ class Budget:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What XLA has to be told before JAX starts."""
+        """Environment variables that XLA reads before JAX starts."""
         return {
             "XLA_PYTHON_CLIENT_PREALLOCATE": "true",
             "XLA_CLIENT_MEM_FRACTION": f"{self.pool_bytes / self.gpu.total_bytes:.6f}",
@@ -162,13 +162,13 @@ def budget_of(process: str, share: GpuShare, gpu: Gpu) -> Budget:
 
 
 def reserve_bytes(needs: MemoryNeeds, gpu: Gpu) -> int:
-    """What a process takes outside of XLA's pool."""
+    """Bytes that a process takes outside of XLA's pool."""
     nccl = NCCL_BYTES if needs.num_in_group > 1 else 0
     return CONTEXT_BYTES + PROGRAMS_BYTES + local_memory_bytes(needs.thread_bytes, gpu) + nccl
 
 
 def local_memory_bytes(thread_bytes: int, gpu: Gpu) -> int:
-    """What CUDA sets aside for every thread that can be resident, once a process, for its most demanding kernel."""
+    """Bytes that CUDA sets aside for all threads that can be resident, once a process, for its most demanding kernel."""
     return max(0, thread_bytes - CONTEXT_THREAD_BYTES) * gpu.num_sms * gpu.threads_per_sm
 
 
@@ -182,13 +182,13 @@ def thread_bytes(capacity: Capacity) -> int:
 
 
 def curator_pool_bytes(config: TrainConfig) -> int:
-    """What scoring a batch of levels needs of XLA, and the candidates of a refresh."""
+    """Bytes of XLA's pool for scoring a batch of levels, and the candidates of a refresh."""
     curriculum = config.curriculum
     return playing_bytes(config, curriculum.scoring_batch, beside=CANDIDATE_BYTES * curriculum.num_candidates)
 
 
 def playing_bytes(config: TrainConfig, num_worlds: int, *, beside: int = 0) -> int:
-    """What playing so many worlds at once without learning needs of XLA, with a margin of four, and what is beside."""
+    """Bytes of XLA's pool for playing so many worlds at once without learning, with a margin of four, plus `extra`."""
     capacity, policy = config.env.capacity, config.policy
     rows = capacity.shapes + 1 + 2 * capacity.joints + capacity.thrusters
     numbers = SCORING_TENSORS * rows * policy.encoder_size + 2 * policy.num_heads * capacity.shapes**2
@@ -266,7 +266,7 @@ def _device() -> tuple[ctypes.CDLL, ctypes.c_void_p] | None:
 
 
 def gpu_used_share() -> float | None:
-    """Of this process's GPU, what all programs together use; None on a CPU, or where the driver does not say."""
+    """Share of this process's GPU that all programs together use; None on a CPU, or where the driver does not say."""
     import jax
 
     if jax.default_backend() != "gpu" or (found := _device()) is None:
@@ -291,7 +291,7 @@ class Pool(NamedTuple):
 
 
 def pool_use() -> Pool | None:
-    """Of this process's GPU; None on a CPU, or where JAX does not say."""
+    """XLA's pool on this process's GPU; None on a CPU, or where JAX does not say."""
     import jax
 
     statistics = (jax.local_devices()[0].memory_stats() if jax.default_backend() == "gpu" else None) or {}

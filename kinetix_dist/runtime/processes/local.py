@@ -90,11 +90,11 @@ class LocalBackend:
         return list(tickets)
 
     def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:
-        """Of this process, once: all of its cores share it."""
+        """Facts of this process, once: all of its cores share it."""
         return [facts_of("local", None)] if handles else []
 
     def measures(self) -> dict[str, float]:
-        """Of this process. How busy it is says `time/idle`; nothing is moved between processes."""
+        """Measures of this process. `time/idle` says how busy it is; nothing is moved between processes."""
         self._reading = self._meter.read(has_device=True)
         found = summary([(None, self._reading)])
         return {name: value for name, value in found.items() if not name.startswith("runtime/moved_mib")}

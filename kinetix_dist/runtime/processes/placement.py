@@ -44,7 +44,7 @@ class ProcessPlan:
 
     @property
     def joins_group(self) -> bool:
-        """Whether it forms one JAX world with the others of its role."""
+        """Says whether it forms one JAX world with the others of its role."""
         return self.role in ROLES_OF_GROUPS
 
 
@@ -141,7 +141,7 @@ def counted(number: int, role: str) -> str:
 
 
 def resolve_device(device: str, *, num_gpus: int) -> str:
-    """Which of "cpu" and "gpu"; raises PlacementError when a GPU is asked for and none is there."""
+    """Resolves "auto" to "cpu" or "gpu"; raises PlacementError when a GPU is requested and none is there."""
     if device == "gpu" and num_gpus == 0:
         raise PlacementError("run.device is gpu, but no GPU is visible here; use --run.device cpu, or ask `doctor` why")
     if device == "auto":
@@ -188,7 +188,7 @@ def _in_order(processes: Iterable[ProcessPlan]) -> tuple[ProcessPlan, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class Room:
-    """For processes: one CPU slot each, and GPUs."""
+    """Resources for processes: one CPU slot each, and GPUs."""
 
     cpus: int
     gpus: int
@@ -209,14 +209,14 @@ def needed_by(placement: Placement) -> Room:
 
 
 def total_room() -> Room:
-    """Of all nodes that live."""
+    """Resources of all nodes that live."""
     import ray
 
     return _room(ray.cluster_resources())
 
 
 def free_room() -> Room:
-    """Of that, what nobody holds."""
+    """Resources that no process holds."""
     import ray
 
     return _room(ray.available_resources())

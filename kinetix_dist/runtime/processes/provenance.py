@@ -32,7 +32,7 @@ _MAKES_NO_DIFFERENCE = ("placement",)
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Of Python, of the packages that a run uses, and of the engine."""
+    """Versions of Python, of the packages that a run uses, and of the engine."""
     found = {"python": platform.python_version(), "engine": engine_revision()}
     for name in _PACKAGES:
         try:
@@ -66,9 +66,10 @@ def _revision(package: str) -> str:
 
 
 def what_differs(description: Mapping[str, Any], topology: Mapping[str, Any]) -> list[str]:
-    """What computes now and did not make the checkpoint so described: "devices 2 instead of 4", most telling first.
+    """Differences between what computes now and what made the checkpoint so described: "devices 2 instead of 4".
 
-    Empty where the same devices and versions go on, and for checkpoints of before these were kept.
+    Most telling first. Empty where the same devices and versions go on, and for checkpoints without this record.
+
     """
     now = {name: version for name, version in versions().items() if name not in _COMPUTE_NOTHING}
     pairs = ((topology, description.get("topology", {})), (now, description.get("versions", {})))
@@ -85,7 +86,7 @@ MAX_NAMED = 3  # differences, nodes: a line stays a line
 
 @dataclasses.dataclass(frozen=True)
 class Answer:
-    """Of one node."""
+    """Answer of one node."""
 
     node: str  # host name and address
     found: dict[str, Any]  # what `_look` returned there
@@ -143,7 +144,7 @@ def _mark(directory: Path) -> Generator[Path]:
 
 
 def _look(mark: str) -> dict[str, Any]:
-    """Of the node that this runs on. Stands alone: it is sent to nodes by value."""
+    """Facts of the node that this runs on. Stands alone: it is sent to nodes by value."""
     import os
     import socket
     import time

@@ -180,12 +180,12 @@ class RayBackend:
 
     @property
     def is_on_this_machine(self) -> bool:
-        """Whether all processes are: a Ray that was started here has one node."""
+        """Says whether all processes are on this machine: a Ray that was started here has one node."""
         return self._owns_ray and not self.has_joined_a_cluster
 
     @property
     def num_gpus(self) -> int:
-        """Of the whole cluster."""
+        """GPUs of the whole cluster."""
         return total_room().gpus
 
     def reserve(self, placement: Placement) -> None:
@@ -227,7 +227,7 @@ class RayBackend:
         return not total_room().holds(self._needed)
 
     def room(self) -> Room:
-        """What nobody holds, and what the processes of the run do."""
+        """Resources that no process holds, and those that the processes of the run do."""
         held = self._needed if self._group is not None else Room(self._supervisor.num_watched, 0)
         return (free_room() + held).at_most(total_room())  # Ray counts what was just taken as free for a moment
 
@@ -415,7 +415,7 @@ class RayBackend:
                 self._watchdog.end_what_is_left()
 
     def _leave_ray(self) -> bool:
-        """Whether Ray has ended its processes, where they are this backend's to end."""
+        """Leaves Ray; says whether Ray has ended its processes, where they are this backend's to end."""
         if not self._owns_ray:
             self.release()
             return True

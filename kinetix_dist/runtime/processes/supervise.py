@@ -206,13 +206,13 @@ def wait_until_gone(processes: Sequence[psutil.Process]) -> list[int]:
 
 
 def _exit_of(error: Exception) -> str:
-    """What Ray knows about the end of a process, in a few words: its texts are advice for the most part."""
+    """Reason of the end of a process as Ray knows it, in a few words: its texts are advice for the most part."""
     found = re.search(r"exit detail: (.+?)(?:\. |$)", " ".join(str(error).split()))
     return f" ({found[1][:100]})" if found else ""
 
 
 class Readings:
-    """Of all actors of a backend, and of the driver itself. What is told is as old as one update."""
+    """Readings of all actors of a backend, and of the driver itself. They are as old as one update."""
 
     def __init__(self) -> None:
         self._driver = Meter("driver", "driver")
@@ -230,7 +230,7 @@ class Readings:
                 known.pop(actor, None)
 
     def metrics(self) -> dict[str, float]:
-        """From what has been answered so far; asks again whoever has answered."""
+        """Metrics of what has been answered so far; asks those that have answered again."""
         for actor, reference in self._asked.items():
             if reference is not None and not ray.wait([reference], timeout=0)[0]:
                 continue
@@ -243,7 +243,7 @@ class Readings:
         return found
 
     def processes(self) -> list[dict[str, Any]]:
-        """What was answered last of each, and the driver now, as `measures.description` says it."""
+        """Last answer of each process, and the driver now, as `measures.description` gives them."""
         now = time.monotonic()
         found = [
             description(before, last, age_seconds=now - asked_at) for before, last, asked_at in self._last.values()
