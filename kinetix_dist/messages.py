@@ -1,6 +1,6 @@
 """Types that cross parts and processes: what a rollout hands to the learner and to the curator.
 
-Both are pytrees, so that they can be sharded, moved with `jax.device_get` and kept in checkpoints. Time comes first,
+Both are pytrees, so that they can be sharded, moved with `jax.device_get` and stored in checkpoints. Time comes first,
 then worlds: [T, W, ...]; worlds are what is sharded over devices.
 """
 
@@ -25,7 +25,7 @@ class Trajectory:
     values: Array  # [T, W] float32
     rewards: Array  # [T, W] float32
     done_after: Array  # [T, W] bool, the episode ended with this step (also at the time limit)
-    timed_out: Array | None = None  # [T, W] bool, it ended so at the time limit; None: not asked for
+    timed_out: Array | None = None  # [T, W] bool, it ended so at the time limit; None: not recorded
 
 
 @jax.tree_util.register_dataclass

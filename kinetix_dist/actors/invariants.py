@@ -83,7 +83,7 @@ def _go_through(
     """The results of what was traced, each operation by `compute(operation, operands)`.
 
     is_opened: whether a jitted function is gone through, too; else the call of it is an operation like others.
-    caller: where the function was called that these operations stand for, told of those that do not know their place.
+    caller: where the function was called that these operations stand for, for those without a place of their own.
     """
     inner: Jaxpr = traced.jaxpr
     values = dict(zip([*inner.constvars, *inner.invars], [*traced.consts, *given], strict=True))

@@ -4,7 +4,7 @@ build_worker    worlds and a learner shard      colocated placement, and all of 
 build_learner   a learner shard                 split placement
 build_rollout   a part of the worlds            split placement
 build_curator   scoring of levels               both
-build_evaluator evaluations and recordings      both, where they are asked for during training
+build_evaluator evaluations and recordings      both, where they are due during training
 """
 
 from __future__ import annotations

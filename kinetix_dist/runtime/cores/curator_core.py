@@ -22,8 +22,8 @@ class CuratorCore:
     def __init__(self, config: TrainConfig) -> None:
         self._config = config
         self._playing = Playing(config, data_mesh())
-        self._playing.curriculum(config)  # what cannot be loaded is found before anything is asked for
-        self._params: Any = None  # shapes of what refreshes were asked for with
+        self._playing.curriculum(config)  # a level set that cannot be loaded is found before the first request
+        self._params: Any = None  # shapes of the parameters of requests
         self._prepared: Curriculum | None = None  # whose probe is compiled
 
     def refresh(

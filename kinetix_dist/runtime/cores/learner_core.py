@@ -26,7 +26,7 @@ from kinetix_dist.learner.update import make_update
 from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.curriculum_state import some_observation
-from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
+from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
 from kinetix_dist.runtime.cores.run_names import INIT, LEARNER, OPTIMIZER, PARAMS, SHUFFLE, START, stream
 from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
 from kinetix_dist.telemetry.kept_shapes import kept_shapes
@@ -96,7 +96,7 @@ class LearnerCore:
         self._update.lower(self.shapes, static, trajectory, last_value).compile()
 
 
-@functools.lru_cache(maxsize=MAX_KEPT)
+@functools.lru_cache(maxsize=MAX_CACHED)
 def _init_program(config: TrainConfig, env: Environment, policy: Any) -> Callable[[], LearnerState]:
     return jax.jit(lambda: initial_state(config, env, policy))
 

@@ -84,7 +84,7 @@ class LearnerWorker:
     def learn(self, num_updates: int, *sums: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
         """Learns from the batch that was staged for this update; sums: of its parts, as `RolloutCore.play` gives them.
 
-        (stamp, new weights). stamp: "metrics", "seconds" and "copies". Weights come from the first process alone.
+        (header, new weights). header: "metrics", "seconds" and "copies". Weights come from the first process alone.
         """
         began = time.monotonic()
         self._enter_phase_of(num_updates)
@@ -94,14 +94,14 @@ class LearnerWorker:
         if seen is not None:
             self._state.observe(*seen, env_steps=env_steps)
         metrics = self._metrics(num_updates, jax.tree.map(lambda *xs: sum(xs), *sums), local_values(metrics))
-        stamp = {"metrics": metrics, "seconds": time.monotonic() - began}
+        header = {"metrics": metrics, "seconds": time.monotonic() - began}
         copies = Copies()
         weights = None
         if jax.process_index() == 0:
             with copies.timed("weights_to_host") as copied:
                 weights = self.weights()
                 copied.append(weights)
-        return stamp | {"copies": copies.found}, weights
+        return header | {"copies": copies.found}, weights
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
@@ -206,14 +206,14 @@ class Worker(LearnerWorker):
         began = time.monotonic()
         self._update_programs.wait()
         rollout = self._playing.rollout(self._enter_phase_of(num_updates))
-        batch, seen, sums = rollout.play(self._learner.params, self._state.placed, num_updates)
+        batch, seen, sums = rollout.play(self._learner.params, self._state.on_devices, num_updates)
         sums = local_values(sums)  # waits for the rollout
         played = time.monotonic()
         env_steps = self._config.schedule.env_steps(num_updates)
         learner_metrics = local_values(self._learner.learn(*batch, env_steps=env_steps))
         if seen is not None:
             self._state.observe(*seen, env_steps=env_steps, division=rollout.division)
-            jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
+            jax.block_until_ready(self._state.on_devices)  # a curriculum may learn, too
         learned = time.monotonic()
         if self._after_update is not None:
             self._refresh_programs.begin(self._after_update)

@@ -13,7 +13,7 @@ from kinetix_dist.runtime.processes.placement import Placement
 
 
 class Trainer(Protocol):
-    """Whatever plays and learns."""
+    """Plays and learns."""
 
     policy_lag: int
     dropped_steps: int
@@ -42,7 +42,7 @@ class Trainer(Protocol):
         """Input of a refresh besides the policy, or a reference to it, for `Curator.request`."""
 
     def check(self) -> None:
-        """Raises WorkerLostError where one of its processes is lost while nothing is asked of it. Does not wait."""
+        """Raises WorkerLostError where one of its processes is lost while no call waits for it. Does not wait."""
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """All arrays that `start` needs to go on from here bit for bit."""
@@ -73,22 +73,22 @@ class Refresh:
     probe: Mapping[str, np.ndarray]  # what became of levels of the buffer before, see `Curriculum.play_probe`
 
     @classmethod
-    def of(cls, parts: Sequence[Any], stamps: Sequence[Mapping[str, Any]]) -> Refresh:
-        """stamps: of each part, as `CuratorCore.refresh` gives them; the last one's process played the probe."""
-        return cls(parts=parts, seconds=max(stamp["seconds"] for stamp in stamps), probe=stamps[-1]["probe"])
+    def of(cls, parts: Sequence[Any], headers: Sequence[Mapping[str, Any]]) -> Refresh:
+        """headers: of each part, as `CuratorCore.refresh` gives them; the last one's process played the probe."""
+        return cls(parts=parts, seconds=max(header["seconds"] for header in headers), probe=headers[-1]["probe"])
 
 
 class Curator(Protocol):
-    """Whatever refreshes the curriculum: processes beside training, each with a part of it, or those that train."""
+    """Refreshes the curriculum: processes in the background, each with a part of it, or those that train."""
 
-    works_beside: bool  # while training goes on
+    works_in_background: bool  # while training goes on
 
     def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
-        """Asks for a refresh and does not wait: processes beside training begin now, those that train when it is
+        """Requests a refresh and does not wait: processes in the background begin now, those that train when it is
         taken. probe, given: of `Trainer.probe` and `Trainer.refresh_input`, or None."""
 
     def watch(self) -> None:
-        """Replaces processes beside training that died, without waiting; their parts are asked for again."""
+        """Replaces processes in the background that died, without waiting; their parts are requested again."""
 
     def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
         """Waits for the refresh that was requested last. None where a process was lost, or is silent for `patience_s`.

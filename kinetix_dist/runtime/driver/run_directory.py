@@ -205,7 +205,7 @@ class RunDirectory:
         self._event_log.write_pending()
 
     def set_aside(self, path: Path, num_lines: int) -> None:
-        """Notes that damaged lines of a file of this run were moved to the file beside it."""
+        """Notes that damaged lines of a file of this run were moved to another file next to it."""
         if num_lines:
             names = [str(file.relative_to(self.path)) for file in (path, damaged_path(path))]
             self.event("lines_set_aside", file=names[0], lines=num_lines, to=names[1])
@@ -218,7 +218,7 @@ class RunDirectory:
             file.write(f"{utc_text()}\n{text.rstrip()}\n")
         return path
 
-    def keep_log(self, name: str, text: str) -> Path | None:
+    def try_write_log(self, name: str, text: str) -> Path | None:
         """`write_log` where training goes on: None, with an event, where it cannot be written."""
         try:
             return self.write_log(name, text)
@@ -310,7 +310,7 @@ def lock_directory(path: Path, option: str = "--run") -> IO[str]:
     return file
 
 
-MAX_PENDING = 1000  # events kept in memory until they can be written; about 200 kB
+MAX_PENDING = 1000  # events held in memory until they can be written; about 200 kB
 
 
 class EventLog:
@@ -346,4 +346,4 @@ class EventLog:
                 append_line(self._path, {"time": utc_text(), "event": "events_dropped", "events": self._num_dropped})
                 self._num_dropped = 0
         except OSError:
-            return  # kept: nothing is lost while there is memory, and `sink_failing` says what the disk does
+            return  # still pending: nothing is lost while there is memory, and `sink_failing` says what the disk does

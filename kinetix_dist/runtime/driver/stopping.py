@@ -32,7 +32,7 @@ class StopRequested(BaseException):
 
 
 class StoppedError(Exception):
-    """The run ended because it was asked to: after which update, and how to go on."""
+    """The run ended because a stop was requested: after which update, and how to go on."""
 
 
 class StopFailedError(Exception):

@@ -40,7 +40,7 @@ class RoleClock:
             self.totals[name] = self.totals.get(name, 0.0) + value
 
     def start(self) -> None:
-        """The first lap begins now; what was added before is kept in the totals."""
+        """The first lap begins now; what was added before stays in the totals."""
         self._fold()
         self._began = self._lap_began = time.monotonic()
 
@@ -146,7 +146,7 @@ WARNINGS = {
     ),
     "contact_overflow": (
         "contacts found no slot in the engine and did nothing",
-        "levels are more crowded than size env.size has room for; take a larger one",
+        "levels are more crowded than size env.size holds; take a larger one",
     ),
     "missing_effects": (
         "environment steps lacked an effect that their level calls for",

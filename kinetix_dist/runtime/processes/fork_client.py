@@ -17,7 +17,7 @@ import struct
 import sys
 from pathlib import Path
 
-SERVER = "KINETIX_DIST_FORK_SERVER"  # environment variable: the server to ask
+SERVER = "KINETIX_DIST_FORK_SERVER"  # environment variable: the name of the server
 CAN_FORK, FORK, FORKED = b"1", b"2", b"3"  # of the server, of the client, of the server
 ANSWER_LIMIT_S = 20.0  # it may still be importing; after run.heartbeat_seconds the process would count as lost
 _CONTEXT, _LANGUAGE = "--serialized-runtime-env-context=", "--language="

@@ -5,7 +5,7 @@ XLA takes its pool in advance, so the needs of others have to be left out of it.
     budget    of a process: the curator what its scoring needs, a worker (learner, rollout actor) the rest of its GPU
     reserve   of a budget, outside of XLA's pool: CUDA context, loaded programs, local memory of the engine's threads,
               NCCL where several processes form one JAX world
-    pool      budget - reserve; XLA is told its share of the GPU before JAX starts
+    pool      budget - reserve; XLA gets its share of the GPU before JAX starts
 
 Budgets follow from the run's configuration (`MemoryNeeds`) and from the GPU that a process finds itself on (`Gpu`), so
 processes that share a GPU come to the same table without asking each other. Measured on one H200, jax 0.11: a context
@@ -32,7 +32,7 @@ GIB = 1 << 30
 CONTEXT_BYTES = 640 * MIB  # a JAX process: 560 measured
 PROGRAMS_BYTES = 512 * MIB  # loaded programs: 250 measured
 NCCL_BYTES = 1536 * MIB  # channels and buffers of a rank: an estimate, a few hundred for two GPUs
-UNUSED_SHARE = 0.02  # of a GPU, to nobody: rounding, fragments, what else runs on it
+UNUSED_SHARE = 0.02  # of a GPU, left free: rounding, fragments, what else runs on it
 MIN_POOL_BYTES = 256 * MIB  # less is taken for a mistake
 
 # Local memory that CUDA sets aside for a thread comes on top of what the context has already.
@@ -47,7 +47,7 @@ THREAD_MARGIN = 1.15
 # were measured at 309 MiB with all else. Hence a margin of four.
 SCORING_TENSORS = 8  # of tokens
 SCORING_MARGIN = 4
-CANDIDATE_BYTES = 16 * 1024  # a level twice, while the best are kept
+CANDIDATE_BYTES = 16 * 1024  # a level twice, while the best are selected
 MIN_CURATOR_POOL_BYTES = GIB
 
 
@@ -168,7 +168,7 @@ def reserve_bytes(needs: MemoryNeeds, gpu: Gpu) -> int:
 
 
 def local_memory_bytes(thread_bytes: int, gpu: Gpu) -> int:
-    """Bytes that CUDA sets aside for all threads that can be resident, once a process, for its most demanding kernel."""
+    """Bytes that CUDA sets aside for all resident threads, once a process, for its most demanding kernel."""
     return max(0, thread_bytes - CONTEXT_THREAD_BYTES) * gpu.num_sms * gpu.threads_per_sm
 
 
@@ -184,15 +184,15 @@ def thread_bytes(capacity: Capacity) -> int:
 def curator_pool_bytes(config: TrainConfig) -> int:
     """Bytes of XLA's pool for scoring a batch of levels, and the candidates of a refresh."""
     curriculum = config.curriculum
-    return playing_bytes(config, curriculum.scoring_batch, beside=CANDIDATE_BYTES * curriculum.num_candidates)
+    return playing_bytes(config, curriculum.scoring_batch, extra=CANDIDATE_BYTES * curriculum.num_candidates)
 
 
-def playing_bytes(config: TrainConfig, num_worlds: int, *, beside: int = 0) -> int:
+def playing_bytes(config: TrainConfig, num_worlds: int, *, extra: int = 0) -> int:
     """Bytes of XLA's pool for playing so many worlds at once without learning, with a margin of four, plus `extra`."""
     capacity, policy = config.env.capacity, config.policy
     rows = capacity.shapes + 1 + 2 * capacity.joints + capacity.thrusters
     numbers = SCORING_TENSORS * rows * policy.encoder_size + 2 * policy.num_heads * capacity.shapes**2
-    return max(MIN_CURATOR_POOL_BYTES, SCORING_MARGIN * 4 * numbers * num_worlds + beside)
+    return max(MIN_CURATOR_POOL_BYTES, SCORING_MARGIN * 4 * numbers * num_worlds + extra)
 
 
 def this_gpu() -> Gpu:

@@ -1,6 +1,6 @@
 """Measurements of a process: where it runs, how busy it is, what it compiled, its memory, what it moved.
 
-    process:  Meter --Reading-->  backend (asks after every update, and never waits)  --summary()-->  metrics
+    process:  Meter --Reading-->  backend (requests one after every update, never waits)  --summary()-->  metrics
 
 A reading is taken in a thread of its own while a call runs, so it costs the call nothing.
 """

@@ -26,7 +26,7 @@ from kinetix_dist.runtime.processes.placement import PlacementError
 
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
 _COMPUTE_NOTHING = ("orbax-checkpoint", "ray")
-# Placements "local" and "colocated" run the same programs: same bits (split is told apart by the config hash).
+# Placements "local" and "colocated" run the same programs: same bits (split has another config hash).
 _MAKES_NO_DIFFERENCE = ("placement",)
 
 
@@ -97,7 +97,7 @@ def check_nodes(shared: Path) -> None:
     what this process writes into the directory `shared`."""
     with _mark(shared) as mark:
         here = _look(str(mark))
-        answers = [Answer(node, found) for node, found in ask_nodes(_look, str(mark))]
+        answers = [Answer(node, found) for node, found in query_nodes(_look, str(mark))]
     _check_versions(here, answers)
     if blind := [answer.node for answer in answers if not answer.found["sees_mark"]]:
         raise PlacementError(
@@ -169,7 +169,7 @@ def _look(mark: str) -> dict[str, Any]:
 ANSWER_TIMEOUT_S = 90.0  # for a node to start a process
 
 
-def ask_nodes(task: Callable[..., Any], *arguments: Any) -> list[tuple[str, Any]]:
+def query_nodes(task: Callable[..., Any], *arguments: Any) -> list[tuple[str, Any]]:
     """(name, what `task(*arguments)` returned there) of every node that is alive.
 
     task: a function that stands alone; it is sent by value, whatever code a node has. Raises PlacementError where a
@@ -183,18 +183,18 @@ def ask_nodes(task: Callable[..., Any], *arguments: Any) -> list[tuple[str, Any]
     try:
         # One call a process: it sees what is installed now, and leaves nothing behind.
         remote = ray.remote(num_cpus=0, max_retries=0, max_calls=1)(task)
-        asked = {}
+        calls = {}
         for node in ray.nodes():
             if node["Alive"]:
                 where = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-                asked[remote.options(scheduling_strategy=where).remote(*arguments)] = _name(node)
+                calls[remote.options(scheduling_strategy=where).remote(*arguments)] = _name(node)
     finally:
         ray.cloudpickle.unregister_pickle_by_value(module)
-    _, silent = ray.wait(list(asked), num_returns=len(asked), timeout=ANSWER_TIMEOUT_S)
+    _, silent = ray.wait(list(calls), num_returns=len(calls), timeout=ANSWER_TIMEOUT_S)
     if silent:
-        names = ", ".join(asked[reference] for reference in silent[:3])
+        names = ", ".join(calls[reference] for reference in silent[:3])
         raise PlacementError(f"{names} did not start a process within {ANSWER_TIMEOUT_S:g} s; see `ray status`")
-    return [(name, _answer(reference, name)) for reference, name in asked.items()]
+    return [(name, _answer(reference, name)) for reference, name in calls.items()]
 
 
 def _answer(reference: Any, name: str) -> Any:

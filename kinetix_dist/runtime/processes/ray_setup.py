@@ -44,7 +44,7 @@ def token_file() -> Path | None:
 
 def use_token() -> None:
     """Before Ray is imported to join a cluster: Ray takes a token along only where this is set, though `ray start
-    --head` asks for one wherever it finds one. A cluster that asks for none ignores it."""
+    --head` requires one wherever it finds one. A cluster that requires none ignores it."""
     path = token_file()
     if os.environ.get("RAY_AUTH_TOKEN") or (path is not None and path.exists()):
         os.environ.setdefault("RAY_AUTH_MODE", "token")
@@ -70,7 +70,7 @@ def secure_token() -> Path | None:
             return path
     except OSError as error:
         raise PlacementError(
-            f"Ray's token file {path} cannot be kept from others ({error.strerror}); make it yours with mode 600, or "
+            f"Ray's token file {path} cannot be hidden from others ({error.strerror}); make it yours with mode 600, or "
             "name another with RAY_AUTH_TOKEN_PATH"
         ) from error
     return None
@@ -141,7 +141,7 @@ def _is_there(address: str) -> bool:
         return False
 
 
-# Methods of Ray's node that start processes which nothing here asks: the autoscaler's monitor, what passes logs of
+# Methods of Ray's node that start processes which no call here needs: the autoscaler's monitor, what passes logs of
 # actors on to the driver (`log_to_driver` is off), and the server of the dashboard and of `ray job`.
 SERVICES = ("start_monitor", "start_log_monitor", "start_api_server")
 
