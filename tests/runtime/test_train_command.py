@@ -19,9 +19,9 @@ from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_d
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level import sets
-from kinetix_dist.level.generator_config import LOCOMOTION_KINDS, GeneratorConfig, generator
+from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.phases import PhaseConfig
-from kinetix_dist.recipes import TASK_WEIGHTS, recipe
+from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -270,9 +270,9 @@ def test_phases_of_a_file_go_with_fields_of_the_command_line(tmp_path):
 @pytest.mark.parametrize(("name", "share"), [("pretrain_l", 0.45), ("pretrain_all", 0.45), ("pretrain_m", 0.0)])
 def test_recipes_that_draw_kinds_of_levels(name, share):
     generator = recipe(name).curriculum.generator
-    assert generator.locomotion_share == share
-    assert (generator.varied_share > 0) == ("snake" in generator.locomotion_kinds) == (share > 0)
-    assert generator.weight_of_kind == (TASK_WEIGHTS if share else dict.fromkeys(LOCOMOTION_KINDS, 1.0))
+    assert generator.mechanism_share == share
+    assert (generator.varied_share > 0) == ("snake" in generator.mechanism_families) == (share > 0)
+    assert generator.weight_of_family == (FAMILY_WEIGHTS if share else dict.fromkeys(LOCOMOTION_FAMILIES, 1.0))
     assert parse(["--recipe", name, "--curriculum.generator", "default"]).config.curriculum.generator == (
         GeneratorConfig()
     )
