@@ -28,7 +28,7 @@ LAYERS = (
     ("level",),
     ("telemetry", "checkpoint"),
     ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
-    ("engine_package", "errors", "installation", "near_names"),
+    ("engine_package", "errors", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Rooms of runtime/, and which of the others each may import.
