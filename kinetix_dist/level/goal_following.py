@@ -21,7 +21,8 @@ from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import draft_to_level, empty_draft
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.mechanisms.registry import FAMILIES, Family
+from kinetix_dist.level.mechanisms import FAMILIES
+from kinetix_dist.level.mechanisms.registry import Family
 from kinetix_dist.level.mechanisms.table import choose, table_of, with_circle
 from kinetix_dist.level.mechanisms.template import (
     CLEARANCE_M,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,7 +14,7 @@ from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.generator import generate_level, generate_levels
 from kinetix_dist.level.generator_config import TASK_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level
-from kinetix_dist.level.mechanisms import mechanism_draft
+from kinetix_dist.level.mechanisms import families, mechanism_draft
 from kinetix_dist.level.mechanisms.template import Draws, draw_numbers
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.overlap import world_corners
@@ -753,6 +754,12 @@ def test_what_cannot_be_drawn_is_refused_with_its_name() -> None:
     cars = dataclasses.replace(generator("locomotion"), mechanism_families=("car",))
     with pytest.raises(ValueError, match="no family of mechanism_families car has room in 5 polygons, 2 circles"):
         generate_level(jax.random.key(0), Capacity(polygons=5, circles=2, joints=1, thrusters=1), cars)
+
+
+def test_every_file_of_families_is_imported() -> None:
+    """By name, so that programs which draw levels are keyed by its source too."""
+    files = {file.stem for file in Path(families.__file__).parent.glob("*.py")} - {"__init__"}
+    assert files == set(families.__all__)
 
 
 @pytest.mark.parametrize("weights", [(1e39, 3e39), (1e-300, 3e-300), (1e38, 3e38)])

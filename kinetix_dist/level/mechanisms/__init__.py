@@ -2,8 +2,8 @@
 
     families/ -> registry.py: FAMILIES -> mechanism_draft.py: template -> table -> draft of a level
 
-A new family is one function in a file of `families/`, with the decorator `registry.family`: all files there are
-imported here. It can then be drawn by its name; recipes draw it where they give it a weight.
+A new family is one function in a file of `families/`, with the decorator `registry.family`. It can then be drawn by its
+name; recipes draw it where they give it a weight.
 """
 
 import kinetix_dist.level.mechanisms.families  # noqa: F401, registers all of them

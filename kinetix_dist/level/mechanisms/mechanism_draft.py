@@ -23,8 +23,9 @@ from kinetix_dist import prng
 from kinetix_dist.level.draft import Draft, empty_draft, with_green_and_blue_exchanged
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import WORLD_SIZE_M
+from kinetix_dist.level.mechanisms import FAMILIES, fitting_families
 from kinetix_dist.level.mechanisms.obstacles import block, either, num_obstacle_draws, pillars
-from kinetix_dist.level.mechanisms.registry import FAMILIES, Family, fitting_families
+from kinetix_dist.level.mechanisms.registry import Family
 from kinetix_dist.level.mechanisms.table import Table, choose, table_of, with_boxes, with_circle
 from kinetix_dist.level.mechanisms.template import CLEARANCE_M, WALL_MARGIN_M, Draws, Part, Task, draw_numbers
 from kinetix_dist.level.mechanisms.to_draft import with_table

@@ -1,7 +1,15 @@
-"""Families of mechanisms. Every file here is imported, which registers its families."""
+"""Families of mechanisms. Each file registers its own as it is imported; a new file is named here."""
 
-import importlib
-import pkgutil
+from kinetix_dist.level.mechanisms.families import (
+    arms,
+    balance,
+    cars,
+    crossings,
+    flips,
+    flyers,
+    hands,
+    pinball,
+    walkers,
+)
 
-for _module in sorted(module.name for module in pkgutil.iter_modules(__path__)):
-    importlib.import_module(f"{__name__}.{_module}")
+__all__ = ["arms", "balance", "cars", "crossings", "flips", "flyers", "hands", "pinball", "walkers"]
