@@ -11,7 +11,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
-from kinetix_dist.level.draft import Draft, DrivenThrusters, Shapes, beside, hinge_or_weld, row_at
+from kinetix_dist.level.draft import Draft, DrivenThrusters, Ends, MotorAndLimits, Shapes, beside, joint_row, row_at
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS
 from kinetix_dist.level.mechanisms.table import Table
@@ -88,21 +88,23 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
     turn = joints.turn.or_else(jnp.cumsum(is_motor) - is_motor)  # or motors before it
     shapes, a, b = draft.shapes, joints.a, joints.b
     angle_a, angle_b = row_at(shapes.angle, a), row_at(shapes.angle, b)
-    rows = hinge_or_weld(
+    ends = Ends(
         a=a,
         b=b,
         anchor_a=_local(row_at(shapes.position, a), angle_a, joints.at),
         anchor_b=_local(row_at(shapes.position, b), angle_b, joints.at),
-        is_weld=joints.is_weld,
-        rest_angle=angle_b - angle_a,
+    )
+    rest_angle = angle_b - angle_a
+    hinge = MotorAndLimits(
         motor_on=joints.has_motor,
-        motor_speed=jnp.where(task.has_full_motors, config.motor_speed_max, speed),
-        motor_power=task.motor_power.or_else(jnp.where(task.has_full_motors, strongest, power)),
+        speed=jnp.where(task.has_full_motors, config.motor_speed_max, speed),
+        power=task.motor_power.or_else(jnp.where(task.has_full_motors, strongest, power)),
         has_limits=joints.limit.is_given,
         lower_limit=joints.bend - joints.limit.value,
         upper_limit=joints.bend + joints.limit.value,
         colour=jnp.where(task.colours_in_turn, (first + turn) % NUM_MOTOR_COLOURS, colour),
     )
+    rows = joint_row(ends, joints.is_weld, rest_angle, hinge)
     # The active ones in the first slots, in their order.
     active = jnp.asarray(joints.active)
     slots = np.arange(capacity.joints)
