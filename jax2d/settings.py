@@ -44,7 +44,7 @@ POSITIVE = {  # fields that cannot be 0, as others can
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver`,
+    """Settings of the solver. Numbers are run-time parameters of a compiled engine, `solver`,
     `friction_mixing`, `solver_batch_size` and `published_details` are compiled in."""
 
     solver: Solver = "soft_step"
@@ -75,7 +75,7 @@ class Settings:
     joint_hertz: float = 88.0
     joint_hertz_share: float = 0.367
     joint_damping_ratio: float = 10.0  # at 2 stretched chains and welded beams ring for seconds
-    yielding_hertz_share: float = 0.105  # of joints that hold what is light between heavy bodies (yielding_joints.py)
+    yielding_hertz_share: float = 0.105  # of joints that hold what is light between heavy bodies (softened_joints.py)
     yielding_damping_ratio: float = 2.0  # at 10 some trees of welds gain energy
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
     joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed
@@ -83,7 +83,9 @@ class Settings:
     speculative_distance: float = 0.02  # m, contacts are prepared from here on (4 x Box2D's linear slop)
     restitution_threshold: float = 1.0  # m/s, slower impacts do not bounce, so that stacks come to rest
     bounce_rounds: int = 16  # at most, in which joints and other contacts share in a bounce
-    blow_passes: int = 0  # at most, in which they share in a blow with friction; 0: what hits is stopped alone
+    blow_passes: int = (
+        0  # at most, in which they share in an impact with friction; 0: the body that hits is stopped alone
+    )
 
     # sequential_impulses (published constants)
     slop: float = 0.01  # m, penetration left alone
@@ -205,7 +207,7 @@ def preset(name: str) -> Settings:
 
 
 def checked_settings(given: Settings | None) -> Settings:
-    """What callers give as settings; None is preset standard. Raises TypeError for the name of a preset."""
+    """Returns the settings of a caller; None is preset standard. Raises TypeError for the name of a preset."""
     if given is None:
         return preset("standard")
     if not isinstance(given, Settings):

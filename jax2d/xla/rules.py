@@ -1,4 +1,4 @@
-"""What is compiled into the reference's programs: choices of the settings that are no run-time numbers."""
+"""Choices of the settings that are compiled into the reference's programs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from jax2d.settings import Settings
 
 
 class Rules(NamedTuple):
-    """What is compiled in."""
+    """Compiled choices of the settings."""
 
     solver: str
     friction_mixing: str

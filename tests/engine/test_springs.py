@@ -171,7 +171,7 @@ def test_row_of_rods_with_a_heavy_end_gains_no_energy(ratio: float):
 
 
 def test_spring_hits_as_hard_as_it_is_tight_and_a_ball_bounces_on_it():
-    """What bounces may have the energy that springs gave in the step."""
+    """Bounces may take the energy that springs gave in the step."""
     b = SceneBuilder(CAPACITY, gravity=(0, 0))
     wall = b.add_box(width=0.2, height=2, position=(2, 0), fixed=True, restitution=1)
     ball = b.add_circle(radius=0.1, position=(1.2, 0), density=DISC, restitution=1, friction=0)
