@@ -15,8 +15,8 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
-from kinetix_dist.runtime.cores.evaluator_core import EvaluatorCore
-from kinetix_dist.runtime.cores.rollout_worker import RolloutWorker
+from kinetix_dist.runtime.cores.evaluator import EvaluatorCore
+from kinetix_dist.runtime.cores.split_core import RolloutWorker
 from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
 from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 

@@ -25,7 +25,7 @@ from kinetix_dist.level.fit import size_numbers
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
-from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, STARTS, stream
+from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, STARTS, stream
 from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
 
 KIND = "rollouts"  # folder in the compile cache
