@@ -46,7 +46,7 @@ class SolverNumbers(NamedTuple):
     speculative_distance: Scalar
     restitution_threshold: Scalar
     bounce_rounds: Scalar
-    blow_passes: Scalar
+    impact_passes: Scalar
     slop: Scalar
     collision_correction: Scalar
     joint_velocity_correction: Scalar
@@ -67,7 +67,7 @@ def solver_numbers(settings: Settings) -> SolverNumbers:
         "contact": softness(contact_hertz, settings.contact_damping_ratio, h),
         "fixed": softness(2 * contact_hertz, settings.contact_damping_ratio, h),
         "joint": softness(joint_hertz, settings.joint_damping_ratio, h),
-        "softened": softness(min(joint_hertz, settings.yielding_hertz_share / h), settings.yielding_damping_ratio, h),
+        "softened": softness(min(joint_hertz, settings.softened_hertz_share / h), settings.softened_damping_ratio, h),
     }
     given = {name: getattr(settings, name) for name in SolverNumbers._fields if name not in derived}
     return SolverNumbers(**given, **derived)

@@ -81,7 +81,7 @@ class KernelVariant:
             effects=effects,
             solver=settings.solver,
             friction_mixing=settings.friction_mixing,
-            shares_impacts=settings.solver == "soft_step" and settings.blow_passes > 0,
+            shares_impacts=settings.solver == "soft_step" and settings.impact_passes > 0,
             report_contacts=report_contacts,
             shared_record=(options.shared_record or 0) if options is not None else 0,
             options=options if options is not None else CompileOptions(),

@@ -129,8 +129,8 @@ def find(
     impulse = jnp.where(is_lasting[:, None], _cached_impulses(key, cache, cache.impulse), 0)
     pair_key = key >> C.feature_bits
     is_second = points.exists & (pair_key == jnp.roll(pair_key, 1)) & (jnp.arange(len(key)) > 0) & rules.is_soft
-    # Discs have no corners to turn about: theirs are handed on (`blow_passes`) or left to the next sub-step.
-    can_impact = points.exists & rules.is_soft & ((rules.blow_passes > 0) | (b < context.capacity.polygons))
+    # Discs have no corners to turn about: theirs are handed on (`impact_passes`) or left to the next sub-step.
+    can_impact = points.exists & rules.is_soft & ((rules.impact_passes > 0) | (b < context.capacity.polygons))
     is_impact = (approach < -C.min_impact_speed) & (impulse[:, 0] == 0) & can_impact
     is_impact |= (is_second & jnp.roll(is_impact, 1)) | jnp.roll(is_second & is_impact, -1)  # both points or none
     if rules.is_soft:

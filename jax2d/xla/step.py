@@ -226,7 +226,7 @@ def _solve_passes(
         moved = jnp.any(moved, axis=0)
         bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
         next_active = ActiveSet(moved | hit, jnp.array(True), everything.only)
-        follows = jnp.any(next_active.now) & (index < rules.blow_passes)
+        follows = jnp.any(next_active.now) & (index < rules.impact_passes)
         if not use_bias:
             return Pass(bodies, joints, contacts, next_active, follows, now.was_limited)
         limited = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed)
@@ -242,7 +242,7 @@ def _solve_passes(
         return jax.lax.cond(in_any_world(now.follows), solved, lambda: now), None
 
     first = Pass(bodies, joints, contacts, everything, follows=jnp.array(True), was_limited=jnp.array(False))
-    num_passes = 1 + max(rules.blow_passes, C.limited_passes if use_bias else 0)
+    num_passes = 1 + max(rules.impact_passes, C.limited_passes if use_bias else 0)
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(num_passes))
     return last.bodies, last.joints, last.contacts
 

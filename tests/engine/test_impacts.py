@@ -87,7 +87,7 @@ def error_of_landing(start: dict, m: Trajectory) -> tuple[float, float] | None:
     return off / float(np.linalg.norm(velocity)), rises / closing
 
 
-# Parts share an impact in `fine` (`Settings.blow_passes`): it costs a fifth of the speed.
+# Parts share an impact in `fine` (`Settings.impact_passes`): it costs a fifth of the speed.
 @pytest.mark.also_gpu
 @pytest.mark.parametrize(
     ("name", "parts", "worst"), [("standard", 1, 0.04), ("fine", 1, 0.04), ("fine", 2, 0.04), ("fine", 3, 0.1)]
@@ -174,7 +174,7 @@ def gained(records: Sequence[Trajectory]) -> np.ndarray:
 def test_impacts_make_no_energy(name: str, most: float, worst: float, tilted: bool):
     """Gains are of some 15 J/kg that the bodies fall with. `fine` sways by what free flight does in a sub-step;
     `standard` stops what hits alone, and a stack is then lifted by an impulse that has not reached it yet
-    (`blow_passes=2`: 0.15, 4: 0.09 J/kg)."""
+    (`impact_passes=2`: 0.15, 4: 0.09 J/kg)."""
     worlds = [pile(seed, 1, False, tilted, 3)[0] for seed in range(64)]
     gains = np.sort(gained(record_worlds(engine(name), worlds, seconds=1.0)))
     assert gains[-4] < most and gains[-1] < worst, gains[-8:]

@@ -106,7 +106,7 @@ def test_stiff_joints_would_make_energy():
     the rule."""
     settings = preset("standard")
     settings = settings.replace(
-        yielding_hertz_share=settings.joint_hertz_share, yielding_damping_ratio=settings.joint_damping_ratio
+        softened_hertz_share=settings.joint_hertz_share, softened_damping_ratio=settings.joint_damping_ratio
     )
     assert (gains(TREES["welded", False], Engine(CAPACITY, settings=settings)) > 1).sum() >= 3
 

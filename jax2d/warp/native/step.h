@@ -66,7 +66,7 @@ struct World {
 
     bool every_substep = false;  // contacts are found in each, where those found once would not hold
     bool find = true, interrupted = false;
-    int interruptions = 0, max_passes = (int)(params.get(PARAM_BLOW_PASSES));
+    int interruptions = 0, max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
     for (int substep = 0; substep < substeps;) {
       // Each function is called once: what is inlined twice is twice the code.
       real left = every_substep ? h : h * (real)(substeps - substep);
@@ -144,7 +144,7 @@ struct World {
       for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0, contacts.active);
       contacts.solve_soft(bodies, soft, false, round, with_friction);
       if (round == 0) {  // joints and other contacts share in an impact
-        if (contacts.active.repeat() && repeats++ < (int)(params.get(PARAM_BLOW_PASSES))) {
+        if (contacts.active.repeat() && repeats++ < (int)(params.get(PARAM_IMPACT_PASSES))) {
           --round;
           continue;
         }
