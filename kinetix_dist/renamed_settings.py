@@ -19,6 +19,9 @@ RENAMED: dict[str, str] = {
     "curriculum.generator.locomotion_share": "curriculum.generator.mechanism_share",
     "curriculum.generator.locomotion_kinds": "curriculum.generator.mechanism_families",
     "curriculum.generator.locomotion_weights": "curriculum.generator.mechanism_weights",
+    "env.physics.blow_passes": "env.physics.impact_passes",
+    "env.physics.yielding_hertz_share": "env.physics.softened_hertz_share",
+    "env.physics.yielding_damping_ratio": "env.physics.softened_damping_ratio",
 }
 
 # (path now, value before) -> value now; also of the entries of a list.

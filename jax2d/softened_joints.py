@@ -1,4 +1,4 @@
-"""Which joints are solved softer, since they hold a light body between heavy ones.
+"""Joints that are solved softer than others: those that hold a light body between heavy ones.
 
 Joints are solved one after another, once a sub-step, and start from the impulses of the sub-step before. Where a light
 body lies between heavy ones, solving one of its joints undoes nearly all that solving the other has done. What is left
@@ -18,16 +18,16 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Array, JointKind, Scene
 
 
-def yields(scene: Scene) -> jax.Array:
+def is_softened(scene: Scene) -> jax.Array:
     """[..., J] bool, of scenes as `only_what_acts` leaves them.
 
     A body's share in a joint is what of the joint's movement it makes, 0 to 1: 1/2 between equal bodies, 1 beside one
-    that is fixed. Welds yield that hold a body whose shares, of mass or of inertia, come to more than
-    `max_share_of_welds`: 1 in the middle of a beam of equal parts, 1.5 where it is welded to a wall. Hinges yield that
-    hold a body which has nearly all of the movement of two joints. Hinges yield whose anchor is
-    farther from a body's centre than `max_lever` radii of gyration, twice as far as any inside a convex shape; welds
-    where that body has several joints. Sliders neither yield nor count: if they did they would let go of what hangs
-    from them. Their limits yield instead, all of them."""
+    that is fixed. A weld is softened at a body whose shares, of mass or of inertia, come to more than
+    `max_share_of_welds`: 1 in the middle of a beam of equal parts, 1.5 where it is welded to a wall. A hinge is
+    softened at a body that has nearly all of the movement of two joints, or if its anchor is farther from a body's
+    centre than `max_lever` radii of gyration, twice as far as any inside a convex shape. So is a weld where that body
+    has several joints. Sliders are not softened and do not count: softened ones would let go of what hangs from them.
+    All of their limits are softened instead."""
     shapes, joints = scene.shapes, scene.joints
     is_weld = joints.is_kind(JointKind.FIXED)[..., None]
     counts = joints.active & ~joints.is_kind(JointKind.PRISMATIC)
@@ -47,7 +47,7 @@ def yields(scene: Scene) -> jax.Array:
 
 
 def _shares(inverse: jax.Array) -> jax.Array:
-    """Of both ends, [..., J, 2]."""
+    """Shares of both ends, [..., J, 2]."""
     whole = jnp.sum(inverse, axis=-1, keepdims=True)
     return inverse / jnp.where(whole > 0, whole, 1)
 
@@ -57,5 +57,5 @@ def _squared(anchor: Array) -> jax.Array:
 
 
 def _of(values: jax.Array, ends: jax.Array) -> jax.Array:
-    """[..., n] at [..., J, 2]."""
+    """Returns values [..., n] at [..., J, 2]."""
     return jnp.take_along_axis(values[..., None, :], ends, axis=-1)
