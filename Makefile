@@ -121,7 +121,7 @@ bench-engine-peers: $(STAMP)
 
 # The lock holds versions and hashes only: whoever installs chooses the registry.
 lock: $(STAMP)
-	$(BIN)/uv pip compile pyproject.toml --extra dev --extra wrappers --universal --python-version 3.11 --generate-hashes \
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra wrappers --extra docs --universal --python-version 3.11 --generate-hashes \
 		--no-header --no-annotate --upgrade --output-file requirements.lock
 
 # For machines of the same Python, system and processor that have no network: bash dist/bundle/install.sh VENV
