@@ -14,7 +14,7 @@ from tests.helpers import REPOSITORY
 
 def run_example(name: str, *arguments: str) -> str:
     """What it prints."""
-    command = [sys.executable, str(REPOSITORY / "docs/examples" / name), *arguments]
+    command = [sys.executable, str(REPOSITORY / "examples" / name), *arguments]
     done = subprocess.run(
         command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(REPOSITORY)}, check=False
     )

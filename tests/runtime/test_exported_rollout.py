@@ -64,7 +64,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_what_is_not_of_this_project_is_traced_in_every_process(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tiny_config(num_updates=1)
     assert told(config) is not None
-    plugins = dataclasses.replace(config.run, plugins=("tests.runtime.fake_curriculum",))
+    plugins = dataclasses.replace(config.run, plugins=("examples.own_curriculum",))
     assert told(dataclasses.replace(config, run=plugins)) is None
     given = CurriculumConfig(name="fixed", levels="designed_s")  # files, which may change too
     assert told(dataclasses.replace(config, curriculum=given)) is None
