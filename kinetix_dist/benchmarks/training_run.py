@@ -12,10 +12,10 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import user_errors
 from kinetix_dist.jax_arithmetic import check_arithmetic
 from kinetix_dist.jax_settings import check_settings
+from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import train
 from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
-from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 
 

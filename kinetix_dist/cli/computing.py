@@ -17,7 +17,7 @@ def start_computing(compile_cache: str = "") -> None:
     Raises UserError for a JAX that computes wrongly, or has settings with which commands do not run. compile_cache: as
     `enable_compile_cache` takes it. Says in one line where caches are not where they were to be.
     """
-    from kinetix_dist.telemetry.compile_cache import OFF, enable_compile_cache
+    from kinetix_dist.program_cache import OFF, enable_compile_cache
 
     check_settings()
     check_arithmetic()

@@ -241,7 +241,7 @@ def check_caches() -> Check:
 
 def cache_directories() -> dict[str, Path]:
     """Directories of JAX's, Warp's and Ray's files, as training finds them, by name."""
-    from kinetix_dist.telemetry.compile_cache import directory_of
+    from kinetix_dist.program_cache import directory_of
 
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return {

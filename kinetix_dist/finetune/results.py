@@ -22,6 +22,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.checkpoint import flatten_arrays, save_alone
 from kinetix_dist.config import TrainConfig, differing, numbers_of, to_dict
 from kinetix_dist.errors import UserError, one_line, user_errors
@@ -32,7 +33,6 @@ from kinetix_dist.finetune.starts import FROM_SCRATCH, Start
 from kinetix_dist.level.level import Level
 from kinetix_dist.runtime.driver.provenance import versions
 from kinetix_dist.runtime.driver.run_directory import LOCK_NAME, RunDirectoryError, lock_directory
-from kinetix_dist.telemetry.json_lines import replace_file
 from kinetix_dist.text_files import read_json
 
 FORMAT = 1

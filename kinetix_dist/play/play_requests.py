@@ -23,7 +23,7 @@ from kinetix_dist.play.request import Request
 from kinetix_dist.play.session import Actor, Session
 from kinetix_dist.play.session_loop import MAX_SPEED, MIN_SPEED, Running, SessionLoop
 from kinetix_dist.play.wire import BAD_REQUEST, RequestError
-from kinetix_dist.telemetry.compile_time import compile_seconds
+from kinetix_dist.program_cache import compile_seconds
 
 MAX_STEPS_AT_ONCE = 1_000_000
 MAX_SESSION = 0xFFFF

@@ -49,7 +49,7 @@ def main() -> None:
     from kinetix_dist.play.outbox import Outbox
     from kinetix_dist.play.programs import forget_programs
     from kinetix_dist.play.service import Service
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+    from kinetix_dist.program_cache import enable_compile_cache
 
     enable_compile_cache("")
     outbox = Outbox(pipe)

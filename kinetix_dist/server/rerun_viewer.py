@@ -23,12 +23,12 @@ import aiohttp
 from aiohttp import web
 
 from kinetix_dist.child_python import command_of
+from kinetix_dist.program_cache import default_directory
 from kinetix_dist.server.answers import error_response, json_response
 from kinetix_dist.server.level_pages import recording_path
 from kinetix_dist.server.run_service import RunService
 from kinetix_dist.server.tickets import Tickets
 from kinetix_dist.server.worker_client import WorkerClient
-from kinetix_dist.telemetry.compile_cache import default_directory
 
 FILES = {"index.html": "text/html", "re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 START_SECONDS = 30.0

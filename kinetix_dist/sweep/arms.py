@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.config import ConfigError, TrainConfig, flat, from_dict, to_dict
 from kinetix_dist.errors import one_line
 from kinetix_dist.level.sets import files_of_set, size_of_drawn_set
@@ -17,7 +18,6 @@ from kinetix_dist.recipes import recipe
 from kinetix_dist.sweep.design import Design, DesignError, Options
 from kinetix_dist.sweep.factorial import TwoLevelDesign, two_level_design
 from kinetix_dist.sweep.objective import check_sets
-from kinetix_dist.telemetry.json_lines import replace_file
 
 MAX_ARMS = 512
 PHASES = "phases"  # the option that is a list of tables

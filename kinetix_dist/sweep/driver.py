@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.config import to_dict
 from kinetix_dist.dashboard.run_files import CONFIG, read_object
 from kinetix_dist.errors import UserError, one_line, user_errors
@@ -30,7 +31,6 @@ from kinetix_dist.sweep.lanes import Lane, start_training
 from kinetix_dist.sweep.objective import Curve, read_curve, score, seconds_so_far
 from kinetix_dist.sweep.results import results
 from kinetix_dist.sweep.rungs import Stage, stages
-from kinetix_dist.telemetry.json_lines import replace_file
 
 DESIGN, RESULTS, ARMS, LOGS = "design.json", "sweep.json", "arms", "logs"
 POLL_S = 0.5

@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.telemetry.json_lines import read_lines, replace_file
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.telemetry.json_lines import read_lines
 
 FORMAT = 1  # of snapshots
 OUTCOMES_FORMAT = 2  # lines count attempts, the first episode of each world in an update

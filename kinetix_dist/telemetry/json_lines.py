@@ -7,17 +7,14 @@ through a draft that is flushed to the disk and then renamed, so that at every m
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
-import os
-import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.atomic_files import AtomicAppender, flush_to_disk, replace_file
 from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.whole_writes import WholeWrites
 
 Row = dict[str, Any]
 
@@ -46,9 +43,9 @@ def read_lines(path: Path, is_row: Callable[[Row], bool] = lambda row: True) -> 
 
 def append_line(path: Path, row: Mapping[str, Any]) -> None:
     """Adds a row on a line of its own, also after an unfinished one: whole, or not at all where OSError is raised."""
-    file = WholeWrites(path)
+    file = AtomicAppender(path)
     try:
-        file.write_line(_encode(row))
+        file.append_line(_encode(row))
     finally:
         file.close()
 
@@ -65,7 +62,7 @@ def mend_lines(path: Path, *, is_row: Callable[[Row], bool], keep: Callable[[Row
     if lines.damaged:
         with damaged_path(path).open("ab") as file:  # first: a kill in between sets a line aside twice, and loses none
             file.write(b"".join(line + b"\n" for line in lines.damaged))
-            _flush_to_disk(file)
+            flush_to_disk(file)
     replace_file(path, b"".join(map(_encode, kept)))
     return len(lines.damaged)
 
@@ -99,30 +96,6 @@ def set_aside_file(path: Path, word: str = "damaged") -> Path:
     return path.rename(aside)
 
 
-def replace_file(path: Path, content: bytes, *, is_shared: bool = False) -> None:
-    """Gives a file new content: whoever reads it, and whenever this is killed, has the old or the new one, whole.
-
-    is_shared: whether others may do so at the same time; the last of them wins. Raises OSError, and leaves no draft
-    then.
-    """
-    own = f".{os.getpid()}-{threading.get_ident()}" if is_shared else ""
-    draft = path.with_name(f".{path.name}{own}.draft")
-    try:
-        with draft.open("wb") as file:
-            file.write(content)
-            _flush_to_disk(file)
-        os.replace(draft, path)
-    except OSError:
-        with contextlib.suppress(OSError):  # the first error is the one to report
-            draft.unlink()  # a full disk has better uses
-        raise
-    directory = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
-
-
 def parse_line(line: bytes) -> Row | None:
     """The JSON object of a line; None: it is damaged."""
     try:
@@ -141,8 +114,3 @@ def parse_row(line: bytes) -> Row:
 
 def _encode(row: Mapping[str, Any]) -> bytes:
     return json.dumps(row).encode() + b"\n"
-
-
-def _flush_to_disk(file: Any) -> None:
-    file.flush()
-    os.fsync(file.fileno())

@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.json_lines import replace_file
 from kinetix_dist.telemetry.utc import utc_seconds
 
 FORMAT = 1

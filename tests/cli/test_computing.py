@@ -18,7 +18,7 @@ from kinetix_dist.cli.computing import start_computing
 from kinetix_dist.cli.main import main
 from kinetix_dist.jax_arithmetic import NUM_ROWS, arithmetic_complaint, wrong_rows
 from kinetix_dist.jax_settings import SETTINGS, check_settings
-from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+from kinetix_dist.program_cache import enable_compile_cache
 
 # Commands with which somebody computes; {tmp} is an empty directory.
 COMMANDS = (

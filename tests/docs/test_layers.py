@@ -27,8 +27,17 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
-    ("engine_package", "errors", "installation", "near_names"),
+    (
+        "child_python",
+        "jax_arithmetic",
+        "jax_settings",
+        "prng",
+        "program_cache",
+        "registry",
+        "text_files",
+        "user_directories",
+    ),
+    ("atomic_files", "engine_package", "errors", "installation", "near_names"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Rooms of runtime/, and which of the others each may import.

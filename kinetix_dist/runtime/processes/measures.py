@@ -16,8 +16,8 @@ from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from typing import Any
 
+from kinetix_dist.program_cache import compile_seconds
 from kinetix_dist.runtime.processes.gpu_use import Pool, gpu_used_share, pool_use
-from kinetix_dist.telemetry.compile_time import compile_seconds
 from kinetix_dist.telemetry.sizes import bytes_of
 
 GIB, MIB = 1 << 30, 1 << 20

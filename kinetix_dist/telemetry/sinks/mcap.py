@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from kinetix_dist.atomic_files import append_atomically
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.rollout_schema import MESSAGE, PACKAGE, Sizes, encode_messages, file_descriptor_set
-from kinetix_dist.telemetry.whole_writes import write_whole
 
 METADATA_NAME = "kinetix_dist.rollout"
 TOPIC = "/rollout/step"
@@ -237,7 +237,7 @@ class _WholeFlushes:
         return self.written + len(self._pending)
 
     def flush(self) -> None:
-        write_whole(self._file, bytes(self._pending), self.written)
+        append_atomically(self._file, bytes(self._pending), self.written)
         self.written += len(self._pending)
         self._pending.clear()
 
