@@ -55,7 +55,7 @@ check: $(STAMP)
 WEB := .cache/web
 WEB_STAMP := $(WEB)/.installed
 BROWSER := .cache/browser
-STATIC := kinetix_dist/server/static
+STATIC := kinetix_dist/studio/static
 
 $(WEB_STAMP): .ci/web/package.json .ci/web/package-lock.json .ci/web/install | $(STAMP)
 	@bash .ci/web/install "$(VENV)" "$(WEB)"

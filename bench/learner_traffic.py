@@ -1,7 +1,7 @@
 """Bytes and launches of a gradient step, by part, of the update that XLA compiles for an H200. Needs no GPU.
 
     python -m bench.learner_traffic                                            # both networks at S, M and L
-    python -m bench.learner_traffic --sizes m --networks transformer --kernels mosaic --json runs/traffic.json
+    python -m bench.learner_traffic --sizes m --networks transformer --kernels fused --json runs/traffic.json
 
 The update of `bench learner` is compiled for a described device (topology) and its text is read (compiled_traffic.py).
 What bounds a gradient step on a GPU is this traffic: a copy reaches 4.3 TB/s of the 4.8 that an H200 has, so 4.3 GB are
@@ -247,7 +247,7 @@ def main() -> int:
     parser.add_argument("--minibatch", type=int, default=16_384, help="samples of a gradient step")
     parser.add_argument("--dtype", default="bfloat16", choices=["float32", "bfloat16"], help="of activations")
     parser.add_argument("--encoder-size", type=int, default=128, help="width of tokens and of hidden layers")
-    parser.add_argument("--kernels", default="xla", choices=["xla", "mosaic"], help="as policy.kernels")
+    parser.add_argument("--kernels", default="xla", choices=["xla", "fused"], help="as policy.kernels")
     parser.add_argument("--json", type=output_file, help="write the records here")
     options = parser.parse_args()
 

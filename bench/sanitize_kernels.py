@@ -2,7 +2,7 @@
 
     python -m bench.sanitize_kernels [--tools memcheck racecheck synccheck initcheck] [--sizes s m l] [--json FILE]
 
-Each tool watches a process of its own that computes a network's outputs and gradient with `policy.kernels` "mosaic", of
+Each tool watches a process of its own that computes a network's outputs and gradient with `policy.kernels` "fused", of
 1 and of 150 worlds, so that tiles are empty, partly full and full. A record names the kernels in which errors were
 found: the whole process is watched, XLA's and Pallas' kernels as well. Needs a GPU that the kernels are written for,
 and compute-sanitizer of the CUDA toolkit.
@@ -44,7 +44,7 @@ SUMMARY = re.compile(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)")
 def compute(size: str) -> None:
     """In the process that is watched. Batches and parameters are made on the CPU, which is not."""
     gpu, cpu = jax.devices()[0], jax.devices("cpu")[0]
-    policy = make_policy(PolicyConfig(kernels="mosaic", dtype="bfloat16", read_out="colour"), ACTIONS.head_sizes)
+    policy = make_policy(PolicyConfig(kernels="fused", dtype="bfloat16", read_out="colour"), ACTIONS.head_sizes)
 
     def outputs(params: Any, obs: Any) -> Any:
         logits, values = policy.apply(params, obs)

@@ -34,6 +34,7 @@ from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
 from kinetix_dist.phases import PhaseConfig, Schedule
 from kinetix_dist.registry import import_plugins
+from kinetix_dist.renamed_settings import RenamedSettingError, translated
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 PLACEMENTS = ("local", "colocated", "split")
@@ -500,7 +501,27 @@ def from_dict(data: Mapping[str, Any]) -> TrainConfig:
             "start a new run (`kinetix-dist eval` still plays the old policy)"
         )
     import_plugins(data.get("run", {}).get("plugins", ()))
-    return build(TrainConfig, data)
+    return build(TrainConfig, _with_todays_names(data))
+
+
+def _with_todays_names(data: Mapping[str, Any], *, for_playing: bool = False) -> dict[str, Any]:
+    try:
+        return translated(data, for_playing=for_playing)
+    except RenamedSettingError as error:
+        raise ConfigError(f"this config is of an older version: {error}") from error
+
+
+def has_same_numbers(config: TrainConfig, stored: Mapping[str, Any], stored_hash: str) -> bool:
+    """Whether training goes on with `config` as with a stored one: they have the same hash, at once or with today's
+    names of its settings. A setting that it lacks makes it another version, whatever its value is now."""
+    if stored_hash == config.hash:
+        return True
+    try:
+        data = _with_todays_names(stored)
+        theirs = from_dict(stored)
+    except ValueError:
+        return False
+    return flat(to_dict(theirs)).keys() == flat(data).keys() and theirs.hash == config.hash
 
 
 def with_phases(config: TrainConfig, phases: Sequence[Mapping[str, Any]]) -> TrainConfig:
@@ -525,8 +546,9 @@ def from_dict_for_playing(data: Mapping[str, Any]) -> TrainConfig:
         if isinstance(replay, Mapping):
             curriculum = {**curriculum, "plr": {name: value for name, value in replay.items() if name != "score"}}
         data = {**data, "curriculum": curriculum}
+    data = _with_todays_names(data, for_playing=True)
     policy = data.get("policy")
-    if isinstance(policy, Mapping) and policy.get("kernels") == "mosaic":  # also of a network that has no kernels
+    if isinstance(policy, Mapping) and policy.get("kernels") == "fused":  # also of a network that has no kernels
         data = {**data, "policy": {**policy, "kernels": "auto"}}
     return from_dict(data)
 

@@ -15,6 +15,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_options
 from kinetix_dist.text_files import read_json, read_toml
 
 if TYPE_CHECKING:
@@ -107,6 +108,10 @@ def read_phases(path: Path) -> list[dict[str, Any]]:
     if not isinstance(content, list) or not all(isinstance(phase, dict) for phase in content):
         raise ValueError(f'{path} holds no phases; write a table [[phases]] for each, in JSON {{"phases": [...]}}')
     for number, phase in enumerate(content, start=1):
+        try:
+            refuse_old_options({"phases": [phase]})
+        except RenamedSettingError as error:
+            raise ValueError(f"{path}: phase {number}: {error}") from None
         if unknown := sorted(set(phase) - {"start", *CHANGES}):
             raise ValueError(
                 f"{path}: phase {number} sets {unknown[0]!r}, which no phase can change; it has start and can set "

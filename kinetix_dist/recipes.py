@@ -22,6 +22,7 @@ from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.phases import PhaseConfig
+from kinetix_dist.renamed_settings import RENAMED_RECIPES
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 
@@ -244,6 +245,8 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
 
 def recipe(name: str) -> TrainConfig:
     """The configuration of a recipe; raises ConfigError for an unknown one."""
+    if name in RENAMED_RECIPES:
+        raise ConfigError(f"recipe {name!r} is now called {RENAMED_RECIPES[name]!r}; use that")
     if name not in RECIPES:
         hint = did_you_mean(name, RECIPES, f"recipes: {', '.join(RECIPES)}")
         raise ConfigError(f"unknown recipe {name!r}; {hint}")

@@ -46,7 +46,7 @@ class Options(BenchmarkOptions):
     """Of activations."""
     network: Literal["transformer", "transformer_lean", "flat"] = "transformer"
     """Policy network."""
-    kernels: Literal["auto", "xla", "mosaic"] = "xla"
+    kernels: Literal["auto", "xla", "fused"] = "xla"
     """Of the layers, see policy.kernels."""
     encoder_size: int = 128
     """Width of tokens and of hidden layers."""

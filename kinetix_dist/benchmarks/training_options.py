@@ -10,6 +10,7 @@ from typing import Any, Literal
 from kinetix_dist.benchmarks.results import BenchmarkOptions
 from kinetix_dist.config import EvaluationConfig, RecordingConfig, TrainConfig, from_dict, to_dict
 from kinetix_dist.recipes import recipe
+from kinetix_dist.renamed_settings import refuse_old_options
 
 # A run evaluates at its beginning and end; the easiest designed level, which fits every size, takes least time.
 EVALUATION = EvaluationConfig(sets=("s/hop_home",), attempts=1, min_attempts=0)
@@ -44,6 +45,7 @@ def with_fields(config: TrainConfig, assignments: tuple[str, ...]) -> TrainConfi
     content = to_dict(config)
     for assignment in assignments:
         name, is_assigned, text = assignment.partition("=")
+        refuse_old_options({name: text})
         *sections, field = name.split(".")
         part: Any = content
         for section in sections:

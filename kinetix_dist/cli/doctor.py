@@ -208,10 +208,10 @@ def check_gpu(jax_check: Check, *, required: bool) -> Check:
 
 
 def check_kernels(jax_check: Check) -> Check:
-    """Whether `policy.kernels` "mosaic" can run. XLA computes the same everywhere, so its absence is no fault."""
+    """Whether `policy.kernels` "fused" can run. XLA computes the same everywhere, so its absence is no fault."""
     why_not = jax_check.facts["no_kernels"]
-    detail = f"policy.kernels: xla only ({why_not})" if why_not else "policy.kernels: xla and mosaic"
-    return Check(name="kernels", status="ok", detail=detail, facts={"mosaic": not why_not})
+    detail = f"policy.kernels: xla only ({why_not})" if why_not else "policy.kernels: xla and fused"
+    return Check(name="kernels", status="ok", detail=detail, facts={"fused": not why_not})
 
 
 def check_arithmetic(jax_check: Check) -> Check:

@@ -30,6 +30,7 @@ from kinetix_dist.cli.streams import prepare_streams
 from kinetix_dist.engine_package import engine_complaint
 from kinetix_dist.level.structure import LevelNote
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_words
 
 __all__ = ["COMMANDS", "main", "parse_args"]
 
@@ -101,6 +102,10 @@ def _dispatch(argv: list[str]) -> int:
     _check_current_directory()
     if name != "doctor" and (complaint := engine_complaint()):
         raise UserError(complaint)
+    try:
+        refuse_old_words(name, rest)
+    except RenamedSettingError as error:
+        raise UserError(one_line(error)) from None
     module = load_module(COMMANDS[name][0], name)
     parse = getattr(module, "parse", None)
     args = parse(rest) if parse is not None else parse_args(module.Args, rest, prog=f"{PROG} {name}")

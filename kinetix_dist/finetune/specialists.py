@@ -5,8 +5,8 @@
     .train(level, start) -> Specialist      trains afresh on a level; nothing is compiled again
 
 Levels are the state of the curriculum `fixed`, an argument of the program that plays, and so are parameters: programs
-depend on the size of levels alone. Specialists are trained one after another. `bench.runs_at_once` measures what
-training several at once by `jax.vmap` would take (docs/results/2026-11-23-finetune.md: on a CPU it is slower).
+depend on the size of levels alone. Specialists are trained one after another: several at once by
+`jax.vmap` are slower on a CPU (docs/lab_log.md).
 """
 
 from __future__ import annotations

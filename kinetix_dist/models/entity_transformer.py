@@ -43,7 +43,7 @@ from kinetix_dist.models.colour_readout import sum_by_colour
 from kinetix_dist.models.contraction import linear
 from kinetix_dist.models.dense import DenseParameters
 from kinetix_dist.models.gru import apply_towers
-from kinetix_dist.models.kernels.support import LayerShape, uses_mosaic
+from kinetix_dist.models.kernels.support import LayerShape, uses_fused
 from kinetix_dist.models.layer import (
     XLA,
     LayerParts,
@@ -150,11 +150,11 @@ class EntityTransformer(nn.Module):
             num_thrusters=obs.thruster_mask.shape[1],
             num_features=max(each.shape[-1] for each in (obs.polygons, obs.circles, obs.joints, obs.thrusters)),
         )
-        if not uses_mosaic(self.kernels, layer):
+        if not uses_fused(self.kernels, layer):
             return XLA
-        from kinetix_dist.models.kernels.layer import MOSAIC  # of a jax that has these kernels
+        from kinetix_dist.models.kernels.layer import FUSED  # of a jax that has these kernels
 
-        return MOSAIC
+        return FUSED
 
     def _attention(self, layer: int, x: Array, mask_words: Array, parts: LayerParts) -> Array:
         size, features, name = self.encoder_size, self.attention_features, f"attention_{layer}"

@@ -48,7 +48,7 @@ class PolicyConfig:
     recurrent: str = "none"  # or "gru": a memory between the embedding and actor and critic
     memory_size: int = 256  # of it
     dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
-    kernels: str = "xla"  # of the layers: "xla", "mosaic" (Hopper GPUs), or "auto", which takes these where they run
+    kernels: str = "xla"  # of the layers: "xla", "fused" (Hopper GPUs), or "auto", which takes these where they run
     max_qk_norm: float = 0.0  # of the weights of a head's queries, and of its keys; 0: no limit; transformers alone
 
     def __post_init__(self) -> None:
@@ -58,9 +58,9 @@ class PolicyConfig:
             raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
         if self.kernels not in KERNELS:
             raise ValueError(f"PolicyConfig.kernels is {self.kernels!r}; choose one of {', '.join(KERNELS)}")
-        if self.kernels == "mosaic" and not NETWORKS[self.network].has_kernels:
+        if self.kernels == "fused" and not NETWORKS[self.network].has_kernels:
             raise ValueError(
-                f"PolicyConfig.kernels is 'mosaic', but network {self.network!r} has no kernels; "
+                f"PolicyConfig.kernels is 'fused', but network {self.network!r} has no kernels; "
                 "set it to 'auto' or 'xla'"
             )
         if self.read_out not in READ_OUTS:
@@ -102,7 +102,7 @@ class Network:
     build: Callable[[PolicyConfig, tuple[int, ...]], nn.Module]  # (config, sizes of the heads) -> a flax module
     reads_by_colour: bool = False  # whether it has `PolicyConfig.read_out` "colour"
     has_attention: bool = False  # whether it has `PolicyConfig.max_qk_norm`
-    has_kernels: bool = False  # whether it has `PolicyConfig.kernels` "mosaic"
+    has_kernels: bool = False  # whether it has `PolicyConfig.kernels` "fused"
     sample_bytes: int = 0  # of device memory for a sample of a minibatch, gradients included; 0: too few to count
 
 

@@ -15,6 +15,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.level.sets import files_of_set, size_of_drawn_set
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.recipes import recipe
+from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_options
 from kinetix_dist.sweep.design import Design, DesignError, Options
 from kinetix_dist.sweep.factorial import TwoLevelDesign, two_level_design
 from kinetix_dist.sweep.objective import check_sets
@@ -127,6 +128,10 @@ def _run(design: Design, base: TrainConfig, arm: Arm, seed: int) -> Run:
     for name in arm.options:
         if name in SET_BY_SWEEP:
             raise DesignError(f"option {name} cannot be set in a sweep: {SET_BY_SWEEP[name]}")
+        try:
+            refuse_old_options({name: arm.options[name]})
+        except RenamedSettingError as error:
+            raise DesignError(f"arm {arm.name}: {error}") from None
         if name not in known:
             hint = did_you_mean(name, known, "`kinetix-dist train --help-all` lists all")
             raise DesignError(f"unknown option {name!r} of arm {arm.name}; {hint}")

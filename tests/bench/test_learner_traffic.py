@@ -147,12 +147,12 @@ def test_kernels_of_a_layer_move_less_than_xla():
     """The whole update with each of them compiles for a GPU that this machine does not have."""
     options = SimpleNamespace(dtype="bfloat16", encoder_size=128, minibatch=4096)
     moved = {}
-    for kernels in ("xla", "mosaic"):
+    for kernels in ("xla", "fused"):
         options.kernels = kernels
         record = learner_traffic.measure("s", "transformer", options, h200())
         moved[kernels] = {row["part"]: row["read_bytes"] + row["written_bytes"] for row in record["parts"]}
     for part in ("gates", "attention", "feed forward", "messages", "encoders"):
-        assert 0 < moved["mosaic"][part] < 0.8 * moved["xla"][part], part
+        assert 0 < moved["fused"][part] < 0.8 * moved["xla"][part], part
 
 
 @pytest.mark.skipif(CAN_COMPILE, reason="jax can compile for CUDA here")

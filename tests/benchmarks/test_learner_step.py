@@ -26,6 +26,6 @@ def test_a_gradient_step_is_measured(tmp_path: Path) -> None:
 
 
 def test_kernels_that_cannot_run_are_one_line(capsys) -> None:
-    small = "--size s --encoder-size 8 --worlds 8 --steps 4 --minibatch 16 --repeats 1 --kernels mosaic"
+    small = "--size s --encoder-size 8 --worlds 8 --steps 4 --minibatch 16 --repeats 1 --kernels fused"
     assert main(["bench", "learner", *small.split()]) == 2
-    assert "policy.kernels is 'mosaic', but policy.encoder_size is 8" in capsys.readouterr().err
+    assert "policy.kernels is 'fused', but policy.encoder_size is 8" in capsys.readouterr().err

@@ -36,7 +36,7 @@ def test_doctor_compiles_a_kernel_and_names_the_devices(report: dict) -> None:
 
 def test_doctor_says_which_kernels_can_run_and_why_not_others(report: dict) -> None:
     (check,) = (check for check in report["checks"] if check["name"] == "kernels")
-    if not check["facts"]["mosaic"]:
+    if not check["facts"]["fused"]:
         assert check["detail"].startswith("policy.kernels: xla only (")
         assert "the kernels are written for" in check["detail"] or "the kernels need" in check["detail"]
 

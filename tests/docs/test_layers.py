@@ -14,11 +14,11 @@ from tests.helpers import REPOSITORY
 LAYERS = (
     ("__main__",),
     ("cli",),
-    ("benchmarks", "finetune", "server", "sweep"),
+    ("benchmarks", "finetune", "sweep"),
     ("recipes",),
     ("runtime",),
-    ("dashboard", "play"),
-    ("editor",),  # below play, whose worker answers what the editor asks
+    ("studio",),
+    ("trained_policy",),
     ("config",),
     ("phases",),
     ("actors", "learner", "curator", "evaluation"),
@@ -27,21 +27,15 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    (
-        "child_python",
-        "jax_arithmetic",
-        "jax_settings",
-        "prng",
-        "program_cache",
-        "registry",
-        "text_files",
-        "user_directories",
-    ),
-    ("atomic_files", "engine_package", "errors", "installation", "near_names"),
+    ("child_python", "jax_arithmetic", "jax_settings", "prng", "program_cache", "registry", "user_directories"),
+    ("atomic_files", "engine_package", "errors", "installation", "near_names", "renamed_settings", "text_files"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
-# Rooms of runtime/, and which of the others each may import.
-ROOMS = {"driver": {"cores", "processes"}, "cores": set(), "processes": set()}
+# Subpackages of packages that have them, and which of the others each may import.
+SUBPACKAGES = {
+    "runtime": {"driver": {"cores", "processes"}, "cores": set(), "processes": set()},
+    "studio": {"server": {"runs", "worker"}, "runs": set(), "worker": set()},
+}
 RAY_ALLOWED = ("kinetix_dist/runtime/processes/", "kinetix_dist/cli/doctor_probes.py")
 SOURCES = sorted([*REPOSITORY.glob("jax2d/**/*.py"), *REPOSITORY.glob("kinetix_dist/**/*.py")])
 
@@ -80,10 +74,10 @@ def part_of(module: str) -> str | None:
     return names[1] if names[0] == "kinetix_dist" and len(names) > 1 else None
 
 
-def room_of(module: str) -> str | None:
-    """The room of runtime/ a module belongs to."""
-    names = module.split(".")
-    return names[2] if names[:2] == ["kinetix_dist", "runtime"] and len(names) > 2 else None
+def subpackage_of(module: str) -> tuple[str, str] | None:
+    """Package and subpackage that a module belongs to: ("studio", "runs") for kinetix_dist.studio.runs.series."""
+    top, package, own, *_ = [*module.split("."), "", "", ""]
+    return (package, own) if top == "kinetix_dist" and package in SUBPACKAGES and own else None
 
 
 def imported_files(file: Path, modules: set[str]) -> set[str]:
@@ -119,17 +113,20 @@ def test_a_module_imports_lower_layers_only(file: Path) -> None:
         assert LAYER_OF[other] > LAYER_OF[own], f"{name_of(file)} imports {module}: {own} may not import {other}"
 
 
-@pytest.mark.parametrize("file", [f for f in SOURCES if room_of(module_of(f))], ids=name_of)
-def test_rooms_of_the_runtime_see_what_they_may(file: Path) -> None:
-    own = room_of(module_of(file))
-    assert own in ROOMS, f"{name_of(file)} is in no room of runtime/; put it into one of {', '.join(ROOMS)}"
+@pytest.mark.parametrize("file", [f for f in SOURCES if subpackage_of(module_of(f))], ids=name_of)
+def test_a_subpackage_imports_those_that_it_may(file: Path) -> None:
+    package, own = subpackage_of(module_of(file)) or ("", "")
+    allowed = SUBPACKAGES[package]
+    assert own in allowed, f"{name_of(file)} is in no subpackage of {package}/; put it into one of {', '.join(allowed)}"
     for module in imports(file):
-        other = room_of(module)
-        assert other in {None, own, *ROOMS[own]}, f"{name_of(file)} imports {module}: {own} may not import {other}"
+        of_package, other = subpackage_of(module) or ("", "")
+        may_see = of_package != package or other in {own, *allowed[own]}
+        assert may_see, f"{name_of(file)} imports {module}: {own} may not import {other}"
 
 
-def test_no_file_of_the_runtime_lies_outside_its_rooms() -> None:
-    assert [file.name for file in REPOSITORY.glob("kinetix_dist/runtime/*.py")] == ["__init__.py"]
+@pytest.mark.parametrize("package", SUBPACKAGES)
+def test_no_file_lies_outside_the_subpackages(package: str) -> None:
+    assert [file.name for file in REPOSITORY.glob(f"kinetix_dist/{package}/*.py")] == ["__init__.py"]
 
 
 @pytest.mark.parametrize("package", ["kinetix_dist", "jax2d"])

@@ -301,7 +301,7 @@ def test_nan_stays_nan(place, name, monkeypatch):
 )
 @pytest.mark.parametrize(("size", "read_out"), [("s", "pooled"), ("m", "colour")])
 def test_a_network_by_kernels_is_as_near_to_float32_as_by_xla(place, size, read_out, monkeypatch):
-    """All of the network that a run with `policy.kernels` "mosaic" learns, on a CPU in the interpreter."""
+    """All of the network that a run with `policy.kernels` "fused" learns, on a CPU in the interpreter."""
     worlds = 9
     if place == "on a CPU":
         from kinetix_dist.models.kernels import gate_weights, layer, tiles
@@ -310,8 +310,8 @@ def test_a_network_by_kernels_is_as_near_to_float32_as_by_xla(place, size, read_
         monkeypatch.setattr(support, "why_no_device", lambda: "")
         monkeypatch.setattr(tiles, "PAIRS", 2)
         monkeypatch.setattr(gate_weights, "PAIRS", 2)
-        interpreted = dataclasses.replace(layer.MOSAIC, gate=lambda *operands: gate(*operands, True))
-        monkeypatch.setattr(layer, "MOSAIC", interpreted)
+        interpreted = dataclasses.replace(layer.FUSED, gate=lambda *operands: gate(*operands, True))
+        monkeypatch.setattr(layer, "FUSED", interpreted)
     dynamic = jax.tree.map(lambda leaf: leaf[0], synthetic_trajectory(1, worlds, SIZES[size]).dynamic_obs)
     obs = OBSERVATIONS["entity"].join(synthetic_static_obs(worlds, SIZES[size]), dynamic)
 
@@ -331,7 +331,7 @@ def test_a_network_by_kernels_is_as_near_to_float32_as_by_xla(place, size, read_
 
     exact = gradient("xla", "float32")
     by_xla, by_kernels = (
-        np.linalg.norm(gradient(kernels, "bfloat16") - exact) / np.linalg.norm(exact) for kernels in ("xla", "mosaic")
+        np.linalg.norm(gradient(kernels, "bfloat16") - exact) / np.linalg.norm(exact) for kernels in ("xla", "fused")
     )
     # Both are noise of rounding: of sixteen networks the kernels' was the larger one in seven.
     assert 0 < by_kernels < 1.4 * by_xla < 0.14, f"kernels {by_kernels:.2%}, XLA {by_xla:.2%}"

@@ -187,17 +187,17 @@ LAYER = support.LayerShape(
 def test_a_network_that_the_kernels_do_not_fit_is_refused(changed, says: str):
     layer = dataclasses.replace(LAYER, **changed)
     with pytest.raises(support.KernelError, match=says) as refused:
-        support.uses_mosaic("mosaic", layer)
+        support.uses_fused("fused", layer)
     assert str(refused.value).endswith("use 'auto' or 'xla'")
-    assert not support.uses_mosaic("auto", layer)
+    assert not support.uses_fused("auto", layer)
 
 
 def test_a_device_that_the_kernels_are_not_written_for_is_refused():
     if jax.local_devices()[0].platform == "gpu":
         pytest.skip("a GPU")
-    with pytest.raises(support.KernelError, match=r"policy.kernels is 'mosaic', but (jax is|the device is a CPU)"):
-        support.uses_mosaic("mosaic", LAYER)
-    assert not support.uses_mosaic("auto", LAYER)
+    with pytest.raises(support.KernelError, match=r"policy.kernels is 'fused', but (jax is|the device is a CPU)"):
+        support.uses_fused("fused", LAYER)
+    assert not support.uses_fused("auto", LAYER)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -238,11 +238,11 @@ def test_a_gate_is_the_same_whether_there_is_to_be_a_gradient(monkeypatch):
 
 @pytest.mark.parametrize("network", ["transformer_lean", "flat", "cnn"])
 def test_a_network_without_kernels_is_refused(network: str):
-    with pytest.raises(ValueError, match=f"kernels is 'mosaic', but network '{network}' has no kernels"):
-        PolicyConfig(network=network, kernels="mosaic")
+    with pytest.raises(ValueError, match=f"kernels is 'fused', but network '{network}' has no kernels"):
+        PolicyConfig(network=network, kernels="fused")
     PolicyConfig(network=network, kernels="auto")
 
 
 def test_kernels_that_are_not_known_are_refused():
-    with pytest.raises(ValueError, match=r"PolicyConfig.kernels is 'cuda'; choose one of auto, xla, mosaic"):
+    with pytest.raises(ValueError, match=r"PolicyConfig.kernels is 'cuda'; choose one of auto, xla, fused"):
         PolicyConfig(kernels="cuda")

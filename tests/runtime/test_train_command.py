@@ -492,15 +492,6 @@ def test_the_pretrained_policy_learned_with_the_physics_that_is_played_with():
     assert from_dict_for_playing(description["config"]).env.physics == preset("standard")
 
 
-def test_what_learned_by_kernels_for_hopper_gpus_can_be_played_anywhere():
-    config = to_dict(recipe("pretrain_m"))
-    config["policy"]["kernels"] = "mosaic"
-    assert from_dict(config).policy.kernels == "mosaic"
-    assert from_dict_for_playing(config) == recipe("pretrain_m")  # which has "auto"
-    config["policy"]["network"] = "transformer_lean"  # has no kernels; at 2dc4c27 it was trained with this setting
-    assert from_dict_for_playing(config).policy.kernels == "auto"
-
-
 def _old(config):
     """The same as an earlier version wrote it."""
     env = {name: value for name, value in config["env"].items() if name != "physics"}

@@ -41,7 +41,7 @@ def _add_messages(x: Array, ends: tuple[Array, Array], *terms_and_kernels: Array
     return add_messages(x, *ends, *terms_and_kernels)
 
 
-MOSAIC = LayerParts(
+FUSED = LayerParts(
     encode=_encode,
     beside_attention=_beside_attention,
     beside_feed_forward=beside_feed_forward,

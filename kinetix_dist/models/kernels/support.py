@@ -1,7 +1,7 @@
 """Where the kernels of this folder run, and the setting that chooses them: `policy.kernels`.
 
 "xla"     models/layer.py and models/gate.py, on any device; the reference
-"mosaic"  the kernels, refused where they cannot run: gates by Pallas Mosaic GPU, which is part of jax, the other parts
+"fused"  the kernels, refused where they cannot run: gates by Pallas Mosaic GPU, which is part of jax, the other parts
           of a layer in CUDA C++, compiled by a library that comes with jax
 "auto"    the kernels where they can run, else XLA
 """
@@ -17,7 +17,7 @@ import jax
 
 from kinetix_dist.models.kernels.nvrtc import NvrtcError, check_compiler, compiler_version
 
-KERNELS = ("auto", "xla", "mosaic")
+KERNELS = ("auto", "xla", "fused")
 WIDTH = 128  # of tokens
 HEADS, ATTENTION_FEATURES = 8, 16  # of all heads together
 MULTIPROCESSORS = 132  # of an H100 or H200
@@ -123,11 +123,11 @@ def traced_for() -> tuple[object, ...]:
     return device.platform, device.device_kind, why_not, () if why_not else compiler_version()
 
 
-def uses_mosaic(kernels: str, layer: LayerShape) -> bool:
-    """Whether a network is computed by the kernels. Raises KernelError where "mosaic" cannot be."""
+def uses_fused(kernels: str, layer: LayerShape) -> bool:
+    """Whether a network is computed by the kernels. Raises KernelError where "fused" cannot be."""
     if kernels == "xla":
         return False
     why_not = why_no_network(layer) or why_no_device()
-    if kernels == "mosaic" and why_not:
-        raise KernelError(f"policy.kernels is 'mosaic', but {why_not}; use 'auto' or 'xla'")
+    if kernels == "fused" and why_not:
+        raise KernelError(f"policy.kernels is 'fused', but {why_not}; use 'auto' or 'xla'")
     return not why_not

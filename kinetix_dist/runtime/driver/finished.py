@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.checkpoint import newest_good
-from kinetix_dist.config import TrainConfig, to_dict
+from kinetix_dist.config import TrainConfig, has_same_numbers, to_dict
+from kinetix_dist.renamed_settings import translated
 from kinetix_dist.runtime.driver.clock import is_over
 from kinetix_dist.runtime.driver.session_totals import read_report
 from kinetix_dist.text_files import read_json
@@ -21,9 +22,12 @@ def finished_report(path: Path, config: TrainConfig) -> dict[str, Any] | None:
     report or the last checkpoint is missing or damaged: resuming makes them again. Reads only.
     """
     report = read_report(path / "report.json")
-    if report is None or report["config_hash"] != config.hash:
+    if report is None:
         return None
     stored, asked = read_json(path / "config.json")["config"], to_dict(config)
+    if not has_same_numbers(config, stored, report["config_hash"]):
+        return None
+    stored = translated(stored, for_playing=True)
     if any(stored.get(section) != asked[section] for section in MADE_AT_THE_END):
         return None
     if not is_over(config.run, env_steps=report["env_steps"], training_seconds=report["training_seconds"]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinetix_dist.checkpoint import Checkpoint, CheckpointError, newest_good
-from kinetix_dist.config import ConfigError, TrainConfig, differences, from_dict
+from kinetix_dist.config import ConfigError, TrainConfig, differences, from_dict, has_same_numbers
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.driver.roles import Reporter
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -28,12 +28,13 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
             f"none of the {len(rejected)} checkpoints in {run.checkpoints} can be used (see above); nothing was "
             f"changed: put back a good copy of one, or start a new run with another --run"
         )
-    if checkpoint is None or checkpoint.description["config_hash"] == config.hash:
+    about = None if checkpoint is None else checkpoint.description
+    if about is None or has_same_numbers(config, about["config"], about["config_hash"]):
         for bad in rejected:
             _set_aside(bad.path, reporter)
         return checkpoint
     try:
-        theirs = from_dict(checkpoint.description["config"])
+        theirs = from_dict(about["config"])
     except ConfigError as error:
         raise CheckpointError(f"checkpoint {checkpoint.path} cannot be resumed: {error}") from error
     if fields := differences(config, theirs):

@@ -1,0 +1,161 @@
+"""Settings that had another name before, or are gone: fields, sections and values by dotted path.
+
+A person who writes an old spelling is refused by a line that names the new one: `refuse_old_options` (a table of
+options) and `refuse_old_words` (a command line). Configurations that were stored are translated as they are read:
+`translated`. A path that is here no longer exists, so old -> new is one step, never a chain.
+
+To rename a setting: rename the field, add a line to `RENAMED` (or `RENAMED_VALUES`, `REMOVED`). A section's line moves
+all fields in it; a field's own line comes first. Fields of a phase are "phases.FIELD".
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+# Path of a field or section before -> path now.
+RENAMED: dict[str, str] = {}
+
+# (path now, value before) -> value now; also of the entries of a list.
+RENAMED_VALUES: dict[tuple[str, Any], Any] = {
+    ("policy.kernels", "mosaic"): "fused",
+}
+
+# Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
+RENAMED_OPTIONS: dict[tuple[str, str], str] = {}
+
+# Recipe before -> recipe now.
+RENAMED_RECIPES: dict[str, str] = {}
+
+
+@dataclasses.dataclass(frozen=True)
+class Removed:
+    """A field without a successor, or a section of them."""
+
+    why: str  # a clause: "plain SFL is as good"
+    off: tuple[Any, ...] | None = None  # values, as JSON, that changed no number; None: all of them
+
+
+# Path before -> why it is gone. Stored values that are off are left out.
+REMOVED: dict[str, Removed] = {}
+
+# (path now, value before) -> (value with which a stored policy is played, why it is gone).
+REMOVED_VALUES: dict[tuple[str, Any], tuple[Any, str]] = {}
+
+
+class RenamedSettingError(ValueError):
+    """A setting's old spelling, with the new one in the line; or a stored setting that is gone and was in use."""
+
+
+def translated(data: Mapping[str, Any], *, for_playing: bool = False) -> dict[str, Any]:
+    """Stored configuration with today's names. for_playing: without settings of training that are gone.
+
+    Raises RenamedSettingError for one of these otherwise, where it was in use.
+    """
+    nested: dict[str, Any] = {}
+    for path, value in _translated_leaves(data, "", "", for_playing):
+        *sections, field = path.split(".")
+        place = nested
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[field] = value
+    return nested
+
+
+def refuse_old_options(options: Mapping[str, Any]) -> None:
+    """Raises RenamedSettingError for an option {"policy.kernels": ...} whose path or value is an old spelling."""
+    for name, value in options.items():
+        path = ".".join(part for part in name.split(".") if not part.isdecimal())  # phases.0.clip
+        if (new := new_path(path)) != path:
+            raise RenamedSettingError(f"{path} is now called {new}; use that")
+        if removed := _removed(path):
+            raise RenamedSettingError(f"{path} is gone: {removed.why}; leave it out")
+        for entry in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(entry, Mapping):
+                refuse_old_options({f"{path}.{name}": inner for name, inner in entry.items()})
+            elif _is_key((path, entry), RENAMED_VALUES):
+                new_value = RENAMED_VALUES[path, entry]
+                raise RenamedSettingError(f"{path} {entry!r} is now called {new_value!r}; use that")
+            elif _is_key((path, entry), REMOVED_VALUES):
+                instead, why = REMOVED_VALUES[path, entry]
+                raise RenamedSettingError(f"{path} {entry!r} is gone: {why}; use {instead!r}")
+
+
+def refuse_old_words(command: str, words: Sequence[str]) -> None:
+    """The same for the words after a command, --section.field VALUE ... or --section.field=VALUE."""
+    for name, values in _options_in(words):
+        if new := RENAMED_OPTIONS.get((command, f"--{name.replace('_', '-')}")):
+            raise RenamedSettingError(f"--{name} is now called {new}; use that")
+        refuse_old_options({name.replace("-", "_"): values})
+
+
+def new_path(path: str) -> str:
+    """Today's path of a field or section; the path itself where it was not renamed."""
+    parts = path.split(".")
+    for length in range(len(parts), 0, -1):
+        if new := RENAMED.get(".".join(parts[:length])):
+            return ".".join([new, *parts[length:]])
+    return path
+
+
+def _translated_leaves(data: Mapping[str, Any], before: str, now: str, for_playing: bool) -> Iterator[tuple[str, Any]]:
+    """Fields of a section by today's full path. before, now: the section's own paths, "" of the whole."""
+    for name, value in data.items():
+        old, path = _join(before, name), RENAMED.get(_join(before, name), _join(now, name))
+        if removed := REMOVED.get(old):
+            if not for_playing and removed.off is not None and value not in removed.off:
+                raise RenamedSettingError(f"{old} is {value!r}, but this setting is gone: {removed.why}; {_NEW_RUN}")
+        elif isinstance(value, Mapping) and value:
+            yield from _translated_leaves(value, old, path, for_playing)
+        elif isinstance(value, list | tuple):
+            yield path, [_translated_entry(entry, old, path, for_playing) for entry in value]
+        else:
+            yield path, _translated_value(path, value, for_playing)
+
+
+def _translated_entry(entry: Any, before: str, now: str, for_playing: bool) -> Any:
+    """An entry of a list: a table, as of phases, or a value."""
+    if not isinstance(entry, Mapping):
+        return _translated_value(now, entry, for_playing)
+    leaves = _translated_leaves(entry, before, now, for_playing)
+    return {path.removeprefix(f"{now}."): value for path, value in leaves}
+
+
+def _translated_value(path: str, value: Any, for_playing: bool) -> Any:
+    if _is_key((path, value), REMOVED_VALUES):
+        instead, why = REMOVED_VALUES[path, value]
+        if not for_playing:
+            raise RenamedSettingError(f"{path} is {value!r}, which is gone: {why}; {_NEW_RUN}")
+        return instead
+    return RENAMED_VALUES[path, value] if _is_key((path, value), RENAMED_VALUES) else value
+
+
+_NEW_RUN = "start a new run (`kinetix-dist eval` still plays the old policy)"
+
+
+def _is_key(key: tuple[str, Any], table: Mapping[tuple[str, Any], Any]) -> bool:
+    return isinstance(key[1], str | int | float) and key in table
+
+
+def _removed(path: str) -> Removed | None:
+    parts = path.split(".")
+    sections = (".".join(parts[:length]) for length in range(len(parts), 0, -1))
+    return next((REMOVED[section] for section in sections if section in REMOVED), None)
+
+
+def _options_in(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+    """Each option of a command line with the words after it."""
+    name, values = "", []
+    for word in [*words, "--"]:
+        if not word.startswith("--"):
+            values.append(word)
+            continue
+        if name:
+            yield name, values
+        name, _, value = word.removeprefix("--").partition("=")
+        values = [value] if value else []
+
+
+def _join(section: str, name: str) -> str:
+    return f"{section}.{name}" if section else name
