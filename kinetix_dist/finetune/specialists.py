@@ -27,14 +27,16 @@ from kinetix_dist.learner.sharding import data_mesh, local_values, replicate
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
-from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.evaluator import EVALUATION_STREAM
-from kinetix_dist.runtime.cores.learner_core import LearnerCore
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.memory import check_memory
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore
-from kinetix_dist.runtime.cores.update_metrics import training_metrics
-from kinetix_dist.runtime.driver.clock import is_over
+from kinetix_dist.runtime import (
+    EVALUATION_STREAM,
+    LearnerCore,
+    RolloutCore,
+    check_memory,
+    is_over,
+    make_curriculum,
+    make_environment,
+    training_metrics,
+)
 
 Arrays = Mapping[str, np.ndarray]
 

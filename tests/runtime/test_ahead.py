@@ -15,8 +15,8 @@ import pytest
 
 from jax2d.warp import ffi
 from kinetix_dist.learner.sharding import data_mesh
-from kinetix_dist.runtime.cores import ahead
-from kinetix_dist.runtime.cores.ahead import THREAD, Ahead
+from kinetix_dist.runtime.cores import programs
+from kinetix_dist.runtime.cores.programs import THREAD, Ahead
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.processes.actor import _doing
@@ -46,7 +46,7 @@ PROGRAMS = {"jit(rollout)", "jit(update)", "jit(_score)"}
 
 @pytest.mark.parametrize("is_resumed", [False, True])
 def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowered, is_resumed, monkeypatch):
-    monkeypatch.setattr(ahead, "has_cores", lambda: True)
+    monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8, num_curators=0), data_mesh(jax.devices()[:1])
     before = Worker(config, mesh)
     before.start(None)
@@ -76,7 +76,7 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
 
 
 def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_beside_that_of_random_actions(lowered, monkeypatch):
-    monkeypatch.setattr(ahead, "has_cores", lambda: True)
+    monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8), data_mesh(jax.devices()[:1])
     before = Worker(config, mesh)
     before.start(None)

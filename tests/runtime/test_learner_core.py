@@ -13,8 +13,7 @@ from kinetix_dist import program_cache
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import NETWORKS
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.playing import Playing
+from kinetix_dist.runtime.cores.playing import Playing, make_environment
 from tests.runtime.runs import tiny_config
 
 

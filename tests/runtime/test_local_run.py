@@ -18,16 +18,15 @@ from kinetix_dist.config import to_dict
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
 from kinetix_dist.runtime.driver import refreshes
+from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
-from kinetix_dist.runtime.driver.resumable import newest_checkpoint
+from kinetix_dist.runtime.driver.refreshes import CurationByWorkers, CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
 from kinetix_dist.telemetry.curriculum_log import REFRESH, CurriculumLogConfig, list_snapshots, read_snapshot
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import (
@@ -326,7 +325,7 @@ def test_a_checkpoint_of_a_version_with_other_fields_is_refused(tmp_path):
 def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_path):
     config = tiny_config(num_updates=6, placement="split", num_rollout_actors=2)
     backend = LocalBackend()
-    placement = plan(config, num_gpus=0)
+    placement = plan_placement(config, num_gpus=0)
     reporter = QuietReporter()
     trainer = SplitTrainer(config, backend, placement)
     run_updates(
@@ -343,7 +342,7 @@ def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_p
 def _run_split(num_updates, path, *, resume=False, trainer_of=SplitTrainer, stop=None, **run):
     config = tiny_config(num_updates=num_updates, placement="split", num_rollout_actors=2, **run)
     config = dataclasses.replace(config, curriculum_log=CurriculumLogConfig(probe_levels=0))
-    backend, placement = LocalBackend(), plan(config, num_gpus=0)
+    backend, placement = LocalBackend(), plan_placement(config, num_gpus=0)
     directory = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
     directory.write_json(directory.config_path, {})
     curator = CuratorClient(config, backend, placement.of("curator"))

@@ -13,14 +13,12 @@ import pytest
 
 from kinetix_dist.config import RecordingConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import RunFailedError, train
-from kinetix_dist.runtime.processes.failures import TooManyLossesError, WorkerLostError
+from kinetix_dist.runtime.processes.failures import Losses, TooManyLossesError, WorkerLostError
 from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
-from kinetix_dist.runtime.processes.losses import Losses
-from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 from tests.runtime.train_process import events, rows
@@ -258,7 +256,7 @@ def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
 
 def _train_beside(config, backend, path, at_update=None):
     """(controller, rows). at_update(number, curator) is called after every update."""
-    placement = plan(config, num_gpus=0)
+    placement = plan_placement(config, num_gpus=0)
     trainer = ColocatedTrainer(config, backend, placement.of("worker"))
     curator = CuratorClient(config, backend, placement.of("curator"))
     reporter = QuietReporter(lambda number: at_update(number, curator) if at_update else None)

@@ -16,8 +16,8 @@ from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.physics_watch import WARNINGS
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
+from kinetix_dist.runtime.driver.totals import WARNINGS
 from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.names import METRICS

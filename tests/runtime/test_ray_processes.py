@@ -17,11 +17,10 @@ from ray._private.internal_api import memory_summary  # no public function says 
 
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.processes.actor import _doing
-from kinetix_dist.runtime.processes.backend import Group
+from kinetix_dist.runtime.processes.backend import Group, Sections
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
-from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
-from kinetix_dist.runtime.processes.sections import Sections
 from kinetix_dist.telemetry.names import check_metrics
 from tests.helpers import PATIENCE_S
 from tests.runtime.cores_for_tests import (
@@ -47,7 +46,7 @@ def backend():
 
 def _plan_of_slots(num_gpus=3):
     """A worker a GPU and a curator; their memory is not shared out, since there is no GPU to ask."""
-    placement = plan(without_evaluator(recipe("sfl_s")), num_gpus=num_gpus)
+    placement = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=num_gpus)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
 
@@ -119,7 +118,7 @@ def test_a_build_that_fails_is_said_in_one_line_with_its_traceback_apart(backend
 def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
     if count_gpus():
         pytest.skip("there is a GPU here")
-    (process, _) = plan(without_evaluator(recipe("sfl_s")), num_gpus=1).processes
+    (process, _) = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=1).processes
     with pytest.raises(ProcessFailedError, match=r"^worker 0 failed: the NVIDIA driver"):
         backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_told)
 

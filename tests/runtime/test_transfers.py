@@ -10,9 +10,8 @@ from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.messages import Trajectory
 from kinetix_dist.runtime.cores.rollout_core import Batch
-from kinetix_dist.runtime.cores.staging import Staging
-from kinetix_dist.runtime.driver.stragglers import UPDATES_IN_A_ROW, Stragglers
-from kinetix_dist.runtime.driver.transfers import added, copy_metrics, straggler_metrics
+from kinetix_dist.runtime.cores.split_core import Staging
+from kinetix_dist.runtime.driver.work_buffer import UPDATES_IN_A_ROW, Stragglers, added, copy_metrics, straggler_metrics
 from kinetix_dist.runtime.processes.local import LocalTicket
 from kinetix_dist.telemetry.event_names import check_event
 from kinetix_dist.telemetry.names import COPIES, check_metrics

@@ -16,8 +16,8 @@ from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
-from kinetix_dist.runtime.cores.evaluator_core import EvaluatorCore
-from kinetix_dist.runtime.cores.rollout_worker import RolloutWorker
+from kinetix_dist.runtime.cores.evaluator import EvaluatorCore
+from kinetix_dist.runtime.cores.split_core import RolloutWorker
 from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
 
 # Tracing makes millions of objects that stay: looking for garbage among them at Python's own intervals takes 6 % of the

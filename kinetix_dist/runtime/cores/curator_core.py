@@ -13,7 +13,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.runtime.cores.playing import Playing
-from kinetix_dist.runtime.cores.streams import CURATE, PROBE, stream
+from kinetix_dist.runtime.cores.run_names import CURATE, PROBE, stream
 
 
 class CuratorCore:

@@ -23,10 +23,9 @@ from kinetix_dist.learner.state import LearnerState, at_env_steps, clock
 from kinetix_dist.learner.update import exported_update, make_update
 from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
-from kinetix_dist.runtime.cores.agents import some_observation
+from kinetix_dist.runtime.cores.curriculum_state import some_observation
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
-from kinetix_dist.runtime.cores.stored import LEARNER, OPTIMIZER, PARAMS, START
-from kinetix_dist.runtime.cores.streams import INIT, SHUFFLE, stream
+from kinetix_dist.runtime.cores.run_names import INIT, LEARNER, OPTIMIZER, PARAMS, SHUFFLE, START, stream
 
 
 class LearnerCore:

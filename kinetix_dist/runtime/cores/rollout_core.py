@@ -27,7 +27,7 @@ from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
 from kinetix_dist.models.kernels.support import traced_for
 from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
 from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
-from kinetix_dist.runtime.cores.streams import LEVELS, PLAY, STARTS, stream
+from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, STARTS, stream
 
 CACHE = "rollouts"  # folder in the program cache
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes

@@ -16,17 +16,15 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values
 from kinetix_dist.program_cache import compile_seconds
-from kinetix_dist.runtime.cores import ahead
-from kinetix_dist.runtime.cores.copies import Copies
+from kinetix_dist.runtime.cores import programs
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
-from kinetix_dist.runtime.cores.memory import check_memory
-from kinetix_dist.runtime.cores.playing import Playing
+from kinetix_dist.runtime.cores.playing import Playing, check_memory
 from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, RolloutCore
-from kinetix_dist.runtime.cores.staging import Staging, Stored
-from kinetix_dist.runtime.cores.stored import CURRICULUM, LEARNER
+from kinetix_dist.runtime.cores.run_names import CURRICULUM, LEARNER
+from kinetix_dist.runtime.cores.split_core import Copies, Staging, Stored
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
 
 
@@ -147,10 +145,10 @@ class Worker(LearnerWorker):
         before it, and those of the next refresh by workers too, after that update where it is not the first; where the
         process has cores enough. None: each when it is first used."""
         super().__init__(config, mesh)
-        self._update_programs, self._refresh_programs = ahead.Ahead(), ahead.Ahead()
-        self._evaluation_programs = ahead.Ahead()
+        self._update_programs, self._refresh_programs = programs.Ahead(), programs.Ahead()
+        self._evaluation_programs = programs.Ahead()
         self._after_update: Callable[[], None] | None = None  # begun in a thread after the next one
-        self._ahead_of = ahead_of if ahead.has_cores() else None
+        self._ahead_of = ahead_of if programs.has_cores() else None
         if self._ahead_of is not None:  # shapes are enough: it does not wait for a checkpoint
             rollout = self._playing.rollout(self._enter_phase_of(self._ahead_of))
             self._update_programs.begin(lambda: self._compile_update(rollout))

@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
-from kinetix_dist.runtime.driver.clock import RoleClock, is_over, seconds_left
+from kinetix_dist.runtime.driver.checkpoints import LINEAGE, Saver, newest_checkpoint, starting_point
 from kinetix_dist.runtime.driver.evaluations import (
     Evaluated,
     Evaluations,
@@ -42,20 +42,23 @@ from kinetix_dist.runtime.driver.evaluations import (
     evaluation_metrics,
     summaries,
 )
-from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
-from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.refreshes import Refreshes
-from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY, RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.saving import Saver
-from kinetix_dist.runtime.driver.session_totals import DESCRIPTION, SessionTotals, totals_before
-from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
-from kinetix_dist.runtime.driver.starting import LINEAGE, starting_point
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
-from kinetix_dist.runtime.processes.failures import WorkerLostError
-from kinetix_dist.runtime.processes.losses import Loss, Losses
+from kinetix_dist.runtime.driver.totals import (
+    DESCRIPTION,
+    PhysicsWatch,
+    RoleClock,
+    SessionTotals,
+    SkippedUpdates,
+    is_over,
+    seconds_left,
+    totals_before,
+)
+from kinetix_dist.runtime.processes.failures import Loss, Losses, WorkerLostError
+from kinetix_dist.runtime.processes.provenance import versions, what_differs
 
 if TYPE_CHECKING:
     from kinetix_dist.runtime.driver.resizing import Resizing

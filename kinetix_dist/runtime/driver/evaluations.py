@@ -1,32 +1,38 @@
-"""Evaluations and recordings during training, by a process of their own: training waits for none of them.
+"""Evaluations and recordings during training: by a process in the background, or inline in local mode.
 
-consumes      weights of the updates at which one is due
-produces      solve rates, stamped with the update whose weights they are of, in the metrics of a later one; rollouts
-waits for     nothing; after the last update, for what is asked for
-bound         MAX_WAITING of them, since each keeps weights: what is due beyond that is left out, with an event
+| consumes | weights of the updates at which one is due |
+|---|---|
+| produces | solve rates, in the metrics of a later update and stamped with theirs; rollouts, which `Recorder` writes |
+| waits for | nothing; after the last update, for all that was requested |
+| bound | MAX_WAITING requests, since each holds weights: one beyond that is left out, with an event |
 
-What is asked for is part of a checkpoint, so that a resumed run asks for it again. A lost evaluator is replaced, and
-does again what it was at.
+Requests are part of a checkpoint, so that a resumed run makes them again. A lost evaluator is replaced, and does again
+what it was doing.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import build_evaluator
-from kinetix_dist.runtime.driver.clock import RoleClock
-from kinetix_dist.runtime.driver.process_beside import ProcessBeside
+from kinetix_dist.runtime.cores.run_names import nested
 from kinetix_dist.runtime.driver.roles import Trainer
-from kinetix_dist.runtime.driver.weight_sync import nested, resolve
+from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.totals import RoleClock
+from kinetix_dist.runtime.processes.backend import ProcessBeside, resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.telemetry.recording import Rollout
+from kinetix_dist.telemetry.sinks.mcap import McapSink
 
 MAX_WAITING = 4
 POLL_S = 0.02
@@ -231,3 +237,60 @@ def evaluation_metrics(rates: Mapping[str, Mapping[str, Any]], num_updates: int)
 def summaries(rates: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
     """The same for reports and events: without the counts of each level."""
     return {name: {k: v for k, v in rate.items() if k != "levels"} for name, rate in rates.items()}
+
+
+class Recorder:
+    """One file a recording, named by the policy version; no file is ever overwritten."""
+
+    def __init__(self, run: RunDirectory) -> None:
+        self._run = run
+        self.last: list[Rollout] = []
+        self.last_file: Path | None = None
+
+    def __call__(self, rollouts: Sequence[Rollout]) -> None:
+        if not rollouts:
+            return
+        self.last = list(rollouts)
+        try:
+            self._write(rollouts)
+        except OSError as error:  # training is worth more than a recording of it
+            self._run.event("recording_failed", path=str(self._run.recordings), error=one_line(error))
+
+    def _write(self, rollouts: Sequence[Rollout]) -> None:
+        self._run.recordings.mkdir(exist_ok=True)
+        stem = f"update_{rollouts[0].policy_version:06d}"
+        path = self._run.recordings / f"{stem}.mcap"
+        number = 1
+        while path.exists():
+            number += 1
+            path = self._run.recordings / f"{stem}-{number}.mcap"
+        with McapSink(path, max_queued=max(len(rollouts), 1), on_event=self._event) as sink:
+            for rollout in rollouts:
+                sink.write(rollout)
+        self.last_file = path
+        update = rollouts[0].policy_version
+        self._run.event("recorded", update=update, file=path.name, rollouts=len(rollouts))
+
+    def make_pictures(self) -> str | None:
+        """`solved.rrd`, `solved.png`, `failed.rrd`, `failed.png` of the last recording, where it has such rollouts. One
+        line where that cannot be: a trained policy is worth more than pictures of it."""
+        try:
+            self._draw()
+        except (ImportError, OSError) as error:
+            self._run.event("pictures_failed", error=one_line(error))
+            return f"no pictures of rollouts: {one_line(error)}; `kinetix-dist replay {self._run.path}` tries again"
+        return None
+
+    def _draw(self) -> None:
+        from kinetix_dist.telemetry.pictures import write_rollout_picture
+        from kinetix_dist.telemetry.sinks.rerun import rollout_to_rrd
+
+        for name, wanted in (("solved", True), ("failed", False)):
+            rollout = next((rollout for rollout in self.last if rollout.solved == wanted), None)
+            if rollout is None:
+                continue
+            rollout_to_rrd(rollout, self._run.recordings / f"{name}.rrd")
+            write_rollout_picture(self._run.recordings / f"{name}.png", rollout)
+
+    def _event(self, name: str, fields: dict[str, Any]) -> None:
+        self._run.event(name, **fields)

@@ -1,29 +1,90 @@
-"""When refreshes of the curriculum are asked for and adopted.
+"""Refreshes of the curriculum: requested, worked out, taken and adopted.
 
-A refresh asked for at update k is adopted at update k + adopt_after, whatever the timing: training waits for a curator
+    Refreshes (the schedule)  --request(weights of version k)-->  CuratorClient: `run.num_curators` CuratorProcesses
+                              <--take(): Refresh----------------   or CurationByWorkers (`run.num_curators` 0)
+    Refreshes  --adopt(parts)-->  trainer;  Adoptions keeps the update in adoptions.json
+
+A refresh requested at update k is adopted at update k + adopt_after, whatever the timing: training waits for a curator
 at work. It does not wait for one that died or is silent: the old buffer stays in use, and the new one is adopted at the
-first update that finds it there. `Adoptions` keeps which one that was, so that what is computed again does the same.
+first update that finds it there. `Adoptions` records that update, so that what is computed again does the same.
+
+| curator | consumes | produces | waits for | bound |
+|---|---|---|---|---|
+| processes of their own | weights of a version | parts of a refresh, one a process | nothing | one call a process |
+| workers | weights of a version | parts, one a worker with a batch of candidates | the slowest worker | one refresh |
+
+A process that is lost is replaced, and its part is requested again with the same weights and key: the answer is
+identical, later. A request made while a process works on a refresh that was given up is sent after it, and replaces the
+request before: calls never pile up at a late curator.
+
+On a GPU two processes take turns, and scoring in the background costs more than the time it takes alone: then workers
+score between two updates, right before the buffer is adopted. Both ways give the same run bit for bit. A resumed run
+makes its first update without waiting for a refresh.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.runtime.driver.adoptions import NEVER, Adoptions
-from kinetix_dist.runtime.driver.clock import RoleClock
-from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
+from kinetix_dist.errors import one_line
+from kinetix_dist.runtime.cores.build import build_curator
+from kinetix_dist.runtime.cores.run_names import nested
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
+from kinetix_dist.runtime.driver.roles import Curator, Refresh, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import StopSignals
-from kinetix_dist.runtime.driver.weight_sync import nested, resolve
+from kinetix_dist.runtime.driver.totals import RoleClock
+from kinetix_dist.runtime.processes.backend import Backend, ProcessBeside, Ticket, resolve
+from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+
+NEVER = math.inf
+
+
+class Adoptions:
+    """By policy version of the refresh: the update that first used it, or NEVER."""
+
+    def __init__(self, run: RunDirectory) -> None:
+        self._run = run
+        found = run.read_json(run.adoptions_path, is_whole=_are_adoptions) or {}
+        self._at = {int(version): NEVER if update is None else update for version, update in found.items()}
+
+    def get(self, policy_version: int) -> float | None:
+        """None where nothing is recorded yet."""
+        return self._at.get(policy_version)
+
+    def in_use(self, update: int) -> int | None:
+        """The newest version that was adopted by that update; None where none ever was. Nothing can be played before
+        the first one: it is in use from the beginning, also where an earlier version recorded it from update 1 on."""
+        return max((version for version, at in self._at.items() if at <= update), default=min(self._at, default=None))
+
+    def record(self, policy_version: int, update: float) -> None:
+        """A disk that does not take it is an event: the record is complete with the next one that is written."""
+        if self._at.get(policy_version) == update:
+            return
+        self._at[policy_version] = update
+        content = {str(version): None if at == NEVER else at for version, at in self._at.items()}
+        try:
+            self._run.write_json(self._run.adoptions_path, content)
+        except OSError as error:
+            self._run.event("file_failed", file=self._run.adoptions_path.name, error=one_line(error))
+
+
+def _are_adoptions(content: Any) -> bool:
+    """{"3": 5, "6": null}"""
+    return isinstance(content, dict) and all(
+        version.isdecimal() and (update is None or isinstance(update, int)) for version, update in content.items()
+    )
+
 
 # Arrays of a checkpoint: weights of the refresh that was in flight, and what it works from beside them.
 PENDING, PENDING_INPUT = "pending", "pending_input"
@@ -221,3 +282,229 @@ class Refreshes:
         self._adoptions.record(version, NEVER)
         self._run.event("refresh_lost", policy_version=version, update=num_updates)
         self._pending = None
+
+
+POLL_S = 0.02
+
+
+class CuratorClient:
+    """A `roles.Curator`."""
+
+    def __init__(self, config: TrainConfig, backend: Backend, plans: Sequence[ProcessPlan]) -> None:
+        self._config = config
+        self._backend = backend
+        self.place(plans)
+
+    @property
+    def works_beside(self) -> bool:
+        return self._backend.works_beside
+
+    def place(self, plans: Sequence[ProcessPlan]) -> None:
+        self.processes = [
+            CuratorProcess(self._config, self._backend, plan, part=part, num_parts=len(plans))
+            for part, plan in enumerate(plans)
+        ]
+        self.cancel()
+
+    def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
+        stored, given = self._stored(weights), None if given is None else self._stored(given)
+        for process in self.processes:
+            # The last one has no more batches to score than the others.
+            process.request(stored, policy_version, probe if process is self.processes[-1] else None, given)
+        self._missing, self._parts = set(self.processes), {}
+
+    def _stored(self, content: Any) -> Ticket:
+        return content if hasattr(content, "fetch") else self._backend.put(content)
+
+    def watch(self) -> None:
+        for process in self.processes:
+            process.watch()
+
+    def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
+        while self._missing:
+            meanwhile()
+            for process in [*self._missing]:
+                if part := process.poll(patience_s):
+                    self._parts[process] = part
+                    self._missing.remove(process)
+            if patience_s is not None and any(process.is_late for process in self._missing):
+                return None
+            if self._missing:
+                time.sleep(POLL_S)
+        if not self._parts:
+            return None
+        parts, stamps = zip(*(self._parts[process] for process in self.processes), strict=True)
+        self._parts = {}
+        return Refresh.of(parts, stamps)
+
+    def cancel(self) -> None:
+        for process in self.processes:
+            process.cancel()
+        self._missing: set[CuratorProcess] = set()  # of what was asked for last, those that have not answered
+        self._parts: dict[CuratorProcess, tuple[Ticket, dict[str, Any]]] = {}  # those that have: parts, stamps
+
+    def facts(self) -> list[dict[str, Any]]:
+        return [fact for process in self.processes for fact in process.facts()]
+
+    def stop(self) -> None:
+        for process in self.processes:
+            process.stop()
+
+
+class CuratorProcess(ProcessBeside):
+    """Part `part` of `num_parts` of every refresh."""
+
+    def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan, *, part: int, num_parts: int) -> None:
+        super().__init__(config, backend, plan)
+        self._part, self._num_parts = part, num_parts
+        # Of the refresh that is wanted: weights, version, levels to play again or None, what it works from or None.
+        self._asked: tuple[Ticket, int, Any, Any] | None = None
+        self._is_wanted = False  # whether what the process is at is the refresh that is wanted
+        self.is_late = False  # it was lost or waited for in vain, and has not answered since
+
+    def request(self, weights: Ticket, policy_version: int, probe: Any, given: Any) -> None:
+        """Starts a refresh; does not wait where there is a process to do it."""
+        self.cancel()
+        self._asked = (weights, policy_version, probe, given)
+        if self._call is None:
+            self._ask()
+        else:
+            self._look()
+
+    def watch(self) -> None:
+        """Replaces a process that died, without waiting; what it was asked for is asked for again."""
+        if self._call is not None:
+            self._look()
+
+    def poll(self, patience_s: float | None) -> tuple[Ticket, dict[str, Any]] | None:
+        """What was asked for and its stamp, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
+
+        The process `is_late` where it was lost, or is silent for more than `patience_s`.
+        """
+        assert self._call is not None
+        stamp, refreshed = self._call
+        is_ready = self._is_wanted and stamp.is_ready()
+        silence = self._look()
+        if is_ready and silence is not None:
+            return refreshed, self._taken(stamp)
+        if patience_s is not None and (silence is None or silence > patience_s):
+            self.is_late = True
+        return None
+
+    def cancel(self) -> None:
+        """What was asked for is not wanted any more."""
+        self._asked, self._is_wanted = None, False
+
+    def facts(self) -> list[dict[str, Any]]:
+        """Of its process; that it was lost is a fact too, since training does not depend on it."""
+        if self._handle is None or not self._backend.works_beside:
+            return []
+        try:
+            return self._backend.facts([self._handle])
+        except WorkerLostError as error:
+            return [{"process": self._plan.name, "lost": str(error)}]
+
+    def _look(self) -> float | None:
+        """For how long (s) the process has been silent; None where it is lost, and replaced by now."""
+        assert self._call is not None
+        try:
+            silence = self._silence(is_waited_for=True)
+            is_answered = self._call[0].is_ready()
+        except InputLostError:
+            if self._is_wanted:
+                raise
+            silence, is_answered = 0.0, True
+        except WorkerLostError as error:
+            self._replace(error)
+            return None
+        if is_answered and not self._is_wanted:
+            self._call = None
+            self.is_late = False  # it is at work again, and waited for
+            if self._asked is not None:
+                self._ask()
+        return silence
+
+    def _taken(self, stamp: Ticket) -> dict[str, Any]:
+        taken = self._backend.gather([stamp])[0]
+        self._prepare()
+        self._call = self._asked = None
+        self._is_wanted = self.is_late = False
+        self._note_recovery()
+        return taken
+
+    def _prepare(self) -> None:
+        """Has a process that was not asked to play a probe, as none is in the first refresh, compile that while it has
+        nothing to do, once. Nobody waits for it, and what fails there fails again where it is waited for."""
+        assert self._asked is not None and self._handle is not None
+        _, policy_version, probe, _ = self._asked
+        takes_probes = self._part == self._num_parts - 1 and self._config.curriculum_log.probe_levels > 0
+        if takes_probes and probe is None and self._backend.works_beside:
+            self._handle.call("prepare", policy_version + self._config.curriculum.refresh_every)
+
+    def _ask(self) -> None:
+        assert self._asked is not None
+        weights, policy_version, probe, given = self._asked
+        part = (self._part, self._num_parts)
+        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version, *part, probe, given)
+        self._is_wanted = True
+
+    def _replace(self, error: WorkerLostError) -> None:
+        """Starts another process and asks again, without waiting for either."""
+        error.process, error.section = self._plan.name, "curate"
+        if self._backend.has_lost_room:  # it went with its node: the whole run is placed again
+            self.stop()
+            raise error
+        self._losses.append(self._backend.losses.lost(error))
+        self.is_late = True
+        self.stop()
+        if self._asked is None:  # the next request starts it
+            return
+        weights, policy_version, *others = self._asked
+        put, again = self._backend.put, [resolve(other) for other in others]
+        # Their first copies may be gone.
+        probe, given = (None if other is None else put(other) for other in again)
+        self._asked = put(resolve(weights)), policy_version, probe, given
+        self._backend.sections.begin_again()
+        self._ask()
+
+
+class _Request(NamedTuple):
+    """Arguments of `ColocatedTrainer.refresh`."""
+
+    weights: Any
+    policy_version: int
+    probe: Any
+    given: Any
+
+
+class CurationByWorkers:
+    """Of a run whose workers learn and play."""
+
+    works_beside = False
+
+    def __init__(self, trainer: ColocatedTrainer) -> None:
+        self._trainer = trainer
+        self._request: _Request | None = None
+
+    def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
+        self._request = _Request(weights, policy_version, probe, given)
+
+    def watch(self) -> None:
+        pass
+
+    def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
+        """Works out what was asked for."""
+        del patience_s, meanwhile
+        assert self._request is not None, "a refresh is taken after it was asked for"
+        refresh = self._trainer.refresh(*self._request)
+        self._request = None
+        return refresh
+
+    def cancel(self) -> None:
+        self._request = None
+
+    def facts(self) -> list[dict[str, Any]]:
+        return []
+
+    def stop(self) -> None:
+        pass

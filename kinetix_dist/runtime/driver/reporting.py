@@ -1,28 +1,33 @@
-"""Where the progress of a run goes: the console, metrics.jsonl, TensorBoard events, Prometheus where a port is given.
+"""Progress of a run: the console, metrics.jsonl, TensorBoard events, status.json, Prometheus where a port is given.
 
 Files and console are written by threads of their own (`telemetry/sinks/background.py`): a full disk costs rows, which
-are counted in `telemetry/dropped_rows`, and a console that nobody reads lines, and never time or the run.
+are counted in `telemetry/dropped_rows`, and a console without a reader costs lines; neither costs time or the run.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
+import os
+import socket
 import threading
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from kinetix_dist.runtime.driver.line_file import LineFile
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.run_status import RunStatus
-from kinetix_dist.runtime.driver.sink_news import SinkNews
+from kinetix_dist.runtime.driver.run_files import LineFile, SinkNews
+from kinetix_dist.telemetry.json_lines import read_lines
 from kinetix_dist.telemetry.names import check_metrics
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, RowSink
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 from kinetix_dist.telemetry.sinks.prometheus import PrometheusSink
+from kinetix_dist.telemetry.status import RUNNING, STATUS, Status, write_status
+from kinetix_dist.telemetry.utc import utc_text
 
 DROPPED_ROWS, DROPPED_WRITES = "telemetry/dropped_rows", "telemetry/dropped_writes"
 
@@ -160,3 +165,90 @@ def _import_tensorboard() -> None:
     """What keeps it from being imported is raised again, and told, where a file is opened."""
     with contextlib.suppress(Exception):
         _tensorboard()
+
+
+EVERY_S = 5.0  # between two that differ in numbers only
+STARTED = "run_started"  # the event that sessions are counted by
+
+
+class RunStatus:
+    """Of one session. No call waits for the disk."""
+
+    def __init__(self, run: RunDirectory, *, total_env_steps: int, tell: Callable[[str, dict[str, Any]], None]) -> None:
+        """total_env_steps: at which the run ends; 0: it ends by time."""
+        earlier = sum(row.get("event") == STARTED for row in read_lines(run.events).rows)
+        now = utc_text()
+        self._status = Status(
+            phase="starting",
+            pid=os.getpid(),
+            host=socket.gethostname(),
+            session=earlier + 1,
+            started=now,
+            time=now,
+            update=None,
+            env_steps=None,
+            total_env_steps=total_env_steps,
+            seconds_left=None,
+            update_seconds=None,
+        )
+        self._written_at = 0.0  # s of time.monotonic()
+        self._updated_at: float | None = None
+        self._sink: BackgroundSink[Status] = BackgroundSink(STATUS, lambda: _Sink(run.status), tell, patience_s=0.0)
+        self._write()
+
+    @property
+    def session(self) -> int:
+        """1, and 1 more with every resume."""
+        return self._status.session
+
+    @property
+    def num_dropped(self) -> int:
+        """Writes that the disk did not take."""
+        return self._sink.num_dropped
+
+    def phase(self, name: str) -> None:
+        if name != self._status.phase:
+            self._status = dataclasses.replace(self._status, phase=name)
+            self._write()
+
+    def updated(self, num_updates: int, *, env_steps: int, seconds_left: float | None) -> None:
+        """After an update."""
+        now, before = time.monotonic(), self._updated_at
+        self._updated_at = now
+        self._status = dataclasses.replace(
+            self._status,
+            update=num_updates,
+            env_steps=env_steps,
+            seconds_left=seconds_left,
+            update_seconds=None if before is None else now - before,
+        )
+        if now - self._written_at >= EVERY_S:
+            self._write()
+
+    def ended(self, state: str, error: str | None) -> None:
+        """state: of `telemetry.status.STATES`; error: the line that the command ends with."""
+        self._status = dataclasses.replace(self._status, state=state, error=error, seconds_left=None)
+        self._write()
+
+    def close(self) -> None:
+        """Writes the numbers of the last update, too."""
+        if self._status.state == RUNNING:
+            self._write()
+        self._sink.close()
+
+    def _write(self) -> None:
+        self._written_at = time.monotonic()
+        self._status = dataclasses.replace(self._status, time=utc_text())
+        self._sink.write(self._status.update or 0, self._status)
+
+
+class _Sink:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def write(self, update: int, status: Status, /) -> None:
+        del update
+        write_status(self._path, status)
+
+    def close(self) -> None:
+        """Nothing is open between two writes."""

@@ -15,13 +15,19 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.evaluations import Evaluations
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
-from kinetix_dist.runtime.processes.placement import Placement, PlacementError, counted, plan
+from kinetix_dist.runtime.processes.placement import (
+    Placement,
+    PlacementError,
+    counted,
+    needed_by,
+    nodes_in_words,
+    plan_placement,
+)
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
-from kinetix_dist.runtime.processes.room import needed_by, nodes_in_words
 
 POLL_S = 0.2
 NOTE_AFTER_S = 3.0  # what ended processes held is free a little after their end
@@ -127,7 +133,7 @@ class Resizing:
         room = self._backend.room()
         for config in self._smaller_and_smaller(least):
             try:
-                placement = plan(config, num_gpus=room.gpus)
+                placement = plan_placement(config, num_gpus=room.gpus)
             except PlacementError:
                 continue
             if room.holds(needed_by(placement)):

@@ -1,4 +1,4 @@
-"""A run directory: everything a run is, on disk, and the lock that keeps a second driver out.
+"""Run directory: everything a run is, on disk, and the lock that keeps a second driver out.
 
     runs/quickstart/
         config.json          the configuration that runs, and its hash
@@ -13,6 +13,8 @@
         report.json          written when the run is complete
 
 The driver keeps no state of its own: from this directory a run can be resumed by any process.
+
+A disk that is full delays events (`EventLog`) and ends nothing.
 """
 
 from __future__ import annotations
@@ -23,14 +25,16 @@ import glob
 import json
 import os
 import re
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
 from kinetix_dist.errors import one_line
-from kinetix_dist.runtime.driver.event_log import EventLog
 from kinetix_dist.telemetry import curriculum_log
+from kinetix_dist.telemetry.event_names import check_event
 from kinetix_dist.telemetry.json_lines import (
+    append_line,
     damaged_path,
     mend_lines,
     replace_file,
@@ -299,3 +303,42 @@ def lock_directory(path: Path, option: str = "--run") -> IO[str]:
         file.close()
         raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
     return file
+
+
+MAX_PENDING = 1000  # events kept in memory until they can be written; about 200 kB
+
+
+class EventLog:
+    """Appends events in order, each with the time at which it happened. May be called from any thread."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._pending: list[dict[str, Any]] = []  # could not be written so far
+        self._num_dropped = 0
+
+    def add(self, kind: str, **details: Any) -> None:
+        """Writes an event now, or as soon as the disk takes it. Raises UnknownEventError for a kind without a name."""
+        row = {"time": utc_text(), "event": check_event(kind), **details}
+        with self._lock:
+            if len(self._pending) < MAX_PENDING:
+                self._pending.append(row)
+            else:
+                self._num_dropped += 1
+            self._write()
+
+    def write_pending(self) -> None:
+        """Tries again to write what could not be written."""
+        with self._lock:
+            self._write()
+
+    def _write(self) -> None:
+        try:
+            while self._pending:
+                append_line(self._path, self._pending[0])
+                del self._pending[0]
+            if self._num_dropped:
+                append_line(self._path, {"time": utc_text(), "event": "events_dropped", "events": self._num_dropped})
+                self._num_dropped = 0
+        except OSError:
+            return  # kept: nothing is lost while there is memory, and `sink_failing` says what the disk does

@@ -31,15 +31,19 @@ from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
 from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE
-from kinetix_dist.runtime.cores.stored import ACTING, PROPOSING
+from kinetix_dist.runtime.cores.run_names import ACTING, PROPOSING, nested
 from kinetix_dist.runtime.driver.colocated import learning_devices
-from kinetix_dist.runtime.driver.stragglers import Stragglers
-from kinetix_dist.runtime.driver.transfers import added, copy_metrics, straggler_metrics
-from kinetix_dist.runtime.driver.weight_sync import WeightStore, nested, resolve
-from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer
-from kinetix_dist.runtime.processes.backend import Backend, Group, Handle, Ticket
-from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
-from kinetix_dist.runtime.processes.losses import Loss
+from kinetix_dist.runtime.driver.work_buffer import (
+    Stragglers,
+    WeightStore,
+    Work,
+    WorkBuffer,
+    added,
+    copy_metrics,
+    straggler_metrics,
+)
+from kinetix_dist.runtime.processes.backend import Backend, Group, Handle, Ticket, resolve
+from kinetix_dist.runtime.processes.failures import InputLostError, Loss, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement
 
 _MAX_REPLACEMENTS = 3  # of a rollout actor in a row, without a part of a batch from it

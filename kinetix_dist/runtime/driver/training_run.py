@@ -17,21 +17,15 @@ from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.env.physics import describe
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import MODULES
+from kinetix_dist.runtime.driver.checkpoints import LINEAGE
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
-from kinetix_dist.runtime.driver.evaluations import Evaluations
-from kinetix_dist.runtime.driver.nodes import check_nodes
-from kinetix_dist.runtime.driver.provenance import versions
-from kinetix_dist.runtime.driver.recorder import Recorder
-from kinetix_dist.runtime.driver.reporting import RunReporter
+from kinetix_dist.runtime.driver.evaluations import Evaluations, Recorder
+from kinetix_dist.runtime.driver.refreshes import CurationByWorkers, CuratorClient
+from kinetix_dist.runtime.driver.reporting import STARTED, RunReporter
 from kinetix_dist.runtime.driver.roles import Curator, Trainer
 from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.run_status import STARTED
-from kinetix_dist.runtime.driver.skipped_updates import NotFiniteError
-from kinetix_dist.runtime.driver.starting import LINEAGE
 from kinetix_dist.runtime.driver.stopping import (
     StopFailedError,
     StoppedError,
@@ -39,6 +33,7 @@ from kinetix_dist.runtime.driver.stopping import (
     StopSignals,
     raised_through_extensions,
 )
+from kinetix_dist.runtime.driver.totals import NotFiniteError
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.failures import ProcessFailedError, RayFailedError, TooManyLossesError
 from kinetix_dist.runtime.processes.fork_server import ForkServer
@@ -47,10 +42,11 @@ from kinetix_dist.runtime.processes.placement import (
     ProcessPlan,
     check_devices_here,
     count_gpus,
-    plan,
+    plan_placement,
     resolve_device,
 )
-from kinetix_dist.runtime.processes.ray_access import use_token
+from kinetix_dist.runtime.processes.provenance import check_nodes, versions
+from kinetix_dist.runtime.processes.ray_setup import use_token
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
 
@@ -297,7 +293,7 @@ def _start_roles(
     try:
         if backend.has_joined_a_cluster:
             check_nodes(run.path)
-        placement = plan(config, num_gpus=backend.num_gpus)
+        placement = plan_placement(config, num_gpus=backend.num_gpus)
         backend.reserve(placement)
     except ValueError:
         backend.stop()

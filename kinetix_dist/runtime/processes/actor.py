@@ -22,10 +22,9 @@ import ray
 
 from kinetix_dist.child_python import imported_from
 from kinetix_dist.models.kernels.support import KernelError
-from kinetix_dist.runtime.processes.facts import facts_of, whereabouts
 from kinetix_dist.runtime.processes.failures import failure_of
 from kinetix_dist.runtime.processes.gpu_memory import Budget, budget_of, this_gpu
-from kinetix_dist.runtime.processes.measures import Meter, Reading
+from kinetix_dist.runtime.processes.measures import Meter, Reading, facts_of, whereabouts
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.sizes import bytes_of
 
@@ -35,7 +34,7 @@ COMPILING = (
     ("jax", "mlir.py"),
     ("jax", "compiler.py"),
     ("warp", "build.py"),
-    ("cores", "ahead.py"),  # waits for threads that do
+    ("cores", "programs.py"),  # waits for threads that do
 )
 
 

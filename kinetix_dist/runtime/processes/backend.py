@@ -1,18 +1,25 @@
-"""How the controller talks to cores, wherever they are: `Handle.call` gives a `Ticket` for the answer.
+"""Calls from the controller to cores, wherever they are: `Handle.call` gives a `Future` of the answer.
 
-Two backends: `local.LocalBackend` (the same process, no ray) and `ray_backend.RayBackend`. Everything above this line
-of the runtime is written once.
+Two backends: `local.LocalBackend` (the same process, no ray) and `ray_backend.RayBackend`. The rest of the runtime is
+written once, against these protocols.
+
+`BackgroundProcess` is one process that works while others do, one call at a time: the curator, the evaluator.
+`Sections` says which section of the run waits for processes, and how long it may. There is one object for the whole
+driver: the controller opens a section, the backend looks at its deadline while it waits.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import math
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Protocol
 
-from kinetix_dist.runtime.processes.losses import Losses
+from kinetix_dist.config import TrainConfig
+from kinetix_dist.runtime.processes.failures import Loss, Losses, WorkerLostError, silent
 from kinetix_dist.runtime.processes.placement import ProcessPlan
-from kinetix_dist.runtime.processes.sections import Sections
 
 
 class Ticket(Protocol):
@@ -26,6 +33,12 @@ class Ticket(Protocol):
         raises an error of the backend's own."""
 
     def is_ready(self) -> bool: ...
+
+
+def resolve(weights: Any) -> Any:
+    """Weights themselves, fetched first where they are a reference into the object store."""
+    fetch = getattr(weights, "fetch", None)
+    return fetch() if callable(fetch) else weights
 
 
 class Handle(Protocol):
@@ -114,3 +127,110 @@ class Backend(Protocol):
         """Ends processes and returns when they are gone."""
 
     def stop(self) -> None: ...
+
+
+class ProcessBeside:
+    """It starts with the first request."""
+
+    def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan) -> None:
+        self._config = config
+        self._backend = backend
+        self._plan = plan
+        self._handle: Handle | None = None
+        self._call: tuple[Ticket, Ticket] | None = None  # what the process is at: its seconds, what it gives
+        self._losses: list[Loss] = []  # since something was taken
+
+    def place(self, plans: Sequence[ProcessPlan]) -> None:
+        """Another process from the next request on; the one there is has been stopped."""
+        (self._plan,) = plans
+
+    def stop(self) -> None:
+        if self._handle is not None:
+            self._backend.kill([self._handle])
+        self._handle = self._call = None
+
+    def _started(self, build: Callable[..., Any]) -> Handle:
+        if self._handle is None:
+            self._handle = self._backend.spawn_beside(self._plan, build, self._config)
+        return self._handle
+
+    def _silence(self, *, is_waited_for: bool) -> float:
+        """s for which it has not answered. Raises WorkerLostError where that, or what it is at, takes too long."""
+        assert self._handle is not None and self._call is not None
+        seconds = self._backend.watch(self._handle, self._call[0])
+        if seconds > self._config.run.heartbeat_seconds:
+            raise silent(self._plan.name, seconds)
+        if is_waited_for:
+            self._backend.check_limit([self._handle])
+        return seconds
+
+    def _note_recovery(self) -> None:
+        """Something was taken from it."""
+        for loss in self._losses:
+            self._backend.losses.recovered(loss, update=self._backend.losses.update)
+        self._losses = []
+
+
+# Sections whose first pass after a start compiles. What is started is not compiled yet.
+_COMPILING = ("update", "curate", "evaluate", "record")
+_FOREVER = math.inf
+
+
+class Sections:
+    """The section that runs now. Without limits (local mode) nothing is ever overdue."""
+
+    def __init__(self) -> None:
+        # s, by section; in the first pass after a start those who compile have "compile" more
+        self.limits: Mapping[str, float] = {}
+        self.name = ""
+        self.limit_s = _FOREVER
+        self.since = 0.0  # time.monotonic() of its beginning
+        self._deadline = _FOREVER
+        self._last_deadline = _FOREVER  # however long somebody compiles
+        self._compiled: set[str] = set()
+
+    @contextmanager
+    def section(self, name: str) -> Generator[None]:
+        """Everything inside has the limit of this section; a loss inside carries its name."""
+        before = self.name, self.limit_s, self.since, self._deadline, self._last_deadline
+        self.name = name
+        self._begin(is_compiled=name in self._compiled)
+        try:
+            yield
+            self._compiled.add(name)
+        except WorkerLostError as error:
+            error.section = error.section or name
+            raise
+        finally:
+            self.name, self.limit_s, self.since, self._deadline, self._last_deadline = before
+
+    @property
+    def is_overdue(self) -> bool:
+        return time.monotonic() > self._deadline
+
+    @property
+    def limits_in_words(self) -> str:
+        """Which the section that runs now has."""
+        words = f"the {self.limit_s:g} s of run.limits.{self.name}"
+        if self._last_deadline > self.since + self.limit_s:  # a pass that may compile
+            words += f" and the {self.limits['compile']:g} s of run.limits.compile"
+        return words
+
+    def extend(self) -> bool:
+        """Somebody compiles, at a first pass: the limit counts from now. False where that took too long already."""
+        self._deadline = min(time.monotonic() + self.limits.get(self.name, _FOREVER), self._last_deadline)
+        return not self.is_overdue
+
+    def begin_again(self) -> None:
+        """A process was replaced in the middle of a section: the new one has all of the time, and compiles."""
+        self._begin(is_compiled=False)
+
+    def forget(self) -> None:
+        """All processes are started afresh: what they do first, they compile."""
+        self._compiled.clear()
+
+    def _begin(self, *, is_compiled: bool) -> None:
+        self.since, self.limit_s = time.monotonic(), self.limits.get(self.name, _FOREVER)
+        self._deadline = self._last_deadline = self.since + self.limit_s
+        if self.name in _COMPILING and not is_compiled:
+            self._last_deadline += self.limits.get("compile", 0.0)

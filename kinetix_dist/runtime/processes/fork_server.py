@@ -42,7 +42,7 @@ import psutil
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.runtime.processes.fork_client import CAN_FORK, FORK, FORKED, SERVER, check_user
-from kinetix_dist.runtime.processes.ray_private import processes_set_up_by
+from kinetix_dist.runtime.processes.ray_setup import processes_set_up_by
 
 CLIENT = Path(__file__).with_name("fork_client.py")
 BACKLOG = 256  # requests that wait while it imports

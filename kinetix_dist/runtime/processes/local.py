@@ -7,12 +7,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from kinetix_dist.runtime.processes.backend import Group
-from kinetix_dist.runtime.processes.facts import facts_of
-from kinetix_dist.runtime.processes.losses import Losses
-from kinetix_dist.runtime.processes.measures import Meter, Reading, description, summary
+from kinetix_dist.runtime.processes.backend import Group, Sections
+from kinetix_dist.runtime.processes.failures import Losses
+from kinetix_dist.runtime.processes.measures import Meter, Reading, description, facts_of, summary
 from kinetix_dist.runtime.processes.placement import ProcessPlan
-from kinetix_dist.runtime.processes.sections import Sections
 
 
 @dataclasses.dataclass(frozen=True)

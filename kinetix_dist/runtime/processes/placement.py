@@ -1,10 +1,12 @@
-"""Who runs where: processes, their devices and their environment variables. Pure: no process is started here.
+"""Placement of roles: processes, their devices and environment variables. Pure: no process is started here.
 
-colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
+colocated   N workers, one a GPU (on CPU one, or as many as requested), each with worlds and a learner shard; lag 0
 split       N learners that form one JAX world, and rollout actors on devices of their own; lag 1
-both        curators, at most one a GPU, and an evaluator where evaluations or recordings are asked for during training,
-            on the GPUs of the first workers (or rollout actors; where these play on CPUs: learners), whose memory they
+both        curators, at most one a GPU, and an evaluator where evaluations or recordings are due during training, on
+            the GPUs of the first workers (or rollout actors; where these play on CPUs: learners), whose memory they
             share
+
+`Resources` are those of a Ray cluster, which a placement needs: CPU slots and GPUs.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.processes.gpu_memory import GpuShare, share_of_gpu
@@ -56,7 +58,7 @@ class Placement:
         return tuple(process for process in self.processes if process.role == role)
 
 
-def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
+def plan_placement(config: TrainConfig, *, num_gpus: int) -> Placement:
     """The processes of a run on a machine with `num_gpus` GPUs; raises PlacementError where they do not fit."""
     on_gpus = resolve_device(config.run.device, num_gpus=num_gpus) == "gpu"
     is_split = config.run.placement == "split"
@@ -182,3 +184,58 @@ def _on_gpu(config: TrainConfig, gpu: int, roles: _Roles, devices: Sequence[_Rol
 def _in_order(processes: Iterable[ProcessPlan]) -> tuple[ProcessPlan, ...]:
     """Curator and evaluator last: they are started when they are first needed."""
     return tuple(sorted(processes, key=lambda process: process.role in ("curator", "evaluator")))
+
+
+@dataclasses.dataclass(frozen=True)
+class Room:
+    """For processes: one CPU slot each, and GPUs."""
+
+    cpus: int
+    gpus: int
+
+    def __add__(self, other: Room) -> Room:
+        return Room(self.cpus + other.cpus, self.gpus + other.gpus)
+
+    def at_most(self, other: Room) -> Room:
+        return Room(min(self.cpus, other.cpus), min(self.gpus, other.gpus))
+
+    def holds(self, needed: Room) -> bool:
+        return self.cpus >= needed.cpus and self.gpus >= needed.gpus
+
+
+def needed_by(placement: Placement) -> Room:
+    gpus = {process.gpu for process in placement.processes if process.gpu is not None}
+    return Room(len(placement.processes), len(gpus))
+
+
+def total_room() -> Room:
+    """Of all nodes that live."""
+    import ray
+
+    return _room(ray.cluster_resources())
+
+
+def free_room() -> Room:
+    """Of that, what nobody holds."""
+    import ray
+
+    return _room(ray.available_resources())
+
+
+def nodes_in_words() -> str:
+    """ "node-1 (8 CPU slots, 4 GPUs), node-2 (8 CPU slots, 4 GPUs), 1 lost" """
+    import ray
+
+    nodes = ray.nodes()
+    living = [f"{node['NodeManagerHostname']} ({_in_words(node['Resources'])})" for node in nodes if node["Alive"]]
+    num_lost = len(nodes) - len(living)
+    return ", ".join([*living, *([f"{num_lost} lost"] if num_lost else [])])
+
+
+def _in_words(resources: Mapping[str, float]) -> str:
+    room = _room(resources)
+    return f"{room.cpus} CPU slots, {room.gpus} GPUs"
+
+
+def _room(resources: Mapping[str, float]) -> Room:
+    return Room(int(resources.get("CPU", 0)), int(resources.get("GPU", 0)))

@@ -19,25 +19,32 @@ import ray.util
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
 from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
-from kinetix_dist.runtime.processes.backend import Group
-from kinetix_dist.runtime.processes.facts import refuse_other_imports
-from kinetix_dist.runtime.processes.failures import RayFailedError, WorkerLostError
+from kinetix_dist.runtime.processes.backend import Group, Sections
+from kinetix_dist.runtime.processes.failures import Losses, RayFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.fork_server import ForkServer
-from kinetix_dist.runtime.processes.losses import Losses
-from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus
-from kinetix_dist.runtime.processes.ray_access import joining, secure_token
-from kinetix_dist.runtime.processes.ray_private import (
+from kinetix_dist.runtime.processes.measures import refuse_other_imports
+from kinetix_dist.runtime.processes.placement import (
+    Placement,
+    PlacementError,
+    ProcessPlan,
+    Room,
+    count_gpus,
+    free_room,
+    needed_by,
+    nodes_in_words,
+    total_room,
+)
+from kinetix_dist.runtime.processes.ray_setup import (
     job_of_this_import_path,
+    joining,
     own_servers,
     own_signals,
     print_nothing,
+    secure_token,
     servers_in_their_own_groups,
     without_services,
 )
-from kinetix_dist.runtime.processes.readings import Readings
-from kinetix_dist.runtime.processes.room import Room, free_room, needed_by, nodes_in_words, total_room
-from kinetix_dist.runtime.processes.sections import Sections
-from kinetix_dist.runtime.processes.supervise import Supervisor, wait_until_gone
+from kinetix_dist.runtime.processes.supervise import Readings, Supervisor, wait_until_gone
 from kinetix_dist.runtime.processes.watchdog import Watchdog, is_alive
 
 FREE_TIMEOUT_S = 10.0  # for GPUs and CPU slots of a cluster that others still hold

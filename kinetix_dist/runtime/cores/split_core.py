@@ -1,17 +1,26 @@
-"""Batches on their way to the devices of a learner, while the update before them is computed.
+"""Split placement inside processes: the rollout actor, and batches on their way to the devices of a learner.
 
-consumes      parts of a batch, one of each rollout actor, in any order
-produces      the batch of an update, laid out on the devices of this process
-waits for     nothing: who stages the last part of a batch lays it out
-bound         two batches: the one that is being learned from and the next one, on the devices too
+    rollout actor   play -> device_to_host -> store_put
+    learner         store_get -> host_layout -> host_to_device; weights_to_host -> weights_put
+    rollout actor   weights_to_device
+
+| Staging | |
+|---|---|
+| consumes | parts of a batch, one of each rollout actor, in any order |
+| produces | the batch of an update, laid out on the devices of this process |
+| waits for | nothing: the call that stages the last part of a batch lays it out |
+| bound | two batches: the one that is being learned from and the next one, on the devices too |
 
 A part is fetched and put into the rows of this process as soon as it is there, so that only the last one is left to
 do when the slowest actor is done. Parts that hold no worlds of this process are not fetched, unless the curriculum
-observes: then every learner sees the outcomes of all.
+observes: then every learner sees the outcomes of all. `Copies` measures bytes and seconds of each copy.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import jax
@@ -21,8 +30,77 @@ from jax.sharding import Mesh
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import own_rows, replicate, shard_worlds
-from kinetix_dist.runtime.cores.copies import Copies
+from kinetix_dist.runtime.cores.playing import Playing
 from kinetix_dist.runtime.cores.rollout_core import Batch
+from kinetix_dist.telemetry.sizes import bytes_of
+
+
+class Copies:
+    """Adds up by name, in one process: {name: (bytes, seconds)}."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, tuple[int, float]] = {}
+
+    @contextmanager
+    def timed(self, name: str) -> Generator[list[Any]]:
+        """Around a copy; what is copied is appended to the list that it gives."""
+        copied: list[Any] = []
+        began = time.monotonic()
+        yield copied
+        num_bytes, seconds = self.found.get(name, (0, 0.0))
+        self.found[name] = (num_bytes + bytes_of(copied), seconds + time.monotonic() - began)
+
+
+class RolloutWorker:
+    """Part `index` of the worlds: one rollout actor of the split placement. Stateless between calls but for programs of
+    the phase it is in."""
+
+    def __init__(self, config: TrainConfig, mesh: Mesh, *, index: int, num_parts: int) -> None:
+        self._mesh = mesh
+        self._schedule = config.schedule
+        self._groups = config.groups_of_part(index, num_parts)
+        self._playing = Playing(config, mesh, groups=self._groups)
+        self._playing.rollout(config)  # what cannot be divided or loaded is found before anything is asked for
+
+    def play(
+        self, update: int, policy_version: int, params: Any, state: Any
+    ) -> tuple[dict[str, Any], tuple[Batch, Any]]:
+        """(stamp, (batch, what the curriculum observes of it or None) as numpy) of this part of batch `update`.
+
+        state: of the curriculum.
+        """
+        began, copies = time.monotonic(), Copies()
+        config = self._schedule.at(update).config
+        rollout = self._playing.rollout(config)
+        with copies.timed("weights_to_device") as copied:
+            params, state = replicate(params, self._mesh), replicate(state, self._mesh)
+            copied += jax.block_until_ready([params, state])
+        played = jax.block_until_ready(rollout.play(params, state, update))
+        with copies.timed("device_to_host") as copied:
+            batch, seen, sums = jax.device_get(played)
+            copied += [batch, seen]
+        content = _each_world_once(rollout.division, batch, seen)
+        stamp = {
+            "update": update,
+            "policy_version": policy_version,
+            "num_env_steps": len(self._groups) * config.rollout.steps_per_group,
+            "sums": sums,
+            "copies": copies.found,
+            "seconds": time.monotonic() - began,
+        }
+        return stamp, content
+
+
+def _each_world_once(division: Division, batch: Batch, seen: Any) -> tuple[Batch, Any]:
+    if division.is_even:
+        return batch, seen
+
+    def once(x: Any, axis: int = 0) -> Any:
+        return np.take(x, division.gathered(x.shape[axis]), axis=axis)
+
+    static, seen = jax.tree.map(once, (batch.static, seen))
+    trajectory = jax.tree.map(lambda x: once(x, axis=1), batch.trajectory)
+    return Batch(static, trajectory, once(batch.last_value)), seen
 
 
 class Stored(Protocol):
