@@ -36,7 +36,7 @@ HELP = ("-h", "--help")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
-    """What `parse` made of the command line."""
+    """Command line as `parse` has read it."""
 
     benchmark: Any  # a module of kinetix_dist.benchmarks
     options: Any  # its `Options`

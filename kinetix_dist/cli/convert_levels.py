@@ -150,4 +150,4 @@ def _export_file(file: Path, out: Path, size: str | None) -> str:
 
 def _refuse_same(file: Path, out: Path) -> None:
     if out.exists() and out.samefile(file):
-        raise ValueError(f"{file} would be written over by what is made of it; name another place")
+        raise ValueError(f"{file} would be written over by what is made of it; name another path")

@@ -1,4 +1,4 @@
-"""What `doctor` tries out in a process of its own: `python -m kinetix_dist.cli.doctor_probes NAME`.
+"""Probes that `doctor` runs in a process of their own: `python -m kinetix_dist.cli.doctor_probes NAME`.
 
 A driver that hangs or a library that crashes then costs one check, not the report. A probe prints one
 JSON object as its last line; an exception ends the process with its message on stderr.
@@ -72,14 +72,14 @@ def probe_jax() -> dict[str, Any]:
 
 
 def probe_ray() -> dict[str, Any]:
-    """Whether ray can be imported; no cluster is started."""
+    """Checks that ray can be imported; no cluster is started."""
     import ray
 
     return {"version": ray.__version__}
 
 
 def probe_driver() -> dict[str, Any]:
-    """The CUDA version that the NVIDIA driver supports and the number of GPUs, asked of the driver itself."""
+    """The CUDA version that the NVIDIA driver supports and the number of GPUs, by the driver itself."""
     import ctypes
 
     cuda = ctypes.CDLL("libcuda.so.1")

@@ -51,7 +51,7 @@ class Validate:
     strict: bool = False
     """A level with a warning is wrong too."""
     play: bool = True
-    """Also play each level while nobody acts: that it solves itself is a warning."""
+    """Also play each level without actions: that it solves itself is a warning."""
 
 
 Args = (
@@ -201,7 +201,7 @@ def _validate(args: Validate) -> int:
 
 
 def _warnings_of(path: Path, *, plays: bool) -> list[str]:
-    """Of a valid level; says what was mended of a public file. Raises _EXPECTED for what is wrong."""
+    """Warnings about a valid level; says what was mended of a public file. Raises _EXPECTED for an invalid one."""
     from kinetix_dist.env.env_config import EnvConfig
     from kinetix_dist.level.fit import capacity_of_size, fit_level
     from kinetix_dist.level.proof import is_proof_document, read_proof

@@ -6,7 +6,7 @@ Each subcommand is a module of this package with
     run(args) -> int      the exit status, 0 for success
 
 and, only where the flags depend on what else is given (a recipe that sets defaults, the name of a benchmark),
-`parse(argv) -> Args`, which calls `parsing.parse_args`. A module is imported when its command is asked for and not
+`parse(argv) -> Args`, which calls `parsing.parse_args`. A module is imported when its command is called and not
 before, so `kinetix-dist doctor` still answers on a machine where ray, warp or jax cannot be imported.
 
 Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was given something wrong
@@ -78,12 +78,12 @@ def _run(argv: list[str]) -> int:
         warnings.showwarning = others
 
 
-def _show_warning(others: Callable[..., None], message: Any, category: type[Warning], *place: Any) -> None:
-    """A note about a level file as one line on stderr; `others` shows warnings of other kinds."""
+def _show_warning(others: Callable[..., None], message: Any, category: type[Warning], *position: Any) -> None:
+    """A note about a level file as one line on stderr; `others` shows other warnings."""
     if issubclass(category, LevelNote):
         say(f"{PROG}: {one_line(message)}", sys.stderr)
     else:
-        others(message, category, *place)
+        others(message, category, *position)
 
 
 def _dispatch(argv: list[str]) -> int:

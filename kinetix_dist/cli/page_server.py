@@ -19,7 +19,7 @@ from kinetix_dist.studio.server.serving import serve
 
 @dataclasses.dataclass
 class ServerArgs:
-    """Where pages are served, to whom."""
+    """Address at which pages are served, and who may read them."""
 
     port: int = DEFAULT_PORT
     """Where to listen; the next free one if it is busy, any if 0."""

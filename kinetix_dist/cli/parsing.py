@@ -1,4 +1,4 @@
-"""Arguments of a command: parsed by tyro, with every complaint in one line; and modules imported when asked for."""
+"""Arguments of a command: parsed by tyro, with every complaint in one line; and modules imported when needed."""
 
 from __future__ import annotations
 

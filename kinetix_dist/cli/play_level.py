@@ -42,7 +42,7 @@ def run_play(args: Play) -> int:
 
 
 def _level_to_open(given: str) -> str:
-    """What the editor opens: of a directory of one level its file. Raises UserError for what is not one level."""
+    """File that the editor opens: of a directory of one level its file. Raises UserError for anything else."""
     from kinetix_dist.level.sets import file_of_level, read_level
 
     with user_errors(ValueError, OSError):
@@ -52,7 +52,7 @@ def _level_to_open(given: str) -> str:
 
 
 def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
-    """What pages call a policy, and the runs that are served for it."""
+    """Name of a policy on pages, and the runs that are served for it."""
     from kinetix_dist.checkpoint.pretrained import pretrained_names
     from kinetix_dist.studio.runs.run_files import is_run
 

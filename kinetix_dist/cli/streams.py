@@ -1,4 +1,4 @@
-"""Standard streams of a command: closed ones, those that nobody reads any more, and those that are not UTF-8.
+"""Standard streams of a command: closed ones, those without a reader, and those that are not UTF-8.
 
 None of these is a reason for a command to fail: its work is files, and its exit status says how that went. What cannot
 be shown in the encoding of a stream is shown as "?".
@@ -34,7 +34,7 @@ def _open_nothing_at(number: int) -> None:
 
 
 def _for_any_reader(stream: Any) -> Any:
-    """The same stream, which drops what nobody reads; another kind of stream stays as it is."""
+    """The same stream, which drops text without a reader; another class of stream stays as it is."""
     if not isinstance(stream, io.TextIOWrapper):
         return stream
     stream.flush()

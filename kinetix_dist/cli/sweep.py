@@ -77,7 +77,7 @@ def run(args: Args) -> int:
 
 
 class _TooFewDevicesError(UserError):
-    """Not on this machine, or not now."""
+    """Devices are missing on this machine, or are not free now."""
 
 
 def _lanes(runs: list[Run], asked: int) -> list[Lane]:

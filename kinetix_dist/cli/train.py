@@ -36,7 +36,7 @@ DEFAULT_RECIPE = "quickstart"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
-    """What `parse` made of the command line."""
+    """Command line as `parse` has read it."""
 
     config: TrainConfig
     run: Path | None  # None: runs/NAME, numbered
@@ -198,7 +198,7 @@ def _run(args: Args, stop: StopSignals) -> None:
     if args.resume and _is_finished(args):
         return
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
-        with user_errors(PlacementError):  # before a directory is made; a cluster is asked when it is connected
+        with user_errors(PlacementError):  # before a directory is made; a cluster is checked when it is connected
             resolve_device(config.run.device, num_gpus=count_gpus())
             if config.run.placement != "local":
                 plan_placement(config, num_gpus=count_gpus())
@@ -240,7 +240,7 @@ def _run(args: Args, stop: StopSignals) -> None:
 
 
 def _is_finished(args: Args) -> bool:
-    """Whether the run to resume is at the end that its configuration asks for; says so, and how it goes on."""
+    """True where the run to resume is at the end that its configuration sets; says so, and how it goes on."""
     from kinetix_dist.runtime import finished_report
 
     assert args.run is not None

@@ -1,7 +1,7 @@
 """Files of JSON objects, one a line, that survive a kill at any byte.
 
 A line is whole when it parses (`strict_json`), since an object ends with its last character. What does not parse is
-damaged: it is set aside into a file beside, never lost and never joined with what is written next. Rewriting goes
+damaged: it is set aside into another file, never lost and never joined with what is written next. Rewriting goes
 through a draft that is flushed to the disk and then renamed, so that at every moment the old or the new file is there.
 """
 
@@ -21,7 +21,7 @@ Row = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True)
 class Lines:
-    """What a file holds."""
+    """Content of a file."""
 
     rows: list[Row]
     damaged: list[bytes]  # without line ends
@@ -56,14 +56,14 @@ def mend_lines(path: Path, *, is_row: Callable[[Row], bool], keep: Callable[[Row
     These go to `damaged_path(path)`, whose own lines are raw bytes. Nothing is written where nothing changes.
     """
     lines = read_lines(path, is_row)
-    kept = [row for row in lines.rows if keep(row)]
-    if len(kept) == len(lines.rows) and not lines.damaged and lines.is_ended:
+    rows = [row for row in lines.rows if keep(row)]
+    if len(rows) == len(lines.rows) and not lines.damaged and lines.is_ended:
         return 0
     if lines.damaged:
         with damaged_path(path).open("ab") as file:  # first: a kill in between sets a line aside twice, and loses none
             file.write(b"".join(line + b"\n" for line in lines.damaged))
             flush_to_disk(file)
-    replace_file(path, b"".join(map(_encode, kept)))
+    replace_file(path, b"".join(map(_encode, rows)))
     return len(lines.damaged)
 
 

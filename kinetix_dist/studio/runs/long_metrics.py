@@ -24,7 +24,7 @@ from kinetix_dist.studio.runs.series import SeriesTable
 from kinetix_dist.telemetry import strict_json
 from kinetix_dist.telemetry.json_lines import parse_line
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
-from kinetix_dist.telemetry.tail import KEPT_BYTES, Tail
+from kinetix_dist.telemetry.tail import COMPARED_BYTES, Tail
 
 LONG_BYTES = 32 << 20  # from here on it pays to start a process: a second
 PIECE_BYTES = 32 << 20
@@ -45,7 +45,7 @@ class LongRead:
 
     def hand_over(self, tail: Tail) -> None:
         """`tail` goes on behind what was read."""
-        tail.go_on(inode=self.inode, offset=self.offset, kept=self.kept, num_damaged=self.num_damaged)
+        tail.go_on(inode=self.inode, offset=self.offset, last_bytes=self.kept, num_damaged=self.num_damaged)
 
 
 def read_long(path: Path, report: Callable[[int], None]) -> LongRead | None:
@@ -93,7 +93,7 @@ def main(path: Path, out: IO[bytes]) -> None:
             else:
                 table.extend(columns)
             offset += len(piece)
-            kept = (kept + piece)[-KEPT_BYTES:]
+            kept = (kept + piece)[-COMPARED_BYTES:]
             _say(out, {"done": offset})
     names = ["update", *table.names]
     about = {"names": names, "rows": table.num_rows, "offset": offset, "inode": inode, "damaged": damaged}

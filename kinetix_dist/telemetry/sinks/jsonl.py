@@ -16,7 +16,7 @@ from kinetix_dist.telemetry.names import check_metrics
 class LinesSink:
     """Appends rows to `path`, one a line; those not to `keep`, of a killed session, are removed first.
 
-    num_damaged: lines that were no rows, and stand in `damaged_path` beside it now.
+    num_damaged: lines that were no rows, and stand in `damaged_path` now.
     set_aside: what `path` was renamed to where it could not be read at all; else None.
     """
 
@@ -61,5 +61,5 @@ def read_jsonl(path: Path) -> list[dict[str, Any]]:
 
 
 def is_metrics_row(row: dict[str, Any]) -> bool:
-    """Whether a JSON object is a row of metrics; others count as damaged."""
+    """True for a row of metrics; other objects count as damaged."""
     return isinstance(row.get("update"), int)
