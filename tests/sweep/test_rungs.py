@@ -55,10 +55,10 @@ def test_predicted_time_is_of_waves(tmp_path):
         (
             text(),
             1.7,
-            "4 runs on 1 lane take 2 minutes, and 1.7 are given: 3 runs fit, or all with seconds 10; or give",
+            "4 runs on 1 slot take 2 minutes, and 1.7 are given: 3 runs fit, or all with seconds 10; or give",
         ),
-        (text(), 1.0, "2 runs fit; or give --minutes 2 or more lanes"),
-        (text(), 0.1, "0 runs fit; or give --minutes 2 or more lanes"),
+        (text(), 1.0, "2 runs fit; or give --minutes 2 or more slots"),
+        (text(), 0.1, "0 runs fit; or give --minutes 2 or more slots"),
         (halving_text(), 3.5, "take 4 minutes, and 3.5 are given: the rungs up to 40 s fit"),
         (halving_text(), 2.0, "the rungs up to 20 s fit"),
         (halving_text(), 1.0, "not even the first rung fits"),
