@@ -18,7 +18,7 @@ from pathlib import Path
 from types import ModuleType
 
 NAME = "jax2d"
-ENGINE = Path(__file__).absolute().parent.parent / NAME  # beside this package, either may be a link
+ENGINE = Path(__file__).absolute().parent.parent / NAME  # next to this package; either may be a link
 _REMEDY = f"uninstall that one (`pip uninstall {NAME}`), or give kinetix-dist an environment of its own"
 
 
@@ -32,7 +32,7 @@ def engine_complaint() -> str:
     directory = _imported_directory()
     if directory is not None and directory != ENGINE.resolve():
         return (
-            f"the package {NAME} at {directory} is imported in place of the engine of kinetix-dist at {ENGINE}, which "
+            f"the package {NAME} at {directory} is imported instead of the engine of kinetix-dist at {ENGINE}, which "
             f"has the same name; {_REMEDY}, or take its directory off PYTHONPATH"
         )
     published = _published()
@@ -57,7 +57,7 @@ def engine_note() -> str:
 
 
 def guard() -> None:
-    """From now on `import jax2d` raises EngineImportError where it would give another package. Warns of both."""
+    """Makes `import jax2d` raise EngineImportError where it would give another package. Warns of both."""
     if engine_complaint():
         sys.meta_path.insert(0, _Refusing())
     elif note := engine_note():

@@ -1,4 +1,4 @@
-"""Where the files of this installation are that are no Python: levels and pretrained policies.
+"""Data files of this installation: levels and pretrained policies.
 
 In a checkout they stand at its top, `levels/` and `pretrained/`; a wheel has them inside the package, in `data/`
 (pyproject.toml says which).

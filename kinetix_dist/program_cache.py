@@ -384,7 +384,7 @@ def _stored(
     shapes: Sequence[jax.ShapeDtypeStruct],
     settings: Settings,
 ) -> _Stored:
-    """In a thread of its own, which gets the settings of the thread that asks."""
+    """The program as stored, read or traced. Runs in a thread of its own with the settings of the caller's thread."""
     from jax._src import config  # no public way tells what JAX traces by (jax 0.10)
 
     with contextlib.ExitStack() as stack:

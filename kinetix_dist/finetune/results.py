@@ -1,6 +1,6 @@
 """The results of specialists: a directory that is complete after every level, and goes on where it was left.
 
-    OUT/design.json              what was asked for: another design is refused
+    OUT/design.json              the design: another one is refused
     OUT/scratch/hop_home.json    one specialist: its curve, samples to each threshold, final rate, seconds
     OUT/scratch/hop_home/        its policy, a checkpoint of parameters
     OUT/sfl_s/hop_home.json      the same from a policy
@@ -52,7 +52,7 @@ _OF_A_SPECIALIST: dict[str, type] = {
 
 
 def design_of(config: TrainConfig, levels: Level, names: Sequence[str], *, stop_at: float) -> Record:
-    """What all specialists of a directory share, whatever they start from: plain values.
+    """Design of a directory, which all its specialists share whatever they start from: plain values.
 
     config: without a start. levels [L, ...] with their names; a level that was changed makes another design.
     """
@@ -68,8 +68,8 @@ def design_of(config: TrainConfig, levels: Level, names: Sequence[str], *, stop_
 
 
 class ResultsDirectory:
-    """Of one design, for one process at a time. Raises UserError where the directory is of another design, in use, or
-    cannot be written."""
+    """Results of one design, for one process at a time. Raises UserError where the directory is of another design, in
+    use, or cannot be written."""
 
     def __init__(self, path: Path, design: Record) -> None:
         self.path = path
@@ -101,7 +101,7 @@ class ResultsDirectory:
             )
 
     def done(self, start: Start, level: str) -> Record | None:
-        """What is stored of a specialist; None where it is still to be trained. Raises UserError where it started from
+        """Stored results of a specialist; None where it is still to be trained. Raises UserError where it started from
         another policy of the same name."""
         file = self._file(start, level)
         if not file.exists():
@@ -180,7 +180,7 @@ def read_results(path: Path) -> list[Record]:
 
 
 def _digest(level: Level) -> str:
-    """Of all numbers of a level."""
+    """Digest of all numbers of a level."""
     digest = hashlib.sha256()
     for name, array in sorted(flatten_arrays(level).items()):
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
@@ -201,7 +201,7 @@ def _read_json(file: Path) -> Record:
         raise UserError(f"{file} cannot be read ({one_line(error)}); {advice}") from None
     if not isinstance(content, dict):
         raise UserError(f"{file} holds no object; {advice}")
-    for name, kind in (_OF_A_DESIGN if is_design else _OF_A_SPECIALIST).items():
-        if not isinstance(content.get(name), kind):
-            raise UserError(f"{file} is damaged: {name!r} is missing or of another kind; {advice}")
+    for name, expected in (_OF_A_DESIGN if is_design else _OF_A_SPECIALIST).items():
+        if not isinstance(content.get(name), expected):
+            raise UserError(f"{file} is damaged: {name!r} is missing or of another type; {advice}")
     return content

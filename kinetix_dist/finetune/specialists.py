@@ -115,8 +115,8 @@ class Specialists:
     ) -> Specialist:
         """A specialist for `level` ([1, ...] on every field).
 
-        start: parameters as `starting_point` gives them; None: from the seed. on_update: told the number of updates
-        done and the metrics of the last.
+        start: parameters as `starting_point` gives them; None: from the seed. on_update: called with the number of
+        updates done and the metrics of the last.
         """
         compiled_before = compile_seconds()
         self._learner.start(start)

@@ -25,7 +25,7 @@ def _pipe_without_reader():
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_reader_that_leaves_early_is_no_failure(unbuffered):
-    """As in `kinetix-dist levels list | head -1`."""
+    """Pipes like `kinetix-dist levels list | head -1` close early."""
     writes = _pipe_without_reader()
     environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Where levels and pretrained policies are found: in the package of a wheel, else at the top of the checkout."""
+"""Directories of levels and pretrained policies: in the package of a wheel, else at the top of the checkout."""
 
 from __future__ import annotations
 
