@@ -176,7 +176,7 @@ def _pretrain(size: str) -> TrainConfig:
     """Every sample used once, from eight times as many worlds, and what is known to pay (docs/training.md)."""
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
-    # What hand-made levels have and random ones lack (docs/results/2026-11-25-tasks.md); shown in arrays of L alone.
+    # What hand-made levels have and random ones lack (docs/results/generalist.md); shown in arrays of L alone.
     kinds = tuple(kind for kind in ALL_KINDS if kind in TASK_WEIGHTS)
     weights = tuple(TASK_WEIGHTS[kind] for kind in kinds)
     tasks = GeneratorConfig(locomotion_share=0.45, locomotion_kinds=kinds, locomotion_weights=weights, varied_share=0.3)

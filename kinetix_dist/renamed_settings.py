@@ -15,7 +15,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 # Path of a field or section before -> path now.
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = {
+    "env.physics.blow_passes": "env.physics.impact_passes",
+    "env.physics.yielding_hertz_share": "env.physics.softened_hertz_share",
+    "env.physics.yielding_damping_ratio": "env.physics.softened_damping_ratio",
+}
 
 # (path now, value before) -> value now; also of the entries of a list.
 RENAMED_VALUES: dict[tuple[str, Any], Any] = {
