@@ -1,5 +1,5 @@
 """kinetix-dist: pretrains agents on 2D rigid-body worlds that the engine `jax2d` simulates."""
 
-from kinetix_dist import engine_package
+from kinetix_dist import installation
 
-engine_package.guard()
+installation.guard()

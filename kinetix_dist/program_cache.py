@@ -40,7 +40,7 @@ import jax
 from jax.sharding import Mesh, NamedSharding
 
 from kinetix_dist.atomic_files import replace_file
-from kinetix_dist.engine_package import ENGINE
+from kinetix_dist.installation import ENGINE
 
 OFF = "off"
 MIN_COMPILE_SECONDS = 0.3  # programs that compile faster are not worth a file, unless the environment says otherwise

@@ -19,8 +19,7 @@ from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.child_python import command_of
 from kinetix_dist.config import TrainConfig, from_dict, to_dict
 from kinetix_dist.errors import UserError, one_line, user_errors
-from kinetix_dist.jax_arithmetic import check_arithmetic
-from kinetix_dist.jax_settings import check_settings
+from kinetix_dist.jax_checks import check_arithmetic, check_settings
 from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.runtime import PlacementError, RunDirectory, count_gpus, plan_placement, resolve_device, train
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl

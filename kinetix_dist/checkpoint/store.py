@@ -8,6 +8,8 @@
 A checkpoint is written into a hidden directory of the same parent (a draft, `.saving-00000040-PID@HOST`), read back,
 verified, and only then renamed; older ones are pruned after that. So a process that dies while saving leaves the
 previous checkpoint as the newest, and a draft that the next run removes.
+
+Policies that are bundled with an installation have names: `generalist` is pretrained/generalist of checkout or wheel.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.checkpoint.manifest import manifest_fault, write_manifest
-from kinetix_dist.checkpoint.pretrained import find_checkpoint, pretrained_names
+from kinetix_dist.checkpoint.manifest import MANIFEST_NAME, manifest_fault, write_manifest
+from kinetix_dist.installation import data_directory
 from kinetix_dist.near_names import did_you_mean
 
 FORMAT = 1
@@ -265,3 +267,15 @@ def _sync_directory(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def pretrained_names() -> list[str]:
+    """Names of the policies that are here."""
+    return sorted(file.parent.name for file in data_directory("pretrained").glob(f"*/{MANIFEST_NAME}"))
+
+
+def find_checkpoint(path: Path) -> Path:
+    """`path` itself if there is such a directory, else the pretrained policy that it names; `path` if there is none."""
+    if path.is_dir() or path.name != str(path) or path.name not in pretrained_names():
+        return path
+    return data_directory("pretrained") / path.name

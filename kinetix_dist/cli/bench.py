@@ -13,8 +13,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
+from kinetix_dist.errors import UserError
 from kinetix_dist.near_names import did_you_mean
 
 BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)

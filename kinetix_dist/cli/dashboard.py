@@ -16,8 +16,8 @@ from typing import Annotated
 
 import tyro
 
-from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.errors import UserError
 
 RUNS = Path("runs")
 

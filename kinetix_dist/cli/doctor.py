@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 from kinetix_dist import user_directories
 from kinetix_dist.cli.doctor_probes import ProbeError, run_probe
-from kinetix_dist.engine_package import ENGINE, engine_complaint, engine_note
+from kinetix_dist.installation import ENGINE, engine_complaint, engine_note
 
 PACKAGE = "kinetix-dist"
 MIN_PYTHON = (3, 11)

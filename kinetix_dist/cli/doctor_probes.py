@@ -14,8 +14,8 @@ import time
 from typing import Any
 
 from kinetix_dist.child_python import command_of
-from kinetix_dist.cli.errors import one_line
-from kinetix_dist.engine_package import ENGINE
+from kinetix_dist.errors import one_line
+from kinetix_dist.installation import ENGINE
 
 MODULE = "kinetix_dist.cli.doctor_probes"
 TIMEOUT_S = 120.0  # a first start of CUDA on a large host takes tens of seconds
@@ -48,8 +48,7 @@ def probe_jax() -> dict[str, Any]:
     import jax.numpy as jnp
 
     from kinetix_dist.errors import UserError
-    from kinetix_dist.jax_arithmetic import arithmetic_complaint
-    from kinetix_dist.jax_settings import check_settings
+    from kinetix_dist.jax_checks import arithmetic_complaint, check_settings
     from kinetix_dist.models.kernels.support import why_no_device
 
     try:

@@ -18,8 +18,8 @@ from typing import Annotated
 import tyro
 
 from kinetix_dist.cli.dashboard import RUNS
-from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.errors import UserError
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.set_files import designed_files, designed_names
 from kinetix_dist.near_names import did_you_mean

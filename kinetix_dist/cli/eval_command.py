@@ -23,7 +23,7 @@ import tyro
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.checkpoint import Checkpoint
@@ -74,7 +74,7 @@ def run(args: Args) -> int:
     check(args)
     trained = trained_of(args)
     checkpoint = None if trained is None else trained.checkpoint
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.physics import describe
     from kinetix_dist.level.sets import load_level_set
     from kinetix_dist.level.varied_sets import base_levels

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinetix_dist.cli import train
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
-from kinetix_dist.cli.last_words import say
 from kinetix_dist.cli.option_help import wants_help
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
@@ -142,7 +142,7 @@ def run(args: Args) -> int:
 
 def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
     """The configuration with the size of the largest level, unless one was given or the policy plays one size only."""
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.observations import OBSERVATIONS, VECTOR
     from kinetix_dist.level.fit import capacity_of
     from kinetix_dist.level.level import SIZES

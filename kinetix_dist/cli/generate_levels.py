@@ -17,7 +17,7 @@ import tyro
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_seed
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.level.level import Level
@@ -51,7 +51,7 @@ class Generate:
 def run_generate(args: Generate) -> int:
     """0 when all levels are written; nothing is written where they cannot be drawn."""
     _check(args)
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
 
     start_computing("")
     with user_errors(ValueError, OSError):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.text_files import read_json
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def run(args: Args) -> int:
     if not args.out.parent.is_dir():
         raise UserError(f"{args.out.parent} is not a directory; choose another --out")
     from kinetix_dist.checkpoint import CheckpointError, flatten_arrays, save_alone
-    from kinetix_dist.checkpoint.safetensors_file import SafetensorsError, read_safetensors
+    from kinetix_dist.checkpoint.arrays import SafetensorsError, read_safetensors
     from kinetix_dist.config import to_dict
     from kinetix_dist.env.action_spaces import ACTION_SPACES
     from kinetix_dist.env.observations.kinetix_entities import NUM_FEATURES

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.text_files import read_json
 
 _FAR = 4.5  # standard errors; 80 statistics exceed it by chance once in 1,500 reports

@@ -11,12 +11,12 @@ from typing import Annotated, Any
 import tyro
 
 from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.generate_levels import Generate, run_generate
 from kinetix_dist.cli.level_stats import Stats, run_stats
 from kinetix_dist.cli.play_level import Play, run_play
 from kinetix_dist.cli.render_levels import Render, run_render
 from kinetix_dist.cli.solve_levels import Solve, run_solve
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 

@@ -23,11 +23,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from kinetix_dist import user_directories
-from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
-from kinetix_dist.cli.last_words import leave, say
-from kinetix_dist.cli.parsing import PROG, load_module, parse_args
-from kinetix_dist.cli.streams import prepare_streams
-from kinetix_dist.engine_package import engine_complaint
+from kinetix_dist.cli.parsing import EXIT_USER_ERROR, PROG, load_module, parse_args
+from kinetix_dist.cli.streams import exit_now_if_blocked, prepare_streams, say
+from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.installation import engine_complaint
 from kinetix_dist.level.structure import LevelNote
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_words
@@ -58,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     status = _run(list(sys.argv[1:] if argv is None else argv))
     # Others may have more to say than a slow reader has taken so far.
     if argv is None and sys.argv[1:2] in (["train"], ["finetune"]):
-        leave(status)
+        exit_now_if_blocked(status)
     return status
 
 

@@ -16,7 +16,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError
+from kinetix_dist.errors import UserError
 from kinetix_dist.near_names import did_you_mean
 
 HELP, HELP_ALL = ("-h", "--help"), "--help-all"

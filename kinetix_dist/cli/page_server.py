@@ -10,8 +10,8 @@ import sys
 import webbrowser
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError
 from kinetix_dist.studio.server.access import is_loopback
 from kinetix_dist.studio.server.app import DEFAULT_PORT, ServerConfig
 from kinetix_dist.studio.server.serving import serve

@@ -9,9 +9,10 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError, one_line
+from kinetix_dist.errors import UserError, one_line
 
 PROG = "kinetix-dist"
+EXIT_USER_ERROR = 2  # a command that fails because of what it was given: one line on stderr (`UserError`)
 OWN_PACKAGES = ("kinetix_dist", "jax2d")
 
 

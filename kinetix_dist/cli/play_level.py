@@ -15,8 +15,8 @@ from pathlib import Path
 import tyro
 
 from kinetix_dist.cli.edit import PAGE, editor_of
-from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.near_names import did_you_mean
 
 WITHOUT_A_NETWORK = ("keys", "random", "noop")
@@ -53,7 +53,7 @@ def _level_to_open(given: str) -> str:
 
 def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
     """Name of a policy on pages, and the runs that are served for it."""
-    from kinetix_dist.checkpoint.pretrained import pretrained_names
+    from kinetix_dist.checkpoint.store import pretrained_names
     from kinetix_dist.studio.runs.run_files import is_run
 
     if policy in WITHOUT_A_NETWORK:

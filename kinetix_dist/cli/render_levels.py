@@ -20,7 +20,7 @@ import tyro
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.level.level import Level
@@ -109,7 +109,7 @@ def _rollouts(args: Render) -> list[Rollout]:
     """One rollout of each level, without actions, with random ones or by a policy."""
 
     from kinetix_dist.cli import eval_command
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.evaluation.recordings import record_rollouts
 
     assert args.by in ("noop", "random", "trained")

@@ -21,8 +21,8 @@ from typing import Annotated
 import tyro
 
 from kinetix_dist.child_python import command_of
-from kinetix_dist.cli.errors import UserError, user_errors
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
 from kinetix_dist.text_files import is_hidden
 

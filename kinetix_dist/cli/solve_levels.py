@@ -24,7 +24,7 @@ import numpy as np
 import tyro
 
 from kinetix_dist.cli.checks import check_seed
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.env.environment import Environment
@@ -79,7 +79,7 @@ class ProofTask:
 def run_solve(args: Solve) -> int:
     """0, or 1 where a level is without a good proof at the end."""
     _check(args)
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
 
     start_computing("")
     with user_errors(ValueError, OSError):

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from kinetix_dist.cli.errors import UserError, user_errors
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
 from kinetix_dist.cli.sweep_tables import arms_table, console, effects_table, print_aliases, scores_table
+from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.sweep.arms import Run

@@ -21,9 +21,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
-from kinetix_dist.cli.last_words import say
 from kinetix_dist.cli.option_help import HELP_ALL, WIDTH, options_help, wants_help
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, one_line, user_errors
 from kinetix_dist.text_files import read_json
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def run(args: Args) -> int:
 
 def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.models.kernels.support import KernelError

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from kinetix_dist.atomic_files import replace_file
-from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.utc import utc_seconds
+from kinetix_dist.telemetry.json_lines import loads_json, utc_seconds
 
 FORMAT = 1
 STATUS = "status.json"
@@ -56,7 +55,7 @@ def read_status(path: Path) -> Status | None:
     """None where there is no file: an older run, or one that has not started. Raises StatusError, and OSError where it
     cannot be read."""
     try:
-        content = strict_json.loads(path.read_bytes())
+        content = loads_json(path.read_bytes())
     except FileNotFoundError:
         return None
     except ValueError as error:

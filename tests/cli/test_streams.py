@@ -9,8 +9,7 @@ import sys
 
 import pytest
 
-from kinetix_dist.cli.last_words import say
-from kinetix_dist.cli.streams import _for_any_reader
+from kinetix_dist.cli.streams import _for_any_reader, say
 from tests.cli.test_main import run_command
 from tests.helpers import PATIENCE_S, REPOSITORY
 

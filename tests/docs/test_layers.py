@@ -28,8 +28,8 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_arithmetic", "jax_settings", "prng", "program_cache", "registry", "user_directories"),
-    ("atomic_files", "engine_package", "errors", "installation", "near_names", "renamed_settings", "text_files"),
+    ("child_python", "jax_checks", "prng", "program_cache", "registry", "user_directories"),
+    ("atomic_files", "errors", "installation", "near_names", "renamed_settings", "text_files"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Subpackages of packages that have them, and which of the others each may import.

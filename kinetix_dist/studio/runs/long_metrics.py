@@ -21,8 +21,7 @@ import numpy as np
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.studio.runs.series import SeriesTable
-from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.json_lines import parse_line
+from kinetix_dist.telemetry.json_lines import MAX_INTEGER, parse_line
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.tail import COMPARED_BYTES, Tail
 
@@ -139,7 +138,7 @@ def _columns(piece: bytes) -> dict[str, np.ndarray] | None:
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
             chunks = table[name].cast(pa.float64(), safe=False).chunks
             numbers[name] = np.concatenate([_values_of(chunk) for chunk in chunks if len(chunk)])
-            if (np.abs(numbers[name]) > strict_json.MAX_INTEGER).any():  # 1e999 is infinite here
+            if (np.abs(numbers[name]) > MAX_INTEGER).any():  # 1e999 is infinite here
                 return None
     return numbers
 

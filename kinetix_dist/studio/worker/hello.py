@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from jax2d import palette
-from kinetix_dist.checkpoint.pretrained import pretrained_names
+from kinetix_dist.checkpoint.store import pretrained_names
 from kinetix_dist.level.generator_config import GENERATORS
 from kinetix_dist.level.level import NUM_WALLS, SIZES
 from kinetix_dist.level.mutators import MUTATORS

@@ -37,8 +37,7 @@ def main() -> None:
     _prepare_process()
     # jax is imported below this line, once the process is prepared for it.
     from kinetix_dist.errors import UserError
-    from kinetix_dist.jax_arithmetic import check_arithmetic
-    from kinetix_dist.jax_settings import check_settings
+    from kinetix_dist.jax_checks import check_arithmetic, check_settings
 
     try:
         check_settings()
