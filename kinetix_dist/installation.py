@@ -1,4 +1,4 @@
-"""This installation: its data files, and its engine, whose import name `jax2d` a published package has too.
+"""Installation of this package: its data files, and its engine, whose import name `jax2d` a published package has too.
 
 In a checkout levels and pretrained policies stand at its top, `levels/` and `pretrained/`; a wheel has them inside the
 package, in `data/` (pyproject.toml says which).

@@ -18,6 +18,7 @@ from kinetix_dist.cli.edit import PAGE, editor_of
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.studio.server.app import ServerConfig
 
 WITHOUT_A_NETWORK = ("keys", "random", "noop")
 
@@ -38,7 +39,7 @@ def run_play(args: Play) -> int:
         raise UserError("--no-play starts no engine, which playing needs; leave it out")
     plays, runs = _player(args.policy)
     editor = dataclasses.replace(editor_of(_level_to_open(args.level)), plays=plays)
-    return serve_pages("play", args, paths=runs, editor=editor, first_page=PAGE)
+    return serve_pages("play", args, ServerConfig(paths=runs, editor=editor, first_page=PAGE))
 
 
 def _level_to_open(given: str) -> str:
