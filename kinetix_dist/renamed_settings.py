@@ -16,6 +16,9 @@ from typing import Any
 
 # Path of a field or section before -> path now.
 RENAMED: dict[str, str] = {
+    "curriculum.generator.locomotion_share": "curriculum.generator.mechanism_share",
+    "curriculum.generator.locomotion_kinds": "curriculum.generator.mechanism_families",
+    "curriculum.generator.locomotion_weights": "curriculum.generator.mechanism_weights",
     "env.physics.blow_passes": "env.physics.impact_passes",
     "env.physics.yielding_hertz_share": "env.physics.softened_hertz_share",
     "env.physics.yielding_damping_ratio": "env.physics.softened_damping_ratio",
@@ -42,7 +45,12 @@ class Removed:
 
 
 # Path before -> why it is gone. Stored values that are off are left out.
-REMOVED: dict[str, Removed] = {}
+REMOVED: dict[str, Removed] = {
+    "rollout.random_start_share": Removed(why="exploring starts gave nothing", off=(0.0,)),
+    "rollout.random_start_steps": Removed(why="exploring starts gave nothing"),
+    "curriculum.generator.edited_share": Removed(why="half of the levels edited gave nothing", off=(0.0,)),
+    "curriculum.generator.num_changes": Removed(why="half of the levels edited gave nothing"),
+}
 
 # (path now, value before) -> (value with which a stored policy is played, why it is gone).
 REMOVED_VALUES: dict[tuple[str, Any], tuple[Any, str]] = {}

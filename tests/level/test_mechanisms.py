@@ -1,24 +1,25 @@
-"""Levels with one thing that can do something: what every one of hundreds must be, and mixtures with others."""
+"""Levels with one mechanism: facts of hundreds of each family, and mixtures with other levels."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 from jax2d.scene import Capacity, JointKind
-from kinetix_dist.level import locomotion
 from kinetix_dist.level.generator import generate_level, generate_levels
-from kinetix_dist.level.generator_config import ALL_KINDS, GeneratorConfig, generator
+from kinetix_dist.level.generator_config import TASK_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level
+from kinetix_dist.level.mechanisms import families, mechanism_draft
+from kinetix_dist.level.mechanisms.template import Draws, draw_numbers
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.overlap import world_corners
 from kinetix_dist.level.roles import Role
 from kinetix_dist.level.statistics import overlaps
-from kinetix_dist.level.things import Draws, draw_numbers
 from kinetix_dist.level.walls import FLOOR_TOP_M
 from tests.level.valid import assert_valid
 
@@ -26,17 +27,17 @@ NUM_LEVELS = 512
 ONLY_AT_L = (
     "runner", "sprinter", "carrier", "jumper", "grasper", "climber", "ramp", "gripper", "pinball",
 )  # fmt: skip
-KINDS_OF = {
+FAMILIES_OF = {
     "s": ("unicycle", "arm", "turner", "pendulum"),
-    "m": tuple(kind for kind in ALL_KINDS if kind not in ONLY_AT_L),
-    "l": ALL_KINDS,
+    "m": tuple(family for family in TASK_FAMILIES if family not in ONLY_AT_L),
+    "l": TASK_FAMILIES,
 }
-WITH_GREEN_GOAL = ("turner", "flipper")  # blue and red are of one thing
+WITH_GREEN_GOAL = ("turner", "flipper")  # blue and red are of one mechanism
 
 
 @functools.cache
-def levels_of(size: str, kind: str | None = None) -> Level:
-    config = generator(kind or "locomotion")
+def levels_of(size: str, family: str | None = None) -> Level:
+    config = generator(family or "locomotion")
     return jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES[size], config))
 
 
@@ -47,11 +48,11 @@ def bottoms_of(levels: Level) -> np.ndarray:
     return np.concatenate([corners[..., 1].min(axis=2), levels.position[:, polygons:, 1] - shapes.radius], axis=1)
 
 
-@pytest.mark.parametrize(("size", "kind"), [(size, kind) for size, kinds in KINDS_OF.items() for kind in kinds])
-def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kind: str) -> None:
-    levels = levels_of(size, kind)
+@pytest.mark.parametrize(("size", "family"), [(size, name) for size, names in FAMILIES_OF.items() for name in names])
+def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, family: str) -> None:
+    levels = levels_of(size, family)
     # Blocks and the floor; a link and the floor.
-    assert_valid(levels, SIZES[size], max_red={"flyer": 4, "climber": 4, "reacher": 2}.get(kind, 1))
+    assert_valid(levels, SIZES[size], max_red={"flyer": 4, "climber": 4, "reacher": 2}.get(family, 1))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(levels) if leaf.dtype.kind == "f")
     overlap = overlaps(levels)
     assert not (overlap & levels.scene.shapes.can_touch).any()
@@ -59,30 +60,30 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, kin
     depth = overlap[:, :NUM_WALLS, NUM_WALLS:]
     assert not depth[levels.scene.shapes.inverse_mass[:, None, NUM_WALLS:].repeat(NUM_WALLS, 1) > 0].any()
     moves = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass > 0)
-    if kind == "reacher":  # green or blue is at the end of the arm, and the other one is fixed
+    if family == "reacher":  # green or blue is at the end of the arm, and the other one is fixed
         assert ((moves & np.isin(levels.shape_role, (Role.GREEN, Role.BLUE))).sum(axis=1) == 1).all()
     else:
-        of_thing = levels.shape_role == (Role.BLUE if kind in WITH_GREEN_GOAL else Role.GREEN)
-        assert moves[of_thing & levels.scene.shapes.active].all()
-    joints, jets = levels.scene.joints, levels.scene.thrusters.active
+        of_mechanism = levels.shape_role == (Role.BLUE if family in WITH_GREEN_GOAL else Role.GREEN)
+        assert moves[of_mechanism & levels.scene.shapes.active].all()
+    joints, thrusters = levels.scene.joints, levels.scene.thrusters.active
     has_motor = joints.active & joints.motor_on
-    assert (has_motor.any(axis=1) | jets.any(axis=1)).all()
+    assert (has_motor.any(axis=1) | thrusters.any(axis=1)).all()
     is_weld = joints.active & (joints.kind == JointKind.FIXED)
     # Feet, legs of landers, walls of what carries, hands, the tip of a pole; a hinge alone holds a pole and a rope.
-    has_welds = kind in ("runner", "sprinter", "carrier", "grasper") or (
-        size == "l" and kind in ("lander", "cartpole", "pendulum")
+    has_welds = family in ("runner", "sprinter", "carrier", "grasper") or (
+        size == "l" and family in ("lander", "cartpole", "pendulum")
     )
     assert is_weld.any() == has_welds
     is_passive = joints.active & ~joints.motor_on & ~is_weld
-    with_passive = kind == "cartpole" or (kind == "pendulum" and size != "s") or (size, kind) == ("l", "lander")
+    with_passive = family == "cartpole" or (family == "pendulum" and size != "s") or (size, family) == ("l", "lander")
     assert is_passive.any() == with_passive
 
 
 @pytest.mark.parametrize(
-    "kind", ["car", "unicycle", "walker", "runner", "sprinter", "snake", "cartpole", "pusher", "carrier"]
+    "family", ["car", "unicycle", "walker", "runner", "sprinter", "snake", "cartpole", "pusher", "carrier"]
 )
-def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(kind: str) -> None:
-    levels = levels_of("l", kind)
+def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(family: str) -> None:
+    levels = levels_of("l", family)
     shapes = levels.scene.shapes
     moves = shapes.active & (shapes.inverse_mass > 0) & (levels.shape_role != Role.BLUE)
     lowest = np.where(moves, bottoms_of(levels), np.inf).min(axis=1)
@@ -94,20 +95,20 @@ def test_what_can_go_stands_on_the_floor_with_the_goal_beside_it(kind: str) -> N
     assert (levels.position[moves] > 0).all() and (levels.position[moves] < WORLD_SIZE_M).all()
 
 
-def test_a_flyer_has_jets_that_carry_it() -> None:
+def test_a_flyer_has_thrusters_that_carry_it() -> None:
     """10 N for each unit of power, in the direction of its angle (docs/level_format.md); gravity 9.81 m/s2."""
     for size in "ml":
         levels = levels_of(size, "flyer")
-        jets = levels.scene.thrusters
-        assert (jets.active.sum(axis=1) == 2).all() and (
+        thrusters = levels.scene.thrusters
+        assert (thrusters.active.sum(axis=1) == 2).all() and (
             levels.thruster_colour[:, 0] != levels.thruster_colour[:, 1]
         ).all()
-        upwards_n = (10.0 * jets.power * np.sin(jets.angle)).sum(axis=1)
+        upwards_n = (10.0 * thrusters.power * np.sin(thrusters.angle)).sum(axis=1)
         is_green = levels.shape_role == Role.GREEN
         weight_n = 9.81 / levels.scene.shapes.inverse_mass[is_green]
         lift = upwards_n / weight_n
         assert (lift > 1.01).all() and (lift < 3.0).all() and 0.1 < (lift < 1.2).mean() < 0.25
-        sideways_n = np.abs(10.0 * jets.power * np.cos(jets.angle)).max(axis=1)
+        sideways_n = np.abs(10.0 * thrusters.power * np.cos(thrusters.angle)).max(axis=1)
         assert (sideways_n > 0.05 * weight_n).all()
         assert (levels.position[is_green][:, 1] > FLOOR_TOP_M + 0.6).all()
     polygons = SIZES["l"].polygons
@@ -286,9 +287,9 @@ def test_a_pole_stands_beside_a_goal_of_its_upper_half_and_a_disc_on_a_beam_must
     rise = (poles.position[is_blue] - poles.position[is_green])[has_tip, 1]
     reach = (poles.scene.shapes.radius * (is_green | is_blue)[:, polygons:]).sum(axis=1)[has_tip]
     assert (np.abs(rise) < reach).mean() > 0.6 and (rise < reach).all()
-    has_jets = poles.scene.thrusters.active.any(axis=1)
-    assert 0.3 < has_jets.mean() < 0.5
-    assert (has_jets == (poles.scene.joints.active.sum(axis=1) == 1 + has_tip)).all()
+    has_thrusters = poles.scene.thrusters.active.any(axis=1)
+    assert 0.3 < has_thrusters.mean() < 0.5
+    assert (has_thrusters == (poles.scene.joints.active.sum(axis=1) == 1 + has_tip)).all()
 
     beams = levels_of("l", "beam")
     is_green, is_blue = beams.shape_role == Role.GREEN, beams.shape_role == Role.BLUE
@@ -302,14 +303,14 @@ def test_a_pole_stands_beside_a_goal_of_its_upper_half_and_a_disc_on_a_beam_must
     assert (np.sign(goal[:, 0] - pivot[:, 0]) == -np.sign(disc[:, 0] - pivot[:, 0])).all()
 
 
-def test_a_lander_is_carried_by_its_jets_and_green_is_what_comes_down_first() -> None:
+def test_a_lander_is_carried_by_its_thrusters_and_green_is_what_comes_down_first() -> None:
     for size in "ml":
         levels = levels_of(size, "lander")
-        shapes, jets = levels.scene.shapes, levels.scene.thrusters
+        shapes, thrusters = levels.scene.shapes, levels.scene.thrusters
         is_green, is_blue = (shapes.active & (levels.shape_role == role) for role in (Role.GREEN, Role.BLUE))
         moves = shapes.active & (shapes.inverse_mass > 0) & ~is_blue
         mass = np.divide(1.0, shapes.inverse_mass, out=np.zeros_like(shapes.inverse_mass), where=moves).sum(axis=1)
-        lift = (10.0 * jets.power * np.sin(jets.angle)).sum(axis=1) / (9.81 * mass)
+        lift = (10.0 * thrusters.power * np.sin(thrusters.angle)).sum(axis=1) / (9.81 * mass)
         assert (lift > 1.09).all() and (lift < 2.61).all()
         bottoms = bottoms_of(levels)
         others = np.where(moves & ~is_green, bottoms, np.inf).min(axis=1)
@@ -439,7 +440,7 @@ def test_what_is_to_be_grasped_lies_between_two_fingers() -> None:
 
 
 def red_first(levels: Level) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(blue, red, green), [levels, shapes] bool each, of a thing that must not touch green with red."""
+    """(blue, red, green), [levels, shapes] bool each, of a mechanism that must not touch green with red."""
     return tuple(levels.scene.shapes.active & (levels.shape_role == role) for role in (Role.BLUE, Role.RED, Role.GREEN))
 
 
@@ -466,16 +467,16 @@ def test_a_flipper_has_its_red_wheel_beside_the_goal_and_thrusters_that_lift_an_
     assert 0.4 < (green[:, 0] > red[:, 0]).mean() < 0.6
     for mask in (is_blue, is_red, is_green):
         np.testing.assert_allclose(bottoms_of(levels)[mask], FLOOR_TOP_M + 0.01, atol=1e-4)
-    shapes, jets = levels.scene.shapes, levels.scene.thrusters
+    shapes, thrusters = levels.scene.shapes, levels.scene.thrusters
     moves = shapes.active & (shapes.inverse_mass > 0)
     mass = np.divide(1.0, shapes.inverse_mass, out=np.zeros_like(shapes.inverse_mass), where=moves).sum(axis=1)
-    lift = (10.0 * jets.power * np.sin(jets.angle)).sum(axis=1) / (9.81 * mass)  # of both
+    lift = (10.0 * thrusters.power * np.sin(thrusters.angle)).sum(axis=1) / (9.81 * mass)  # of both
     assert (lift > 1.29).all() and (lift < 4.01).all()
     assert (levels.shape_role[:, 0] == Role.NONE).all()
 
 
 @pytest.mark.parametrize(
-    ("kind", "speeds", "powers", "colours"),
+    ("family", "speeds", "powers", "colours"),
     [
         ("car", 53.612, 32.0, 61),
         ("unicycle", 31.228, 16.0, 19),
@@ -486,29 +487,31 @@ def test_a_flipper_has_its_red_wheel_beside_the_goal_and_thrusters_that_lift_an_
         ("snake", -1.034, 114.71, 100),
     ],
 )
-def test_the_motors_of_a_key_are_those_they_were(kind: str, speeds: float, powers: float, colours: int) -> None:
+def test_the_motors_of_a_key_are_those_they_were(family: str, speeds: float, powers: float, colours: int) -> None:
     """At f7c3bc8: figures in documents are of these levels. Sums over the first 16."""
-    levels = levels_of("l", kind)
+    levels = levels_of("l", family)
     joints = levels.scene.joints
     active = joints.active[:16]
     found = [np.where(active, x[:16], 0).sum() for x in (joints.motor_speed, joints.motor_power, levels.motor_colour)]
     np.testing.assert_allclose(found, [speeds, powers, colours], atol=2e-3)
 
 
-def test_kinds_are_drawn_as_often_as_their_weights_say() -> None:
+def test_families_are_drawn_as_often_as_their_weights_say() -> None:
     """Green is a disc in no car, a box in no arm of this size (one link of a box), and unicycles have one wheel."""
-    kinds = ("unicycle", "arm")
+    families = ("unicycle", "arm")
     share = {}
     for weights in ((), (1.0, 1.0), (3.0, 1.0)):
-        config = GeneratorConfig(locomotion_share=1.0, locomotion_kinds=kinds, locomotion_weights=weights)
+        config = GeneratorConfig(mechanism_share=1.0, mechanism_families=families, mechanism_weights=weights)
         levels = jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES["s"], config))
         is_free_disc = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass > 0)
         is_wheel = is_free_disc[:, SIZES["s"].polygons :] & (levels.shape_role[:, SIZES["s"].polygons :] == Role.NONE)
         share[weights] = is_wheel.any(axis=1).mean()
     assert share[()] == share[(1.0, 1.0)] and abs(share[()] - 0.5) < 0.07
     assert abs(share[(3.0, 1.0)] - 0.75) < 0.06
-    # Of kinds for which there is room, in the order in which they were named.
-    config = GeneratorConfig(locomotion_share=1.0, locomotion_kinds=("car", *kinds), locomotion_weights=(9.0, 3.0, 1.0))
+    # Of families for which there is room, in the order in which they were named.
+    config = GeneratorConfig(
+        mechanism_share=1.0, mechanism_families=("car", *families), mechanism_weights=(9.0, 3.0, 1.0)
+    )
     levels = jax.tree.map(np.asarray, generate_levels(jax.random.key(5), NUM_LEVELS, SIZES["s"], config))
     is_free_disc = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass > 0)
     is_wheel = is_free_disc[:, SIZES["s"].polygons :] & (levels.shape_role[:, SIZES["s"].polygons :] == Role.NONE)
@@ -516,18 +519,18 @@ def test_kinds_are_drawn_as_often_as_their_weights_say() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kinds", "weights", "said"),
+    ("families", "weights", "said"),
     [
-        (("car", "arm"), (1.0,), "has 1 numbers for 2 kinds; give one for each, or an empty list"),
-        (("car", "arm"), (1.0, 0.0), "must be finite and above 0; leave out a kind"),
+        (("car", "arm"), (1.0,), "has 1 numbers for 2 families; give one for each, or an empty list"),
+        (("car", "arm"), (1.0, 0.0), "must be finite and above 0; leave out a family"),
         (("car", "arm"), (1.0, float("nan")), "must be finite and above 0"),
         (("car", "arm"), (1.0, float("inf")), "must be finite and above 0"),
-        (("car", "car"), (), "names a kind twice; use locomotion_weights"),
+        (("car", "car"), (), "names a family twice; use mechanism_weights"),
     ],
 )
-def test_weights_that_cannot_be_are_refused(kinds: tuple[str, ...], weights: tuple[float, ...], said: str) -> None:
+def test_weights_that_cannot_be_are_refused(families: tuple[str, ...], weights: tuple[float, ...], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        GeneratorConfig(locomotion_kinds=kinds, locomotion_weights=weights)
+        GeneratorConfig(mechanism_families=families, mechanism_weights=weights)
 
 
 def test_numbers_that_were_not_drawn_are_not_used() -> None:
@@ -607,7 +610,7 @@ def test_bars_reach_over_a_climber_which_has_room_to_go_round_them() -> None:
         assert goal[1] + radius < WORLD_SIZE_M and goal[0] - radius > 0 and goal[0] + radius < WORLD_SIZE_M
         order = np.argsort(low[:, 1])
         assert (low[order[1:], 1] - high[order[:-1], 1] > 2 * size + 0.199).all()
-        # The jet that pushes to the side pushes towards the goal.
+        # The thruster that pushes to the side pushes towards the goal.
         angles = levels.scene.thrusters.angle[row, :2]
         if np.abs(np.sin(angles)).min() < 0.1:
             number += 1
@@ -711,24 +714,24 @@ def test_few_of_them_solve_themselves(size: str) -> None:
 
 
 @pytest.mark.slow
-def test_few_of_each_new_kind_solve_themselves() -> None:
-    for kind, most in (("gripper", 0.1), ("ramp", 0.01), ("pendulum", 0.01), ("pinball", 0.01), ("jumper", 0.01)):
-        assert np.mean(noop_solved(levels_of("l", kind))) < most, kind
+def test_few_of_each_new_family_solve_themselves() -> None:
+    for family, most in (("gripper", 0.1), ("ramp", 0.01), ("pendulum", 0.01), ("pinball", 0.01), ("jumper", 0.01)):
+        assert np.mean(noop_solved(levels_of("l", family))) < most, family
 
 
-def test_kinds_for_which_there_is_room_are_equally_likely() -> None:
+def test_families_for_which_there_is_room_are_equally_likely() -> None:
     levels = levels_of("m")
     shapes, polygons = levels.scene.shapes, SIZES["m"].polygons
     wheels = levels.scene.joints.active & (levels.scene.joints.b >= polygons)
     base = (shapes.active & (shapes.inverse_mass == 0) & (levels.shape_role != Role.BLUE))[:, polygons:].any(axis=1)
     num_wheels = np.where(base, 0, wheels.sum(axis=1))
     shares = {"arm": base, "car": num_wheels == 2, "unicycle": num_wheels == 1, "walker": ~base & (num_wheels == 0)}
-    for kind, share in shares.items():
-        assert abs(share.mean() - 0.25) < 0.08, kind  # four standard errors of 512 draws
+    for family, share in shares.items():
+        assert abs(share.mean() - 0.25) < 0.08, family  # four standard errors of 512 draws
 
 
-def test_a_share_of_the_levels_is_locomotion_and_the_others_are_as_without() -> None:
-    mixed = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], GeneratorConfig(locomotion_share=0.3))
+def test_a_share_of_the_levels_has_mechanisms_and_the_others_are_as_without() -> None:
+    mixed = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], GeneratorConfig(mechanism_share=0.3))
     plain = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], GeneratorConfig())
     others = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], generator("locomotion"))
     is_plain = np.isclose(mixed.position, plain.position, atol=1e-5).all(axis=(1, 2))
@@ -744,16 +747,22 @@ def test_a_level_depends_on_its_key_and_number_alone() -> None:
 
 
 def test_what_cannot_be_drawn_is_refused_with_its_name() -> None:
-    with pytest.raises(ValueError, match=r"locomotion_kinds has 'boat'; there are car, unicycle, walker, arm, runner"):
-        GeneratorConfig(locomotion_kinds=("car", "boat"))
-    with pytest.raises(ValueError, match=r"locomotion_share is 1\.5; chances are 0 to 1"):
-        GeneratorConfig(locomotion_share=1.5)
-    cars = dataclasses.replace(generator("locomotion"), locomotion_kinds=("car",))
-    with pytest.raises(ValueError, match="no kind of locomotion_kinds car has room in 5 polygons, 2 circles"):
+    with pytest.raises(ValueError, match=r"mechanism_families has 'boat'; there are .*\bcar, "):
+        GeneratorConfig(mechanism_families=("car", "boat"))
+    with pytest.raises(ValueError, match=r"mechanism_share is 1\.5; chances are 0 to 1"):
+        GeneratorConfig(mechanism_share=1.5)
+    cars = dataclasses.replace(generator("locomotion"), mechanism_families=("car",))
+    with pytest.raises(ValueError, match="no family of mechanism_families car has room in 5 polygons, 2 circles"):
         generate_level(jax.random.key(0), Capacity(polygons=5, circles=2, joints=1, thrusters=1), cars)
+
+
+def test_every_file_of_families_is_imported() -> None:
+    """By name, so that programs which draw levels are keyed by its source too."""
+    files = {file.stem for file in Path(families.__file__).parent.glob("*.py")} - {"__init__"}
+    assert files == set(families.__all__)
 
 
 @pytest.mark.parametrize("weights", [(1e39, 3e39), (1e-300, 3e-300), (1e38, 3e38)])
 def test_weights_that_float32_does_not_hold_are_weights(weights: tuple[float, ...]) -> None:
-    chosen = jax.vmap(lambda key: locomotion._choose(key, weights))(jax.random.split(jax.random.key(0), 2000))
+    chosen = jax.vmap(lambda key: mechanism_draft._choose(key, weights))(jax.random.split(jax.random.key(0), 2000))
     assert abs(float(chosen.mean()) - 0.75) < 0.05  # five standard errors
