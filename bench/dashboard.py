@@ -1,4 +1,4 @@
-"""How fast the dashboard is, in a real browser: pages, long runs, live rows; what the server takes meanwhile.
+"""Speed of the dashboard in a real browser: pages, long runs, live rows; and the server's CPU time and memory.
 
     python bench/dashboard.py [--browser .cache/browser/chromium] [--json FILE]
 

@@ -1,8 +1,8 @@
-"""How large snapshots of a curriculum are, and what writing and reading them costs (docs/run_data.md).
+"""Sizes of snapshots of a curriculum, and the cost of writing and reading them (docs/run_data.md).
 
     python -m bench.run_data_sizes --recipes quickstart sfl_s sfl_l --json runs/run_data_sizes.json
 
-Levels of the recipe's generator, as many candidates and kept levels as its curriculum has, through the code that
+Levels of the recipe's generator, as many candidates and chosen levels as its curriculum has, through the code that
 training writes them with. Counts of episodes are drawn, not played: two to eight a level, of a chance that is 0 for a
 third of the levels and uniform for the others.
 """
@@ -67,8 +67,8 @@ def measure(name: str) -> dict[str, object]:
         reading = [_seconds(lambda: read_snapshot(path)) for _ in range(REPEATS)]
         arrays = read_snapshot(path, with_levels=False).arrays
         size = path.stat().st_size
-        kept = {key: value for key, value in arrays.items() if key not in ("format", "kind")}
-        thinned = write_snapshot(directory, REFRESH, 1, kept).stat().st_size
+        counts = {key: value for key, value in arrays.items() if key not in ("format", "kind")}
+        thinned = write_snapshot(directory, REFRESH, 1, counts).stat().st_size
     return {
         "benchmark": "run_data_sizes",
         "recipe": name,

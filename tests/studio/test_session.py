@@ -1,4 +1,4 @@
-"""Sessions beside the environment of training: bit for bit, whoever plays, also after seeking and taking over."""
+"""Sessions against the environment of training: bit for bit, for every player, also after seeking and taking over."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import load_level, turned_colours_of
 from kinetix_dist.studio.worker import frames, programs
-from kinetix_dist.studio.worker.actors import policy_of
 from kinetix_dist.studio.worker.attempts import Progress, play_attempts, steps_until_noop_solves
 from kinetix_dist.studio.worker.levels import level_of
+from kinetix_dist.studio.worker.request import policy_of
 from kinetix_dist.studio.worker.session import Session
 from kinetix_dist.studio.worker.wire import RequestError
 
