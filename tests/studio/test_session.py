@@ -99,7 +99,7 @@ def test_seeking_and_playing_on_gives_the_same_bytes() -> None:
     while session.step():
         again.append(shown(session).poses)
     np.testing.assert_array_equal(again, [frames.decode(one, session.sizes).poses for one in first[half:]])
-    # Taking over at the same place forgets the rest; the same actions give the same bytes.
+    # Taking over at the same step drops later steps; the same actions give the same bytes.
     session.seek(half)
     session.set_actor(session.actor)
     assert session.last == half
@@ -254,7 +254,7 @@ def test_programs_that_were_forgotten_are_compiled_again_and_give_the_same() -> 
     session.set_actor(policy_of("random").actor(CONFIG, level()))
     session.step()
     before = session.frame()
-    programs.forget_programs()
+    programs.release_programs()
     again = Session(1, CONFIG, level(), seed=1)
     again.set_actor(policy_of("random").actor(CONFIG, level()))
     again.step()

@@ -339,7 +339,7 @@ def test_the_newest_good_checkpoint_of_a_run_plays(worker: Client, tmp_path: Pat
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2])
-def test_a_checkpoint_that_is_pruned_while_it_is_read_is_passed_over(
+def test_a_checkpoint_that_is_pruned_while_it_is_read_is_skipped(
     worker: Client, tmp_path: Path, seconds: float
 ) -> None:
     run = make_run(tmp_path / "run", 10, 20)

@@ -27,7 +27,7 @@ from kinetix_dist.level.mutators import MUTATORS
 from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_HALF_EXTENTS_M, WALL_NAMES
 from kinetix_dist.studio.worker import level_requests, play_requests
 from kinetix_dist.studio.worker.level_requests import Answer
-from kinetix_dist.studio.worker.programs import give_back_free_memory
+from kinetix_dist.studio.worker.programs import trim_heap
 from kinetix_dist.studio.worker.request import Request
 from kinetix_dist.studio.worker.session_loop import Running, SessionLoop
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, BUSY, FAILED, NOT_FOUND, Message, Outbox, RequestError
@@ -131,7 +131,7 @@ class Service:
         def work() -> None:
             self._answer(request, lambda: handler(request))
             if thread != LOOK:
-                give_back_free_memory()
+                trim_heap()
 
         self._threads[thread].submit(work)
 
