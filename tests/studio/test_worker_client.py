@@ -79,7 +79,7 @@ def test_a_worker_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
         worker = WorkerClient(command=a_worker_that("import time", "time.sleep(100)"))
         await worker.hello()
         pid = worker.pid
-        with pytest.raises(WorkerError, match=r"said nothing for 0\.5 s and was ended") as error:
+        with pytest.raises(WorkerError, match=r"was silent for 0\.5 s and was ended") as error:
             await worker.request("anything", {})
         assert error.value.code == HUNG and pid is not None
         while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
