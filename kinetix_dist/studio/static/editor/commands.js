@@ -71,7 +71,7 @@ export const COMMANDS = [
   { keys: ["ctrl+d"], label: "Duplicate", mark: "double", run: (editor) => paste(editor, copied(editor.settled, editor.selection)) },
   { keys: ["delete", "backspace"], label: "Delete", mark: "delete", run: (editor) => editor.commit(without(editor.settled, editor.selection), []) },
   { keys: ["ctrl+a"], label: "Select all", run: (editor) => editor.select(everything(editor.settled)) },
-  { keys: ["g"], label: "Select what is joined", mark: "joined", run: (editor) => editor.select(joined(editor.settled, editor.selection)) },
+  { keys: ["g"], label: "Select joined", mark: "joined", run: (editor) => editor.select(joined(editor.settled, editor.selection)) },
   { keys: ["tab"], label: "Next element", run: (editor) => next(editor, 1) },
   { keys: ["shift+tab"], label: "Element before", run: (editor) => next(editor, -1) },
   { keys: ["m"], label: "Mirror", mark: "mirror", run: (editor) => changed(editor, (level) => mirrored(level, editor.selection, editor.walls)) },
