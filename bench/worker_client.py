@@ -90,7 +90,7 @@ class Client:
         self.process.stdin.write(data)
         self.process.stdin.flush()
 
-    def tell(self, kind: str, **fields: Any) -> None:
+    def send_only(self, kind: str, **fields: Any) -> None:
         """A message without an id."""
         self.write(encode(Message({"type": kind, **fields})))
 

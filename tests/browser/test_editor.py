@@ -350,7 +350,7 @@ def test_what_is_wrong_leads_to_its_shape_and_nothing_is_lost(editing: Callable[
     page.get_by_text("hop.json is gone; nothing was saved").wait_for()
     page.get_by_role("button", name="save it anew").click()
     page.get_by_text("saved to hop.json").wait_for()
-    assert [text.split("status of ")[1][:3] for text in page.complaints] == ["412", "412"]  # Chromium tells of it too
+    assert [text.split("status of ")[1][:3] for text in page.complaints] == ["412", "412"]  # Chromium reports it too
     page.complaints.clear()
     assert {shape["id"] for shape in json.loads(file.read_text())["shapes"]} >= {"box_1"}
 

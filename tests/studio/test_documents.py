@@ -21,7 +21,7 @@ DESIGNED = sorted(levels_root().glob("[sml]/*.json"))
 
 
 def level_document() -> dict[str, Any]:
-    """A box with a thruster, an arm on a hinge and a ball, nothing odd."""
+    """A box with a thruster, an arm on a joint and a ball, nothing odd."""
     return {
         "format": "kinetix-dist-level",
         "version": 1,

@@ -84,7 +84,7 @@ def test_keys_of_a_stored_proof_solve_its_level_bit_for_bit(worker: Client) -> N
     assert first.step == 0
     np.testing.assert_array_equal(first.poses[:, :2], level().position)
     for number, action in enumerate(actions.tolist()):
-        worker.tell("play.input", session=session["session"], seq=number + 1, action=action)
+        worker.send_only("play.input", session=session["session"], seq=number + 1, action=action)
         state = worker.request("play.control", session=session["session"], do="step")
         mine.set_input(action, number + 1)
         mine.step()
@@ -102,7 +102,7 @@ def test_keys_drive_a_level_as_its_file_says_where_the_level_is_turned_round(wor
     bar = document("s/drag_cart")["shapes"][0]["position"][0]
     for action, way in ((1, 1), (2, -1)):
         session = opened(worker, level={"document": document("s/drag_cart")})
-        worker.tell("play.input", session=session["session"], seq=1, action=[action, 0, 0, 0, 0, 0])
+        worker.send_only("play.input", session=session["session"], seq=1, action=[action, 0, 0, 0, 0, 0])
         worker.request("play.control", session=session["session"], do="step", steps=8)
         while (frame := worker.frame(session["sizes"])).step < 8:
             pass
@@ -188,9 +188,9 @@ def test_a_slow_client_loses_frames_but_neither_order_nor_replies(tmp_path: Path
     client.request("play.control", session=number, do="speed", speed=8.0)
     client.request("play.control", session=number, do="run")
     client.hold()
-    client.tell("play.control", id=10_000, session=number, do="run")  # its answer wakes the reader a last time
+    client.send_only("play.control", id=10_000, session=number, do="run")  # its answer wakes the reader a last time
     time.sleep(4.0)  # 240 steps of 276 bytes a second: more than the pipe holds
-    client.tell("play.control", id=10_001, session=number, do="pause")
+    client.send_only("play.control", id=10_001, session=number, do="pause")
     time.sleep(0.5)
     client.read_on()
     state = client.wait(10_001).content
@@ -368,13 +368,13 @@ def test_attempts_report_progress_and_end_when_cancelled(worker: Client) -> None
     # Sessions and checks go on meanwhile.
     assert worker.request("check", document=document(), play=False)["problems"] == []
     for request in (waiting, running):
-        worker.tell("cancel", id=request)
+        worker.send_only("cancel", id=request)
     for request in (running, waiting):
         with pytest.raises(RequestError) as error:
             worker.wait(request, seconds=30)
         assert error.value.code == wire.CANCELLED
-    worker.tell("cancel", id=running)  # of what has ended: nothing
-    worker.tell("cancel", id="x")
+    worker.send_only("cancel", id=running)  # of what has ended: nothing
+    worker.send_only("cancel", id="x")
 
 
 # Requests of an editor
@@ -489,7 +489,7 @@ def test_controls_that_make_no_sense_are_one_line(worker: Client) -> None:
         worker.send_raw(50_000, {"type": "play.control", "session": number, **fields})
         with pytest.raises(RequestError, match=text):
             worker.wait(50_000)
-    worker.tell("play.input", session=number, seq=1, action=[9] * 6)
+    worker.send_only("play.input", session=number, seq=1, action=[9] * 6)
     assert "four numbers" in worker.other("error").content["text"]
     close(worker, session)
 
@@ -497,11 +497,11 @@ def test_controls_that_make_no_sense_are_one_line(worker: Client) -> None:
 def test_an_id_twice_and_too_many_requests_are_refused(worker: Client) -> None:
     requests = [worker.send("attempts", **LONG) for _ in range(16)]
     assert refused(worker, "check", document=document()).code == wire.BUSY
-    worker.tell("attempts", id=requests[0], **LONG)
+    worker.send_only("attempts", id=requests[0], **LONG)
     with pytest.raises(RequestError, match="in use"):
         worker.wait(requests[0])
     for request in requests:
-        worker.tell("cancel", id=request)
+        worker.send_only("cancel", id=request)
     for request in requests:
         with pytest.raises(RequestError, match="cancelled"):
             worker.wait(request)

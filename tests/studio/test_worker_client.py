@@ -224,7 +224,7 @@ def test_a_worker_that_is_killed_is_started_again(server: Server) -> None:
     first.kill()
 
     def is_another() -> bool:
-        # The server knows the palette, and may give it once more before it hears that the worker is gone.
+        # The server knows the palette, and may give it once more before it sees that the worker is gone.
         children = psutil.Process(server.process.pid).children()
         return server.request("/api/palette")[0] == 200 and any(child.pid != first.pid for child in children)
 

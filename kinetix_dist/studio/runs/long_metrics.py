@@ -40,12 +40,12 @@ class LongRead:
     table: SeriesTable
     offset: int
     inode: int
-    kept: bytes  # the last ones before the offset
+    tail_bytes: bytes  # the last bytes before the offset
     num_damaged: int
 
     def hand_over(self, tail: Tail) -> None:
         """Lets `tail` go on from the offset."""
-        tail.go_on(inode=self.inode, offset=self.offset, kept=self.kept, num_damaged=self.num_damaged)
+        tail.go_on(inode=self.inode, offset=self.offset, kept=self.tail_bytes, num_damaged=self.num_damaged)
 
 
 def read_long(path: Path, report: Callable[[int], None]) -> LongRead | None:
@@ -76,13 +76,13 @@ def _received(about: dict[str, Any], stream: IO[bytes]) -> LongRead | None:
     if rows:
         columns = np.frombuffer(content, np.float64).reshape(-1, rows)
         table.extend(dict(zip(about["names"], columns, strict=True)))
-    kept = bytes.fromhex(about["kept"])
-    return LongRead(table, about["offset"], about["inode"], kept, about["damaged"])
+    tail_bytes = bytes.fromhex(about["tail_bytes"])
+    return LongRead(table, about["offset"], about["inode"], tail_bytes, about["damaged"])
 
 
 def main(path: Path, out: IO[bytes]) -> None:
     """Main function of the process."""
-    table, offset, damaged, kept = SeriesTable(), 0, 0, b""
+    table, offset, damaged, tail_bytes = SeriesTable(), 0, 0, b""
     with path.open("rb") as file:
         inode = os.fstat(file.fileno()).st_ino
         while piece := _whole_lines(file, offset):
@@ -95,11 +95,11 @@ def main(path: Path, out: IO[bytes]) -> None:
             else:
                 table.extend(columns)
             offset += len(piece)
-            kept = (kept + piece)[-KEPT_BYTES:]
+            tail_bytes = (tail_bytes + piece)[-KEPT_BYTES:]
             _write_line(out, {"done": offset})
     names = ["update", *table.names]
     about = {"names": names, "rows": table.num_rows, "offset": offset, "inode": inode, "damaged": damaged}
-    _write_line(out, about | {"kept": kept.hex()})
+    _write_line(out, about | {"tail_bytes": tail_bytes.hex()})
     for name in names:
         out.write(np.ascontiguousarray(table.column(name)).data)
     out.flush()
