@@ -43,8 +43,8 @@ from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import Level
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.stored import CURRICULUM
+from kinetix_dist.runtime.cores.playing import make_environment
+from kinetix_dist.runtime.cores.run_names import CURRICULUM
 from kinetix_dist.studio.runs.refreshes import Refreshes, rate_over_levels
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, REFRESH, list_snapshots, read_snapshot
 from kinetix_dist.trained_policy import Trained, checkpoint_at, newest_checkpoint_of

@@ -51,7 +51,7 @@ from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.models.policy import DTYPES
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.playing import make_environment
 from kinetix_dist.runtime.cores.rollout_core import Batch, RolloutCore
 from kinetix_dist.trained_policy import Trained, checkpoint_at
 

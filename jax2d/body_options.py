@@ -1,4 +1,4 @@
-"""What shapes of both kinds have: the options that the scene builder takes, and the fields of `Shapes` they make."""
+"""Options of shapes in the scene builder, and the fields of `Shapes` that they become."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class BodyOptions:
 
 
 class Filter(NamedTuple):
-    """Who may touch whom (Box2D's b2Filter without groups)."""
+    """Filter of collisions by category and mask (Box2D's b2Filter without groups)."""
 
     category: int
     mask: int
@@ -119,7 +119,7 @@ def _extended(o: BodyOptions, capacity: Capacity, *, has_mass: bool) -> dict[str
 
 
 def _friction(o: BodyOptions, settings: Settings) -> float:
-    """In units of settings.base_friction, which equal shapes are rubbed by in every way of mixing."""
+    """Returns friction in units of settings.base_friction, which two equal shapes have in every way of mixing."""
     if o.friction_coefficient is None:
         return not_negative("friction", 1.0 if o.friction is None else o.friction)
     if o.friction is not None:

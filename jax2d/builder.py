@@ -286,9 +286,9 @@ class SceneBuilder:
     # Inside
 
     def _take(self, kind: str, used: int) -> int:
-        room = getattr(self.capacity, kind)
-        if used == room:
-            raise SceneFullError(f"{used} of {room} {kind} used; build with Capacity({kind}={room + 1}) or more")
+        slots = getattr(self.capacity, kind)
+        if used == slots:
+            raise SceneFullError(f"{used} of {slots} {kind} used; build with Capacity({kind}={slots + 1}) or more")
         return used
 
     def _set_shape(self, index: int, body: Body, centre: np.ndarray) -> None:
@@ -347,7 +347,7 @@ class SceneBuilder:
         return a, b
 
     def _inverse_moved(self, body: int, at: Point, kind: JointKind, world_axis: float) -> float:
-        """What a unit of a motor's impulse gives to one of its bodies: 1/(kg m^2), of a slider 1/kg."""
+        """Inverse mass of one body along a motor's axis: 1/(kg m^2), of a slider 1/kg."""
         shapes = self._scene.shapes
         mass, inertia = float(shapes.inverse_mass[body]), float(shapes.inverse_inertia[body])
         if kind != JointKind.PRISMATIC:

@@ -1,4 +1,4 @@
-"""Springs, dampers, ropes and rods as a builder is told of them."""
+"""Springs, dampers, ropes and rods as arguments of the scene builder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jax2d.scene import NO_MAXIMUM_M
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SpringOptions:
-    """What a builder was told of an element between two anchors; None: as long as they are apart now."""
+    """Arguments of an element between two anchors; a length of None: as far as they are apart now."""
 
     rest_length: float | None = None  # m
     stiffness: float = 0.0  # N/m

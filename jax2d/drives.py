@@ -1,4 +1,4 @@
-"""Motors as a builder is told of them: how they are driven, between which limits, and in which units.
+"""Motors as arguments of the scene builder: drive, limits, units.
 
     motor_speed, motor_power    of a level: times settings.base_motor_speed and base_motor_power (of sliders
                                 base_slider_speed and base_slider_power)
@@ -17,11 +17,11 @@ from jax2d.given import SceneError, finite, in_units, number, one_of, positive
 from jax2d.scene import JointDrive, JointKind
 from jax2d.settings import Settings
 
-DRIVES = {drive.name.lower(): drive for drive in JointDrive}  # as a builder is told
+DRIVES = {drive.name.lower(): drive for drive in JointDrive}  # names in the scene builder
 
 
 class MotorUnits(NamedTuple):
-    """What the numbers of a motor mean: names of settings."""
+    """Units of the numbers of a motor: names of settings."""
 
     speed: str  # rad/s or m/s at motor_speed 1
     acceleration: str  # rad/s^2 or m/s^2 that a motor of power 1 gives to its two bodies alone
@@ -35,7 +35,7 @@ def motor_units(kind: JointKind) -> MotorUnits:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MotorOptions:
-    """What a builder was told of a motor and limits; None: nothing."""
+    """Arguments of a motor and limits; None where left out."""
 
     motor_speed: float | None
     motor_power: float | None

@@ -1,4 +1,4 @@
-"""What callers of the scene builder give: numbers and polygons that make no world are refused in one line."""
+"""Checks of the scene builder's arguments: numbers and polygons that make no world are refused in one line."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
 
 
 def _winding(edges: np.ndarray) -> int:
-    """How often the outline turns around: 1 for a simple convex polygon, 2 for a pentagram."""
+    """Number of turns of the outline: 1 for a simple convex polygon, 2 for a pentagram."""
     headings = np.arctan2(edges[:, 1], edges[:, 0])
     turns = (np.diff(np.append(headings, headings[0])) + math.pi) % (2 * math.pi) - math.pi
     return round(float(turns.sum()) / (2 * math.pi))

@@ -90,7 +90,7 @@ def record(
 
 
 def trajectory_of(samples: Samples, scene: Scene, settings: Settings, every: int = 1) -> Trajectory:
-    """Of a batch. `settings` are those that it was stepped with."""
+    """Trajectory of a batch. `settings` are those that it was stepped with."""
     impulse = samples.joint_impulse
     return Trajectory(
         scene=scene,

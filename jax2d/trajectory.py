@@ -138,7 +138,7 @@ class Trajectory:
         return np.sum(orbital + inertia * self.angular_velocity, -1)
 
     def anchors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where each joint is on its body a and on its body b, [T, J, 2] m each, world frame."""
+        """Anchors of each joint on its body a and on its body b, [T, J, 2] m each, world frame."""
         (centre_a, arm_a), (centre_b, arm_b) = self._arms(self.scene.joints)
         return centre_a + arm_a, centre_b + arm_b
 
@@ -171,7 +171,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """What `save` wrote, to the last bit. Raises ValueError for a file of another kind."""
+        """Reads what `save` wrote, to the last bit. Raises ValueError for a file of another kind."""
         return trajectory_files.load(cls, path)
 
     def draw(self, path: str | os.PathLike[str], **options: Any) -> None:
@@ -193,7 +193,7 @@ class Trajectory:
         return dataclasses.replace(self, **(arrays | others))
 
     def _arms(self, ends: Joints | Springs) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For a and b of each: (centre of mass [T, k, 2], from there to the anchor [T, k, 2]) m, world frame."""
+        """Returns for a and b of each (centre of mass [T, k, 2], from there to the anchor [T, k, 2]) m, world frame."""
         found = []
         for body, local in ((ends.a, ends.anchor_a), (ends.b, ends.anchor_b)):
             body = np.asarray(body)[None]

@@ -109,8 +109,8 @@ def view_of(trajectory: Trajectory) -> Box:
     shapes = trajectory.scene.shapes
     shown = trajectory.is_movable if trajectory.is_movable.any() else np.asarray(shapes.active)
     reach = np.concatenate([np.linalg.norm(shapes.vertices, axis=-1).max(-1, initial=0), np.asarray(shapes.radius)])
-    places, reach = trajectory.position[:, shown], reach[shown, None]
-    fine = np.where(np.isfinite(places), places, np.nanmin(places))
+    positions, reach = trajectory.position[:, shown], reach[shown, None]
+    fine = np.where(np.isfinite(positions), positions, np.nanmin(positions))
     low, high = (fine - reach).min((0, 1)), (fine + reach).max((0, 1))
     margin = MARGIN * (high - low).max()
     return tuple(float(x) for x in (*(low - margin), *(high + margin)))  # type: ignore[return-value]

@@ -5,7 +5,7 @@
 `python -m MODULE` would put the current directory first: another checkout there, or a `jax.py`, would be run instead.
 `-P` leaves it out, and the child takes the import path of this process before it imports anything. Every Python process
 that the project starts is started by `command_of`; those of Ray get
-`directories_outside_python` in another way (`ray_private.py`).
+`directories_outside_python` in another way (`ray_setup.py`).
 Processes that can be asked say where they import from (`imported_from`), and who starts them compares it.
 """
 

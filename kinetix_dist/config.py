@@ -26,9 +26,8 @@ from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
-from kinetix_dist.level.generator_config import ALL_KINDS
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.locomotion import fitting_kinds
+from kinetix_dist.level.mechanisms import FAMILIES, fitting_families
 from kinetix_dist.level.size_mixture import sizes_drawn
 from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
@@ -344,15 +343,15 @@ class TrainConfig:
         )
 
     def check_generator(self) -> None:
-        """Raises ConfigError where a size of levels has no room for any kind that the generator is to draw."""
+        """Raises ConfigError where a size of levels has no room for any of the mechanism families."""
         generator = self.curriculum.generator
         for size in sizes_drawn(self.curriculum.sizes) or [self.env.size]:
-            if generator.locomotion_share and not fitting_kinds(generator.locomotion_kinds, SIZES[size]):
-                named = ", ".join(generator.locomotion_kinds) or "()"
+            if generator.mechanism_share and not fitting_families(generator.mechanism_families, SIZES[size]):
+                named = ", ".join(generator.mechanism_families) or "()"
                 raise ConfigError(
-                    f"curriculum.generator.locomotion_kinds {named}: levels of size "
-                    f"{size!r} have room for none; add one of {', '.join(fitting_kinds(ALL_KINDS, SIZES[size]))}, or "
-                    "use a larger size"
+                    f"curriculum.generator.mechanism_families {named}: levels of size "
+                    f"{size!r} have room for none; add one of "
+                    f"{', '.join(fitting_families(list(FAMILIES), SIZES[size]))}, or use a larger size"
                 )
 
     def check_batch(self) -> None:
@@ -379,7 +378,7 @@ class TrainConfig:
         return self.has_curator and self.run.num_curators == 0
 
     @property
-    def evaluates_beside(self) -> bool:
+    def evaluates_in_background(self) -> bool:
         """Whether an evaluator works beside training."""
         return self.run.placement != "local" and (self.evaluation.is_during_training or self.recording.every > 0)
 
@@ -434,9 +433,7 @@ _OFF = {
     "policy.max_qk_norm": 0.0,
     "curriculum.sizes": [],
     "curriculum.generator.varied_share": 0.0,
-    "curriculum.generator.edited_share": 0.0,
-    "curriculum.generator.num_changes": 2,
-    "curriculum.generator.locomotion_weights": [],
+    "curriculum.generator.mechanism_weights": [],
     "curriculum.learnable_only": False,
     "rollout.random_start_share": 0.0,
     "rollout.random_start_steps": 64,

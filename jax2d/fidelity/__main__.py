@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     if not records:
         print(
-            failures[0] if failures else "nothing was measured: no preset runs on the backends asked for",
+            failures[0] if failures else "nothing was measured: no preset runs on the requested backends",
             file=sys.stderr,
         )
         return 1

@@ -43,13 +43,13 @@ class Point(NamedTuple):
 
 def pareto_set(points: Sequence[tuple[float, float]]) -> list[int]:
     """Indices of the (cost, error) pairs that no other pair beats or equals in both, by rising cost."""
-    kept = []
+    front = []
     least = math.inf
     for i in sorted(range(len(points)), key=lambda i: points[i]):
         if points[i][1] < least:
-            kept.append(i)
+            front.append(i)
             least = points[i][1]
-    return kept
+    return front
 
 
 def slope(costs: Sequence[float], errors: Sequence[float]) -> float:
@@ -66,7 +66,7 @@ def bounded(error: float | None) -> float:
 
 
 def accepted(record: Record) -> bool:
-    """Whether the truth is known well enough for the error shown (`references.TRUST`)."""
+    """Returns True if the reference is accurate enough for the error shown (`references.TRUST`)."""
     return NOT_ACCEPTED not in record["metric"]
 
 

@@ -1,4 +1,4 @@
-"""How settings are named in records."""
+"""Names of settings in records."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def setting_label(settings: Settings) -> str:
-    """What of the settings is swept, in words."""
+    """Name of the swept part of the settings."""
     count = f"{settings.substeps} substeps" if settings.solver == "soft_step" else f"{settings.substeps} iterations"
     label = f"dt 1/{round(1 / settings.dt)}, {count}"
     if settings.solver == "soft_step" and not math.isclose(settings.contact_hertz, Settings().contact_hertz):
@@ -23,6 +23,6 @@ def setting_label(settings: Settings) -> str:
 
 
 def is_preset_itself(record: Record) -> bool:
-    """Whether a record's setting is that of its preset, unswept."""
+    """Returns True if a record's setting is that of its preset, unswept."""
     name = record["preset"]
     return name in PRESETS and setting_label(PRESETS[name]) == record["setting"]

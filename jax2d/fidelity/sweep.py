@@ -1,4 +1,4 @@
-"""Which settings the study runs: the presets, and sweeps of dt, of sub-steps or iterations and of warm starting."""
+"""Settings that the study runs: the presets, and sweeps of dt, of sub-steps or iterations and of warm starting."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from kinetix_dist import runtime
 from tests.helpers import REPOSITORY
 
 # A module may import layers to the right of its own, and its own package; siblings in one layer never see each other.
@@ -15,7 +16,7 @@ LAYERS = (
     ("__main__",),
     ("cli",),
     ("benchmarks", "finetune", "sweep"),
-    ("recipes",),
+    ("api", "recipes"),
     ("runtime",),
     ("studio",),
     ("trained_policy",),
@@ -28,7 +29,7 @@ LAYERS = (
     ("level",),
     ("telemetry", "checkpoint"),
     ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
-    ("engine_package", "errors", "installation", "near_names", "renamed_settings"),
+    ("engine_package", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Subpackages of packages that have them, and which of the others each may import.
@@ -127,6 +128,23 @@ def test_a_subpackage_imports_those_that_it_may(file: Path) -> None:
 @pytest.mark.parametrize("package", SUBPACKAGES)
 def test_no_file_lies_outside_the_subpackages(package: str) -> None:
     assert [file.name for file in REPOSITORY.glob(f"kinetix_dist/{package}/*.py")] == ["__init__.py"]
+
+
+def test_other_packages_import_the_public_names_of_the_runtime_alone() -> None:
+    def is_inner(module: str) -> bool:
+        return (subpackage_of(module) or ("", ""))[1] in SUBPACKAGES["runtime"]
+
+    found = [
+        f"{name_of(file)} imports {module}"
+        for file in SOURCES
+        if part_of(module_of(file)) != "runtime"
+        for module in imports(file)
+        if is_inner(module)
+    ]
+    assert not found, "; ".join(found)
+    for name in runtime.__all__:
+        assert getattr(runtime, name) is not None, name
+    assert set(runtime.__all__) == set(runtime._MODULE_OF)
 
 
 @pytest.mark.parametrize("package", ["kinetix_dist", "jax2d"])

@@ -24,11 +24,10 @@ from kinetix_dist.checkpoint import list_checkpoints, newest_good
 from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.event_log import MAX_PENDING
-from kinetix_dist.runtime.driver.recorder import Recorder
+from kinetix_dist.runtime.driver.evaluations import Recorder
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.reporting import RunReporter
-from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.runtime.driver.run_directory import MAX_PENDING, RunDirectory
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.event_names import UnknownEventError

@@ -1,11 +1,11 @@
-"""What the hard scenes have in common: how one is built, and the checks that say whether it passes.
+"""Builder of hard scenes, and the checks that a scene passes or fails.
 
     def single_box() -> HardScene:
         b = HardSceneBuilder()
         box = b.box(0, 1.5)
         return b.scene("single box", lambda trajectory: [Check("moves at, m/s", trajectory.speed()[-1], 1e-3)])
 
-Bodies are 1 m large, of density 1 and friction coefficient 0.6 unless said otherwise.
+Bodies are 1 m large, of density 1 and friction coefficient 0.6 unless given.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class HardSceneBuilder:
         return self.builder.add_fixed_joint(a, b, at=self.point(x, y))
 
     def keep_all_apart(self, bodies: Sequence[int]) -> None:
-        """None of them collides with another."""
+        """Lets all of these bodies pass through each other."""
         for a, b in itertools.combinations(bodies, 2):
             self.builder.keep_apart(a, b)
 
@@ -100,5 +100,5 @@ def drop(trajectory: Trajectory, body: int) -> float:
 
 
 def widest_gap(trajectory: Trajectory, limit: float, *, after: float = 0.0) -> Check:
-    """Of any joint, from `after` seconds on."""
+    """Check of the widest gap of any joint, from `after` seconds on."""
     return Check("joint gap, m", trajectory.joint_gaps()[trajectory.index_at(after) :].max(), limit)
