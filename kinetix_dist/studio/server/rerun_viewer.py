@@ -31,6 +31,7 @@ from kinetix_dist.studio.server.worker_client import WorkerClient
 from kinetix_dist.telemetry.compile_cache import default_directory
 
 FILES = {"index.html": "text/html", "re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
+FOREIGN_LINKS = re.compile(rb'<link\b[^>]*href="https?://[^>]*>\s*')  # of its page: web fonts, which it does without
 START_SECONDS = 30.0
 OPEN_PATH = "/rrd/"  # its URLs are signed instead
 # Its page has scripts and styles inline, and runs WebAssembly; it may connect to this server only.
@@ -121,7 +122,7 @@ class RerunViewer:
             installed = version("rerun-sdk")
         except PackageNotFoundError:
             raise RerunError("rerun is not installed; install rerun-sdk, or use the player of this page") from None
-        folder = (self._cache or default_directory().parent) / f"rerun-{installed}"
+        folder = (self._cache or default_directory().parent) / f"rerun-web-{installed}"
         async with self._fetching:
             if not all((folder / f"{name}.gz_").is_file() for name in FILES):
                 try:
@@ -144,7 +145,9 @@ async def _fetch(folder: Path) -> None:
         async with asyncio.timeout(START_SECONDS), aiohttp.ClientSession() as session:
             for name in FILES:
                 content = await _get(session, f"http://127.0.0.1:{port}/{name}", process)
-                await asyncio.to_thread(_store, folder, name, content)
+                await asyncio.to_thread(
+                    _store, folder, name, FOREIGN_LINKS.sub(b"", content) if name.endswith(".html") else content
+                )
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, 9)
