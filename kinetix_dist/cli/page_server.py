@@ -12,8 +12,7 @@ import webbrowser
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError
 from kinetix_dist.studio.server.access import is_loopback
-from kinetix_dist.studio.server.app import DEFAULT_PORT, ServerConfig
-from kinetix_dist.studio.server.serving import serve
+from kinetix_dist.studio.server.app import DEFAULT_PORT, ServerConfig, serve
 
 
 @dataclasses.dataclass
