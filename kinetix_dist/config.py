@@ -378,7 +378,7 @@ class TrainConfig:
         return self.has_curator and self.run.num_curators == 0
 
     @property
-    def evaluates_beside(self) -> bool:
+    def evaluates_in_background(self) -> bool:
         """Whether an evaluator works beside training."""
         return self.run.placement != "local" and (self.evaluation.is_during_training or self.recording.every > 0)
 

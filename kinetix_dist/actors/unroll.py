@@ -27,7 +27,7 @@ from kinetix_dist.models.gru import act, forget, initial_memory
 
 
 class Worlds(NamedTuple):
-    """Where a batch of worlds stands."""
+    """State of a batch of worlds."""
 
     prepared: PreparedLevels
     env_state: EnvState
@@ -35,7 +35,7 @@ class Worlds(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What `unroll` gives."""
+    """Result of `unroll`."""
 
     trajectory: Trajectory
     env_state: EnvState
@@ -127,7 +127,7 @@ def _world_by_world(x: Array) -> Array:
     """`x` as the learner takes it, each world's numbers side by side in memory.
 
     Without it XLA keeps the trajectory as the engine's tables are, worlds last, and transposes it after the last step:
-    a second one beside it (at M 159 KiB a world instead of 102, docs/operating.md: memory of GPUs).
+    a second copy (at M 159 KiB a world instead of 102, docs/operating.md: memory of GPUs).
     """
     return with_layout_constraint(x, Layout(major_to_minor=tuple(range(x.ndim))))
 

@@ -16,7 +16,7 @@ LAYERS = (
     ("__main__",),
     ("cli",),
     ("benchmarks", "finetune", "sweep"),
-    ("recipes",),
+    ("api", "recipes"),
     ("runtime",),
     ("studio",),
     ("trained_policy",),
@@ -29,7 +29,7 @@ LAYERS = (
     ("level",),
     ("telemetry", "checkpoint"),
     ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
-    ("engine_package", "errors", "installation", "near_names", "renamed_settings"),
+    ("engine_package", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Subpackages of packages that have them, and which of the others each may import.

@@ -20,7 +20,7 @@ from kinetix_dist.runtime.driver import refreshes
 from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.refreshes import CurationByWorkers, CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
@@ -69,7 +69,7 @@ def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(eight
 def test_a_worker_that_scores_levels_itself_gives_the_run_that_a_curator_gives(eight_updates, tmp_path):
     config, backend, reporter = tiny_config(num_updates=8, num_curators=0), LocalBackend(), QuietReporter()
     trainer = ColocatedTrainer(config, backend, [WORKER])
-    run_updates(config, tmp_path / "run", trainer, CurationByWorkers(trainer), reporter=reporter)
+    run_updates(config, tmp_path / "run", trainer, WorkerCurator(trainer), reporter=reporter)
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
     assert [row["curriculum/buffer_age"] for row in reporter.rows] == [0, 1, 2, 3, 4, 2, 3, 4]
     assert all(row["time/curate"] > 0 for row in (reporter.rows[0], reporter.rows[5]))
@@ -96,7 +96,7 @@ def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_u
     for num_updates in (4, 8):  # the refresh asked for at 3 is in flight between them
         config = tiny_config(num_updates=num_updates, num_curators=0)
         trainer = _NotingTrainer(config)
-        run_updates(config, tmp_path / "run", trainer, CurationByWorkers(trainer), resume=num_updates == 8)
+        run_updates(config, tmp_path / "run", trainer, WorkerCurator(trainer), resume=num_updates == 8)
         done.append(trainer.done)
     assert done == [
         ["refresh 0", "update 0", "update 1", "update 2", "update 3"],
@@ -123,7 +123,7 @@ def _stopped_after_five(config, path):
 
     trainer = Signalled(config)
     run = run_directory(path, config, resume=False)
-    controller = Controller(config, run, trainer, CurationByWorkers(trainer), QuietReporter(), stop=stop)
+    controller = Controller(config, run, trainer, WorkerCurator(trainer), QuietReporter(), stop=stop)
     controller.restore(resume=False)
     with pytest.raises(StoppedError, match="stopped by SIGTERM after update 5, which is saved"):
         controller.train()
@@ -160,7 +160,7 @@ def test_a_checkpoint_right_before_a_buffer_is_due_has_it(eight_updates, tmp_pat
     monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)
     config, path = _with_refreshes_alike(num_updates=6, checkpoint_every=5), tmp_path / "run"
     trainer = _NotingTrainer(config)
-    run_updates(config, path, trainer, CurationByWorkers(trainer))
+    run_updates(config, path, trainer, WorkerCurator(trainer))
     assert trainer.done[-3:] == ["update 4", "refresh 3", "update 5"]
     last = list_checkpoints(path / "checkpoints")[-1]
     assert last.name == "00000006"
@@ -171,7 +171,7 @@ def test_a_checkpoint_right_before_a_buffer_is_due_has_it(eight_updates, tmp_pat
 def _goes_on_as_unbroken(config, path, unbroken, *, first):
     """A run goes on from the checkpoint after 5 of 8 updates with what `first` says."""
     trainer = _NotingTrainer(config)
-    run_updates(config, path, trainer, CurationByWorkers(trainer), resume=True)
+    run_updates(config, path, trainer, WorkerCurator(trainer), resume=True)
     assert trainer.done == [*first, "update 6", "update 7"]
     assert_same_bits(final_arrays(path), final_arrays(unbroken))
     names = [(kind, number) for kind, number, _ in list_snapshots(path / "curriculum")]
@@ -193,7 +193,7 @@ def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_f
 
     trainer = Signalled(config)
     run = run_directory(tmp_path / "run", config, resume=False)
-    controller = Controller(config, run, trainer, CurationByWorkers(trainer), QuietReporter(), stop=stop)
+    controller = Controller(config, run, trainer, WorkerCurator(trainer), QuietReporter(), stop=stop)
     controller.restore(resume=False)
     with pytest.raises(StoppedError, match="stopped by SIGTERM before the first update"):
         controller.train()

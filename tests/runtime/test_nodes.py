@@ -55,7 +55,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     listen = {"on_event": lambda kind, **details: told.append((kind, details)), "on_note": notes.append}
     resizing = Resizing(config, backend, placement, trainer, {"curator": _Placed()}, **listen)
     resizing.fit(3, stop)
-    assert not notes and not resizing.has_room_to_grow()  # nothing is lost
+    assert not notes and not resizing.can_grow()  # nothing is lost
 
     cluster.remove_node(node)
     resizing.fit(4, stop)
@@ -63,7 +63,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     assert told == [("resized", {"role": "worker", "before": 2, "now": 1, "update": 4})]
     assert "2 workers have no room: " in notes[0] and ", 1 lost; waits 0.5 s" in notes[0]
     assert "goes on with 1 worker instead of 2" in notes[-1]
-    assert not resizing.has_room_to_grow()
+    assert not resizing.can_grow()
     began = time.monotonic()
     with pytest.raises(PlacementError, match=r"has 3 processes, and the cluster 2 CPU slots: .*\(2 CPU .*, 1 lost;"):
         backend.reserve(placement)
@@ -71,7 +71,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     backend.reserve(trainer.placement)
 
     node = cluster.add_node(num_cpus=1)
-    _wait_until(resizing.has_room_to_grow)
+    _wait_until(resizing.can_grow)
     resizing.place(6, stop)
     assert resizing.size == 2 and told[-1][1]["now"] == 2
 

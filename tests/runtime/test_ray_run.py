@@ -16,7 +16,7 @@ from kinetix_dist.config import from_dict, to_dict
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.registry import PluginError, import_plugins
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CurationByWorkers, CuratorClient
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan_placement
@@ -46,7 +46,7 @@ def _run(config, path, backend, reporter=None, at_update=None, resume=False):
     if config.run.num_curators:
         curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
     else:
-        curator = CurationByWorkers(trainer)
+        curator = WorkerCurator(trainer)
     reporter = reporter or QuietReporter(lambda number: at_update(number, trainer, curator) if at_update else None)
     try:
         return run_updates(config, path, trainer, curator, reporter=reporter, resume=resume), reporter

@@ -1,10 +1,10 @@
-"""What each kind of process is built from, inside that process: `build(index, number of processes, config)`.
+"""Builders of cores, called inside their processes: `build(index, number of processes, config)`.
 
 build_worker    worlds and a learner shard      colocated placement, and all of local mode
 build_learner   a learner shard                 split placement
 build_rollout   a part of the worlds            split placement
 build_curator   scoring of levels               both
-build_evaluator evaluations and recordings      both, where they are asked for during training
+build_evaluator evaluations and recordings      both, where they are due during training
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def build_evaluator(index: int, num_processes: int, config: TrainConfig) -> Eval
 
 
 def _prepare_process(config: TrainConfig) -> None:
-    """What comes before anything is built."""
+    """Prepares a process, before anything is built."""
     gc.set_threshold(*GC_THRESHOLD)
     import_plugins(config.run.plugins)
     enable_compile_cache(config.run.compile_cache)
