@@ -12,7 +12,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.actors.random_starts import after_random_actions
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.buffer_share import members
@@ -25,7 +24,7 @@ from kinetix_dist.level.fit import size_numbers
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
 from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
-from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, STARTS, stream
+from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, stream
 from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
 
 KIND = "rollouts"  # folder in the compile cache
@@ -131,26 +130,14 @@ class RolloutCore:
         static = StaticInput(
             obs=prepared.static_obs, bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None
         )
-        numbers, start = members(groups, worlds_per_group), env.reset(prepared)
-        if config.rollout.random_start_share:
-            start = after_random_actions(
-                env,
-                prepared,
-                *start,
-                prng.fold_in(stream(config.run.seed, STARTS), num_updates),
-                numbers,
-                share=config.rollout.random_start_share,
-                max_steps=config.rollout.random_start_steps,
-            )
+        worlds = Worlds(prepared, *env.reset(prepared), members(groups, worlds_per_group), static.bound_heads)
         played = unroll(
             policy,
             params,
             env,
-            Worlds(prepared, *start),
+            worlds,
             play_key,
             config.rollout.num_steps,
-            numbers=numbers,
-            bound_heads=static.bound_heads,
             keep_timeouts=config.ppo.bootstrap_timeouts,
         )
         seen = None

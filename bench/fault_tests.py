@@ -1,7 +1,7 @@
 """A run under faults: processes ended at random times or at intervals. It has to end as if nothing had been.
 
-    python -m bench.fault_drill --kills 50                                # random times, two at once now and then
-    python -m bench.fault_drill --every 30 --seconds 600 --placement split
+    python -m bench.fault_tests --kills 50                                # random times, two at once now and then
+    python -m bench.fault_tests --every 30 --seconds 600 --placement split
 
 When the faults are over the run is stopped by SIGTERM and resumed for one more update, the last. The same is run
 without a fault, told only from which updates on buffers were used (adoptions.json). Exit code 1, and the record's
@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.drill_run import FOR_EVER, OPTIONS, STEPS_PER_UPDATE, DrillError, DrillRun, machine, shared_memory
+from bench.fault_run import FOR_EVER, OPTIONS, STEPS_PER_UPDATE, FaultError, FaultRun, machine, shared_memory
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.checkpoint import load_checkpoint
 from kinetix_dist.errors import UserError
@@ -42,10 +42,10 @@ AFTER_UPDATE_S = (0.0, 2.0)
 HEARTBEAT_S = 15.0  # after which a stopped process is taken for lost
 
 
-class Drill:
+class Faults:
     """The faults of one run, at random with a seed."""
 
-    def __init__(self, run: DrillRun, seed: int) -> None:
+    def __init__(self, run: FaultRun, seed: int) -> None:
         self.run = run
         self.choose = random.Random(seed)
         self.done: collections.Counter[str] = collections.Counter()
@@ -99,7 +99,7 @@ class Drill:
     def _again(self, number: int, expected: int) -> int:
         status = self.run.end(number)
         if status != expected:
-            raise DrillError(f"after {signal.Signals(number).name} the command ended with {status}, not {expected}")
+            raise FaultError(f"after {signal.Signals(number).name} the command ended with {status}, not {expected}")
         self.run.start(resume=True)
         return 1
 
@@ -108,24 +108,24 @@ KINDS = ("kill", "kill_two", "stop", "damage", "driver", "term")
 
 
 def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """The record of one drill."""
+    """The record of one faults."""
     settings = ("--run.max_restarts", "100000", "--run.checkpoint_every", "25", "--run.keep_checkpoints", "3")
     settings += ("--recording.num_rollouts", "1", "--recording.make_pictures", "False", "--evaluation.every", "100")
     settings += ("--run.heartbeat_seconds", str(HEARTBEAT_S), "--run.stop_seconds", "120")
-    run = DrillRun(folder / "run", options.placement, settings)
+    run = FaultRun(folder / "run", options.placement, settings)
     shm_before, before = shared_memory(), machine()
-    drill, began, wrong = Drill(run, options.seed), time.monotonic(), []
+    faults, began, wrong = Faults(run, options.seed), time.monotonic(), []
     run.start("--run.total_env_steps", FOR_EVER)
     try:
         if options.every:
-            _at_intervals(drill, options)
+            _at_intervals(faults, options)
         else:
-            _at_random(drill, options.kills)
+            _at_random(faults, options.kills)
         run.wait_for_update()
         seconds = time.monotonic() - began
         status = run.end()
-    except DrillError as error:
-        return {"benchmark": "fault_drill", "placement": options.placement, "wrong": [str(error)]}
+    except FaultError as error:
+        return {"benchmark": "fault_tests", "placement": options.placement, "wrong": [str(error)]}
     finally:
         if run.is_alive:
             run.end(signal.SIGKILL)
@@ -146,11 +146,11 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     wrong += _compared(run, folder / "whole", len(updates), (*settings, *to_last))
     losses = run.events("process_lost")
     return {
-        "benchmark": "fault_drill",
+        "benchmark": "fault_tests",
         "placement": options.placement,
         "seed": options.seed,
-        "faults": dict(drill.done),
-        "processes": dict(drill.killed),
+        "faults": dict(faults.done),
+        "processes": dict(faults.killed),
         "seconds": round(seconds, 1),
         "cpu_seconds": round(run.cpu_seconds, 1),
         "updates": len(updates),
@@ -166,50 +166,50 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     }
 
 
-def _at_random(drill: Drill, number: int) -> None:
-    run = drill.run
-    while drill.killed.total() < number:
-        if drill.choose.random() < 0.5:
-            _sleep(run, drill.choose.uniform(*AFTER_KILL_S))
+def _at_random(faults: Faults, number: int) -> None:
+    run = faults.run
+    while faults.killed.total() < number:
+        if faults.choose.random() < 0.5:
+            _sleep(run, faults.choose.uniform(*AFTER_KILL_S))
         else:
             run.wait_for_update()
-            _sleep(run, drill.choose.uniform(*AFTER_UPDATE_S))
-        found = drill.kill(min(drill.choose.choice([1, 1, 2]), number - drill.killed.total()))
-        drill.done["kill_two" if found == 2 else "kill"] += found > 0
-        _tell(drill)
+            _sleep(run, faults.choose.uniform(*AFTER_UPDATE_S))
+        found = faults.kill(min(faults.choose.choice([1, 1, 2]), number - faults.killed.total()))
+        faults.done["kill_two" if found == 2 else "kill"] += found > 0
+        _report(faults)
 
 
-def _at_intervals(drill: Drill, options: argparse.Namespace) -> None:
+def _at_intervals(faults: Faults, options: argparse.Namespace) -> None:
     """Kinds take turns in a random order, so that each comes as often."""
-    drill.run.wait_for_update()
+    faults.run.wait_for_update()
     end, kinds = time.monotonic() + options.seconds, []
     while time.monotonic() < end:
         began = time.monotonic()
-        kinds = kinds or drill.choose.sample(options.kinds, k=len(options.kinds))
-        faults: Mapping[str, Callable[[], int]] = {kind: getattr(drill, kind) for kind in KINDS}
+        kinds = kinds or faults.choose.sample(options.kinds, k=len(options.kinds))
+        calls: Mapping[str, Callable[[], int]] = {kind: getattr(faults, kind) for kind in KINDS}
         kind = kinds.pop()
-        drill.done[kind] += faults[kind]() > 0
-        _tell(drill)
-        _sleep(drill.run, max(began + options.every - time.monotonic(), 0.0))
+        faults.done[kind] += calls[kind]() > 0
+        _report(faults)
+        _sleep(faults.run, max(began + options.every - time.monotonic(), 0.0))
 
 
-def _tell(drill: Drill) -> None:
-    print(f"{time.strftime('%H:%M:%S')} {dict(drill.done)}", file=sys.stderr, flush=True)
+def _report(faults: Faults) -> None:
+    print(f"{time.strftime('%H:%M:%S')} {dict(faults.done)}", file=sys.stderr, flush=True)
 
 
-def _sleep(run: DrillRun, seconds: float) -> None:
+def _sleep(run: FaultRun, seconds: float) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if not run.is_alive:
-            raise DrillError(f"the command ended ({run.driver.returncode}): {run.said()[-500:]}")
+            raise FaultError(f"the command ended ({run.driver.returncode}): {run.said()[-500:]}")
         time.sleep(0.05)
 
 
-def _compared(run: DrillRun, path: Path, num_updates: int, settings: tuple[str, ...]) -> list[str]:
+def _compared(run: FaultRun, path: Path, num_updates: int, settings: tuple[str, ...]) -> list[str]:
     """What differs from a run without faults to the same update."""
     path.mkdir()
     shutil.copy(run.path / "adoptions.json", path)
-    whole = DrillRun(path, run.placement, settings)
+    whole = FaultRun(path, run.placement, settings)
     whole.start()
     if (status := whole.finished()) != 0:
         return [f"the run without faults ended with {status}: {whole.said()[-300:]}"]
@@ -231,7 +231,7 @@ def _same_bits(ours: np.ndarray, theirs: np.ndarray | None) -> bool:
     return theirs is not None and ours.dtype == theirs.dtype and ours.tobytes() == theirs.tobytes()
 
 
-def _recoveries(run: DrillRun) -> dict[str, dict[str, float]]:
+def _recoveries(run: FaultRun) -> dict[str, dict[str, float]]:
     """By role: from a loss to the first new result, other losses in between included."""
     found = {role: [row["seconds"] for row in run.events("recovered", role=role)] for role in ROLES}
     return {
@@ -266,7 +266,7 @@ def run(options: argparse.Namespace) -> int:
 
     def records() -> Generator[dict[str, Any]]:
         for placement in options.placement:
-            folder = Path(tempfile.mkdtemp(prefix="kinetix-drill-"))
+            folder = Path(tempfile.mkdtemp(prefix="kinetix-faults-"))
             record = measure(argparse.Namespace(**vars(options) | {"placement": placement}), folder)
             if record["wrong"]:
                 failed.append(folder)

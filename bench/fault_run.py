@@ -1,6 +1,6 @@
-"""A real `kinetix-dist train` that drills end parts of: its command, its processes, and what it leaves behind.
+"""A real `kinetix-dist train` that test-faults end parts of: its command, its processes, and what it leaves behind.
 
-Used by `bench.fault_drill` and `bench.recovery`. Ray processes are real ones; the recipe is `tiny` and the device the
+Used by `bench.fault_tests` and `bench.recovery`. Ray processes are real ones; the recipe is `tiny` and the device the
 CPU, unless another is asked for.
 """
 
@@ -30,7 +30,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 SHARED_MEMORY = Path("/dev/shm")
 LOOK_EVERY_S = 1.0  # at the processes below a driver
 GONE_S = 30.0  # for what a driver left behind to be ended by the watchdog
-LIMIT_S = 900.0  # for anything that is waited for, where the drill has no end of its own
+LIMIT_S = 900.0  # for anything that is waited for, where the test has no end of its own
 MIN_END_S = 5.0  # for a command that was ended to be gone, whatever the limit
 STEPS_PER_UPDATE = recipe("tiny").rollout.steps_per_update
 FOR_EVER = str(1_000_000_000 * STEPS_PER_UPDATE)  # environment steps
@@ -46,12 +46,12 @@ def python_path() -> str:
     return os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
 
 
-class DrillError(Exception):
+class FaultError(Exception):
     """The run did not do what is waited for."""
 
 
 @dataclasses.dataclass
-class DrillRun:
+class FaultRun:
     """One run directory and the command that works in it, if any. Used by one thread."""
 
     path: Path
@@ -123,14 +123,14 @@ class DrillRun:
         return lines[-1]["processes"] if lines else []
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
-        """Raises DrillError where the command ends before, or where that takes too long."""
+        """Raises FaultError where the command ends before, or where that takes too long."""
         limit = self._limit()
         deadline = time.monotonic() + limit
         while not condition():
             if not self.is_alive:
-                raise DrillError(f"the command ended ({self.driver.returncode}) before {what}: {self.said()[-500:]}")
+                raise FaultError(f"the command ended ({self.driver.returncode}) before {what}: {self.said()[-500:]}")
             if time.monotonic() > deadline:
-                raise DrillError(f"{what} did not come in {limit:.0f} s; the run said last: {self.said()[-500:]}")
+                raise FaultError(f"{what} did not come in {limit:.0f} s; the run said last: {self.said()[-500:]}")
             time.sleep(0.02)
 
     def wait_for_update(self) -> float:
@@ -161,7 +161,7 @@ class DrillRun:
             return self.driver.wait(limit)
         except subprocess.TimeoutExpired:
             self.driver.kill()
-            raise DrillError(f"the command did not end in {limit:.0f} s: {self.said()[-500:]}") from None
+            raise FaultError(f"the command did not end in {limit:.0f} s: {self.said()[-500:]}") from None
         finally:
             self._watching.set()
             self._watcher.join()
