@@ -72,7 +72,7 @@ def without_evaluator(config: TrainConfig) -> TrainConfig:
 
 
 def run_directory(path: Path, config: TrainConfig, *, resume: bool) -> RunDirectory:
-    """As the command makes it: with the configuration in it."""
+    """Run directory as the command makes it: with the configuration in it."""
     run = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
     run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
     return run

@@ -76,7 +76,7 @@ def _what_was_learned(row):
     "name", [pytest.param(name, marks=[] if name in IN_MAKE_TEST else pytest.mark.slow) for name in CURRICULA]
 )
 def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_path):
-    """In the split placement: what was in flight at the checkpoint is played again from the state that proposed it."""
+    """Split placement: the batch in flight at the checkpoint is played again from the state that proposed it."""
     config = _config(name, placement="split", checkpoint_every=SAVED_AT)
     rows = _train(config, tmp_path / "unbroken", resume=False)
     shutil.copytree(tmp_path / "unbroken", tmp_path / "cut")

@@ -303,7 +303,7 @@ cp -r "$DISK/run" "$OUT/run"
 
 @pytest.mark.slow
 def test_a_file_system_of_6_mb_that_is_full_for_ten_seconds(tmp_path):
-    """In a mount namespace of its own; skipped where the machine gives none."""
+    """Runs in a mount namespace of its own; skipped where the machine gives none."""
     if subprocess.run(["unshare", "--map-root-user", "--mount", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no mount namespaces here")
     (tmp_path / "disk").mkdir()

@@ -112,7 +112,7 @@ def _with_refreshes_alike(**run):
 
 
 def _stopped_after_five(config, path):
-    """What was done until SIGTERM, which came in the fifth update."""
+    """Updates done until SIGTERM, which came in the fifth."""
     stop = StopSignals()
 
     class Signalled(_NotingTrainer):
@@ -183,7 +183,7 @@ def _goes_on_as_unbroken(config, path, unbroken, *, first):
 
 
 def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_first_update(tmp_path):
-    """It may compile for minutes."""
+    """The update may compile for minutes."""
     config, stop = tiny_config(num_updates=8, num_curators=0), StopSignals()
 
     class Signalled(_NotingTrainer):
@@ -357,7 +357,7 @@ def _run_split(num_updates, path, *, resume=False, trainer_of=SplitTrainer, stop
 
 
 def test_a_resumed_split_run_plays_the_batch_that_was_in_flight_again(tmp_path, monkeypatch):
-    """Also where the buffer of the batch after it was adopted right before a signal, or right after a checkpoint."""
+    """The buffer of the batch after it may have been adopted right before a signal, or right after a checkpoint."""
     monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)
     stop = StopSignals()
 

@@ -1,4 +1,4 @@
-"""What training writes for dashboards: true to what was trained on, rewound with it, and without a say in it."""
+"""Files of training for dashboards: true to what was trained on, rewound with it, and without influence on it."""
 
 import contextlib
 import dataclasses
@@ -95,7 +95,7 @@ def _assert_same_data(ours, theirs):
 
 
 def _assert_counts_add_up(path, rows):
-    """Of every window, with what metrics say of its updates."""
+    """Compares every window with the metrics of its updates."""
     lines = read_outcomes(path / "curriculum" / "outcomes.jsonl")
     assert [line["from_update"] for line in lines] == [0, *(line["update"] for line in lines[:-1])]
     assert lines[-1]["update"] == len(rows)

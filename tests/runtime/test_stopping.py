@@ -190,7 +190,7 @@ def test_a_second_signal_ends_at_once():
 
 
 def test_a_signal_sent_twice_at_the_same_time_is_one():
-    """As by timeout(1), which sends it to the process and to its group."""
+    """timeout(1) sends a signal to the process and to its group."""
     process = _slow(1.5, "update")
     process.send_signal(signal.SIGTERM)
     time.sleep(0.02)

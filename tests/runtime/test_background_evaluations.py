@@ -58,7 +58,7 @@ def _train(config, path, backend, *, is_beside=True, resume=False):
 
 
 def _rates(rows):
-    """By the update whose weights were evaluated."""
+    """Solve rates by the update whose weights were evaluated."""
     found = [row for row in rows if "evaluation/update" in row]
     return {
         row["evaluation/update"]: {name: row[name] for name in row if name.startswith("evaluation/s")} for row in found
