@@ -290,7 +290,7 @@ def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backen
 
 
 def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch):
-    """The section may take as long as a process compiles: a call that hangs is noticed after the limit of the section."""
+    """The section may take as long as a process compiles: a hanging call is noticed after the limit of the section."""
     sections, now = Sections(), [1000.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     sections.limits = {"update": 10.0, "save": 5.0, "compile": 100.0}
