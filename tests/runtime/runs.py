@@ -12,7 +12,7 @@ import numpy as np
 from kinetix_dist.checkpoint import load_checkpoint, newest_good
 from kinetix_dist.config import EvaluationConfig, LimitsConfig, TrainConfig, to_dict
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 
@@ -90,7 +90,7 @@ def run_updates(
     """Trains without evaluations to the configured end; a checkpoint is left there."""
     run = run_directory(path, config, resume=resume)
     try:
-        controller = Controller(config, run, trainer, curator, reporter or QuietReporter())
+        controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter or QuietReporter())
         controller.restore(resume=resume)
         controller.train()
         return controller

@@ -14,7 +14,7 @@ from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.checkpoints import lineage_from, starting_point
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -98,7 +98,7 @@ def _train(config, path, *, resume, reporter=None):
         trainer = SplitTrainer(config, backend, plan_placement(config, num_gpus=0))
     else:
         trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    controller = Controller(config, run, trainer, curator, reporter)
+    controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter)
     controller.restore(resume=resume)
     controller.train()
     run.close()

@@ -12,7 +12,7 @@ from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, select_ar
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -63,7 +63,7 @@ def _train(config, path, *, resume=False, backend=None, reporter=None):
     trainer = SplitTrainer(config, backend, placement) if split else None
     trainer = trainer or ColocatedTrainer(config, backend, placement.of("worker"))
     curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
-    controller = Controller(config, run, trainer, curator, reporter)
+    controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter)
     try:
         controller.restore(resume=resume)
         controller.train()
