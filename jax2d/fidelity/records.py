@@ -1,14 +1,25 @@
-"""Names of settings in records."""
+"""Records of the study: one measurement each, and the name of its setting."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TypedDict
 
 from jax2d.settings import PRESETS, Settings
 
-if TYPE_CHECKING:
-    from jax2d.fidelity.frontier import Record
+
+class Record(TypedDict):
+    """One measurement, as it stands in the JSON file."""
+
+    scene: str
+    preset: str  # the preset whose settings were swept, or the name of a peer
+    backend: str
+    dtype: str
+    device: str
+    setting: str
+    metric: str  # what the error is; says so where it is not accepted
+    error: float | None  # None: the trajectory is not finite
+    us_per_world_second: float
 
 
 def setting_label(settings: Settings) -> str:
