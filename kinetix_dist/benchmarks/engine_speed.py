@@ -41,8 +41,8 @@ from kinetix_dist.benchmarks.engine_worlds import (
 from kinetix_dist.benchmarks.measuring import Record, Results
 from kinetix_dist.benchmarks.peer_process import ProcessError, PublishedProcess
 from kinetix_dist.errors import one_line
-from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.simulation import level_effects
 
 # Over the range from bound by latency to bound by arithmetic. A core steps about as fast with 64 worlds as with more.
 WORLDS_CPU = (64, 256, 1024)
