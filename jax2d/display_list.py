@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -109,6 +109,14 @@ class DisplayList:
 
     def to_json(self) -> dict[str, Any]:
         return {"num_shapes": self.num_shapes, "primitives": [primitive.to_json() for primitive in self.primitives]}
+
+
+class ColourKeywords(TypedDict, total=False):
+    """Keywords of `display_list`, which says what they mean."""
+
+    palette: Sequence[Colour]
+    motor_colours: Any
+    thruster_colours: Any
 
 
 def display_list(

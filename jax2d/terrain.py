@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jax2d.given import SAME_POINT, SMALLEST_AREA_M2, SceneError, check_polygon
+from jax2d.builder_checks import SAME_POINT, SMALLEST_AREA_M2, SceneError, check_polygon
 from jax2d.xla.vec2 import cross
 
 ROOT_SHARE = 0.5  # of the thickness, or of the neighbour's length: how far tiles reach over their joints

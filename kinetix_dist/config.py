@@ -53,15 +53,9 @@ class RolloutConfig:
     num_envs: int = 2048  # worlds, over all devices
     num_steps: int = 256  # environment steps of each world in an update
     num_groups: int = 64  # of worlds, with levels drawn from a key each; no more devices can play
-    random_start_share: float = 0.0  # of the worlds, begin an update after random actions, see random_starts.py
-    random_start_steps: int = 64  # at most, of these actions; nothing is learned from them
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.random_start_share <= 1.0:
-            raise ConfigError(
-                f"RolloutConfig.random_start_share is {self.random_start_share}; a share of the worlds is 0 to 1"
-            )
-        for name in ("num_envs", "num_steps", "num_groups", "random_start_steps"):
+        for name in ("num_envs", "num_steps", "num_groups"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"RolloutConfig.{name} is {getattr(self, name)}; it must be 1 or more")
         if self.num_envs % self.num_groups:
@@ -278,18 +272,6 @@ class TrainConfig:
                 f"env.observation {self.env.observation!r} gives {gives}, but policy.network {self.policy.network!r} "
                 f"takes {takes}; {advice}"
             )
-        if self.rollout.random_start_share:
-            if self.curriculum_class.observes:
-                raise ConfigError(
-                    f"rollout.random_start_share is {self.rollout.random_start_share}, but curriculum "
-                    f"{self.curriculum.name!r} scores levels by the episodes of training, which would begin after "
-                    "random actions; set it to 0 or use a curriculum that plays levels itself (sfl)"
-                )
-            if self.rollout.random_start_steps >= self.env.max_steps:
-                raise ConfigError(
-                    f"rollout.random_start_steps is {self.rollout.random_start_steps} and an episode has "
-                    f"{self.env.max_steps} steps (env.max_steps); lower it, so that there is something left to play"
-                )
         num_episodes = self.curriculum_class.num_episodes(self.curriculum)
         if self.rollout.num_steps < num_episodes * self.env.max_steps:
             needs = "the end of an episode" if num_episodes == 1 else f"the ends of {num_episodes} episodes"
@@ -435,8 +417,6 @@ _OFF = {
     "curriculum.generator.varied_share": 0.0,
     "curriculum.generator.mechanism_weights": [],
     "curriculum.learnable_only": False,
-    "rollout.random_start_share": 0.0,
-    "rollout.random_start_steps": 64,
 }
 
 

@@ -30,7 +30,9 @@ RENAMED_VALUES: dict[tuple[str, Any], Any] = {
 }
 
 # Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
-RENAMED_OPTIONS: dict[tuple[str, str], str] = {}
+RENAMED_OPTIONS: dict[tuple[str, str], str] = {
+    ("sweep", "--lanes"): "--slots",
+}
 
 # Recipe before -> recipe now.
 RENAMED_RECIPES: dict[str, str] = {}
@@ -46,6 +48,8 @@ class Removed:
 
 # Path before -> why it is gone. Stored values that are off are left out.
 REMOVED: dict[str, Removed] = {
+    "rollout.random_start_share": Removed(why="exploring starts gave nothing", off=(0.0,)),
+    "rollout.random_start_steps": Removed(why="exploring starts gave nothing"),
     "curriculum.generator.edited_share": Removed(why="half of the levels edited gave nothing", off=(0.0,)),
     "curriculum.generator.num_changes": Removed(why="half of the levels edited gave nothing"),
 }

@@ -70,8 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import jax
     from rich.console import Console
 
-    from jax2d.fidelity.frontier import Record
     from jax2d.fidelity.picture import draw
+    from jax2d.fidelity.records import Record
     from jax2d.fidelity.references import StaleReference, study_scenes
     from jax2d.fidelity.report import print_report, write_csv
     from jax2d.fidelity.study import Measurement, run_study

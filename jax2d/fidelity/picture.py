@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jax2d.fidelity.frontier import Point, Record, accepted, bounded, pareto_set, points_of, setting_key, slope
-from jax2d.fidelity.labels import is_preset_itself
+from jax2d.fidelity.frontier import Point, accepted, bounded, pareto_set, points_of, setting_key, slope
 from jax2d.fidelity.peers import PEER_NAMES
+from jax2d.fidelity.records import Record, is_preset_itself
 
 COLOURS = {
     "standard": "#1f77b4",

@@ -11,19 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from jax2d.fidelity.closed_forms import CLOSED_FORMS
-from jax2d.fidelity.frontier import (
-    Point,
-    Record,
-    accepted,
-    bounded,
-    pareto_set,
-    points_of,
-    scenes_of_means,
-    setting_key,
-    slope,
-)
-from jax2d.fidelity.labels import is_preset_itself, setting_label
+from jax2d.fidelity.frontier import Point, accepted, bounded, pareto_set, points_of, scenes_of_means, setting_key, slope
 from jax2d.fidelity.peers import PEER_NAMES
+from jax2d.fidelity.records import Record, is_preset_itself, setting_label
 from jax2d.fidelity.sweep import RATES
 from jax2d.settings import preset
 

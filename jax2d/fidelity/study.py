@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jax2d.fidelity.frontier import NOT_ACCEPTED, Record
+from jax2d.fidelity.frontier import NOT_ACCEPTED
 from jax2d.fidelity.interleaved_timing import FAILURES, TimedRun, one_line, time_interleaved
-from jax2d.fidelity.labels import setting_label
 from jax2d.fidelity.peers import PEERS, PeerFailed, PeerMissing, run_peer
+from jax2d.fidelity.records import Record, setting_label
 from jax2d.fidelity.references import TRUST
 from jax2d.fidelity.simulator import Scenario, Simulator
 from jax2d.fidelity.study_scene import Error, StudyScene

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, Settings, State, preset, stack_worlds
+from jax2d.builder_checks import SceneError
 from jax2d.fields import as_dict, with_fields
-from jax2d.given import SceneError
 from tests.engine.worlds import CAPACITY, builder, engine
 
 
