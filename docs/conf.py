@@ -6,8 +6,10 @@ is fetched: fonts are those of the reader's system, search is a script of the si
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
+from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(REPOSITORY))
@@ -18,7 +20,14 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 
 root_doc = "docs/index"
 source_suffix = {".md": "markdown"}
-include_patterns = ["README.md", "CHANGELOG.md", "docs/**", "bench/README.md", "cluster/README.md", "pretrained/README.md"]
+include_patterns = [
+    "README.md",
+    "CHANGELOG.md",
+    "docs/**",
+    "bench/README.md",
+    "cluster/README.md",
+    "pretrained/README.md",
+]
 exclude_patterns = [
     *(f"{name}/**" for name in ("jax2d", "kinetix_dist", "levels", "tests", "examples", "runs", "dist")),
     "**/.*",
@@ -27,8 +36,9 @@ exclude_patterns = [
 
 # Anchors of headings, as code hosts make them.
 myst_heading_anchors = 4
-# Names of fields in code blocks of shells, and level files with comments, are no errors of a page.
-suppress_warnings = ["misc.highlighting_failure"]
+# Docstrings are plain text with `names`, not reStructuredText: the hook below helps, and what is left is no error. Links
+# of pages are MyST's and stay errors.
+suppress_warnings = ["misc.highlighting_failure", "docutils"]
 
 html_theme = "furo"
 html_title = "kinetix-dist"
@@ -38,3 +48,12 @@ html_copy_source = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
+
+
+def setup(app: Any) -> None:
+    app.connect("autodoc-process-docstring", _mark_code)
+
+
+def _mark_code(app: Any, kind: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Makes `names` of docstrings code."""
+    lines[:] = [re.sub(r"(?<!`)`([^`]+)`(?!`)(\w?)", r"``\1``\\ \2", line) for line in lines]
