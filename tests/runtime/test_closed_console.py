@@ -64,7 +64,7 @@ def test_a_pipe_whose_reader_has_ended_does_not_end_the_run(tmp_path):
     reporter.close()
     run.close()
     (failing,) = _events(run, "sink_failing")
-    assert (failing["sink"], failing["error"]) == ("console", "nobody reads the console any more")
+    assert (failing["sink"], failing["error"]) == ("console", "the console has no reader any more")
 
 
 @pytest.mark.parametrize(

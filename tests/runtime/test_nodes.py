@@ -61,7 +61,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     resizing.fit(4, stop)
     assert [process.name for process in trainer.placement.processes] == ["worker 0", "curator 0"]
     assert told == [("resized", {"role": "worker", "before": 2, "now": 1, "update": 4})]
-    assert "2 workers have no room: " in notes[0] and ", 1 lost; waits 0.5 s" in notes[0]
+    assert "2 workers do not fit: " in notes[0] and ", 1 lost; waits 0.5 s" in notes[0]
     assert "goes on with 1 worker instead of 2" in notes[-1]
     assert not resizing.can_grow()
     began = time.monotonic()
@@ -141,7 +141,7 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
     try:
         wait_for(lambda: len(rows(run)) >= 7, process, "update 7")
         cluster.remove_node(node)
-        wait_for(lambda: any("(run.min_workers) have no room" in line for line in said), process, "the line")
+        wait_for(lambda: any("(run.min_workers) do not fit" in line for line in said), process, "the line")
         node = cluster.add_node(num_cpus=1)
         wait_for(lambda: bool(events(run, "recovered", role="worker")), process, "the recovery")
         process.send_signal(signal.SIGTERM)
@@ -149,7 +149,7 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
     finally:
         process.kill()
     assert process.returncode == EXIT_STOPPED
-    assert sum("have no room" in line for line in said) == 2  # that it was lost, and that it is waited for
+    assert sum("do not fit" in line for line in said) == 2  # that it was lost, and that it is waited for
     assert all(row["differs"] == [] for row in events(run, "resumed"))
 
 

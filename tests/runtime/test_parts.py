@@ -274,7 +274,7 @@ def test_weights_are_kept_while_recent():
     for version in (0, 1, 2, 3):
         store.publish(version, version)
     assert 1 not in store and 2 in store and store.get(3) == 3
-    with pytest.raises(LookupError, match="version 0 is not kept"):
+    with pytest.raises(LookupError, match="version 0 is not stored"):
         store.get(0)
 
 

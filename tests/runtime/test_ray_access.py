@@ -74,7 +74,7 @@ def test_a_cluster_is_given_the_token_where_there_is_one(home, monkeypatch):
 
 def test_a_token_file_that_cannot_be_made_is_refused(home):
     (home / ".ray").write_text("")
-    with pytest.raises(PlacementError, match=r"auth_token cannot be kept from others .*RAY_AUTH_TOKEN_PATH"):
+    with pytest.raises(PlacementError, match=r"auth_token cannot be hidden from others .*RAY_AUTH_TOKEN_PATH"):
         secure_token()
 
 
