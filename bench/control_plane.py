@@ -4,7 +4,7 @@
     python -m bench.control_plane --processes 4 16 64 --learns                  # a dry run: all form one JAX world
 
 Processes are the Ray actors of a run on one machine with a core that computes nothing, or that takes a gradient step
-of a tiny network together with all others: seconds to start all, to ask all of them once as an update does (a call
+of a tiny network together with all others: seconds to start all, to call all of them once as an update does (a call
 each, all answers awaited), and what memory they take. CPU seconds are those of the driver and of Ray, without the
 processes themselves: where these share a few cores with each other, the time of an update is mostly theirs. A number
 that memory does not hold is left out, and its record says so.

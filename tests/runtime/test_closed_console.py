@@ -71,7 +71,7 @@ def test_a_pipe_whose_reader_has_ended_does_not_end_the_run(tmp_path):
     "resumes", [pytest.param(False, id="a run", marks=pytest.mark.slow), pytest.param(True, id="a refusal")]
 )
 def test_a_command_ends_whose_last_lines_nobody_takes(tmp_path, resumes):
-    """A pipe of one page, which the first line takes: neither the report, nor a line on stderr, has room."""
+    """A pipe of one page, which the first line takes: neither the report nor a line on stderr fits."""
     run = tmp_path / "run"
     what = ["--run", str(run), *tiny_options(2)] if not resumes else ["--run", str(tmp_path / "none"), "--resume"]
     reads, writes = os.pipe()

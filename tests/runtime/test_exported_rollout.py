@@ -49,7 +49,7 @@ class OfAUser(EntityObservation):
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> Any:
+def cache_key(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Key of the program of a configuration; None: it is traced in every process."""
 
     def made_from(config: TrainConfig) -> str | None:
@@ -61,23 +61,25 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Any:
     return made_from
 
 
-def test_what_is_not_of_this_project_is_traced_in_every_process(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_of_this_project_is_traced_in_every_process(
+    cache_key: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config = tiny_config(num_updates=1)
-    assert told(config) is not None
+    assert cache_key(config) is not None
     plugins = dataclasses.replace(config.run, plugins=("tests.runtime.fake_curriculum",))
-    assert told(dataclasses.replace(config, run=plugins)) is None
+    assert cache_key(dataclasses.replace(config, run=plugins)) is None
     given = CurriculumConfig(name="fixed", levels="designed_s")  # files, which may change too
-    assert told(dataclasses.replace(config, curriculum=given)) is None
+    assert cache_key(dataclasses.replace(config, curriculum=given)) is None
     monkeypatch.setattr(OBSERVATIONS, "_parts", {**OBSERVATIONS._parts, "of_a_user": OfAUser()})
     of_a_user = dataclasses.replace(config.env, observation="of_a_user")
-    assert told(dataclasses.replace(config, env=of_a_user)) is None
+    assert cache_key(dataclasses.replace(config, env=of_a_user)) is None
 
 
-def test_a_curriculum_of_the_same_name_is_another_program(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_curriculum_of_the_same_name_is_another_program(cache_key: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     found = set()
     for one in (Plr, RobustPlr):
         monkeypatch.setattr(CURRICULA, "_parts", {**CURRICULA._parts, "mine": one})
-        found.add(told(dataclasses.replace(tiny_config(num_updates=1), curriculum=CurriculumConfig(name="mine"))))
+        found.add(cache_key(dataclasses.replace(tiny_config(num_updates=1), curriculum=CurriculumConfig(name="mine"))))
     assert len(found) == 2 and None not in found
 
 
@@ -92,10 +94,10 @@ def test_worlds_that_do_not_fit_are_refused_also_where_the_program_is_read(monke
         Playing(config, data_mesh(jax.devices()[:1])).rollout(config)
 
 
-def test_what_changes_a_rollout_makes_another_program(told: Any) -> None:
+def test_what_changes_a_rollout_makes_another_program(cache_key: Any) -> None:
     config = tiny_config(num_updates=1)
     longer = dataclasses.replace(config.run, total_env_steps=config.run.total_env_steps * 2)
-    assert told(dataclasses.replace(config, run=longer)) == told(config)
+    assert cache_key(dataclasses.replace(config, run=longer)) == cache_key(config)
     another_seed = dataclasses.replace(config.run, seed=config.run.seed + 1)
     penalty = dataclasses.replace(config.env, failure_penalty=config.env.failure_penalty + 0.5)
     generator = dataclasses.replace(config.curriculum.generator, thruster_chance=0.5)
@@ -105,4 +107,4 @@ def test_what_changes_a_rollout_makes_another_program(told: Any) -> None:
         dataclasses.replace(config, curriculum=dataclasses.replace(config.curriculum, generator=generator)),
         dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, num_groups=2)),
     ]
-    assert len({told(one) for one in (config, *changed)}) == 1 + len(changed)
+    assert len({cache_key(one) for one in (config, *changed)}) == 1 + len(changed)

@@ -45,8 +45,8 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
 def test_kernels_that_the_device_of_a_worker_cannot_run_are_refused(tmp_path):
     """The driver leaves devices alone: the worker finds out."""
     network = ["--policy.encoder_size", "128", "--policy.num_heads", "8", "--policy.attention_features", "16"]
-    asked = ["--policy.kernels", "fused", "--policy.dtype", "bfloat16", *network]
-    line = _the_line(start(tmp_path / "run", *COLOCATED, *asked), status=2)
+    options = ["--policy.kernels", "fused", "--policy.dtype", "bfloat16", *network]
+    line = _the_line(start(tmp_path / "run", *COLOCATED, *options), status=2)
     assert "policy.kernels is 'fused', but" in line and line.endswith("use 'auto' or 'xla'")
     assert not (tmp_path / "run" / "config.json").exists()
 
