@@ -25,7 +25,7 @@ from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
 
 ROUNDS = 50  # of calls; the median counts
-BYTES_A_PROCESS = 160 << 20  # its own, an estimate, to leave out what would not fit
+BYTES_PER_PROCESS = 160 << 20  # its own, an estimate, to leave out what would not fit
 HIDDEN = 64  # units of the tiny network
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
 
@@ -84,9 +84,9 @@ def measure(count: int, *, learns: bool = False) -> dict[str, object]:
     record: dict[str, object] = {"benchmark": "control_plane", "processes": count, "learns": learns}
     record |= {"cores": psutil.cpu_count(), "load": [round(value, 1) for value in os.getloadavg()]}
     available = psutil.virtual_memory().available
-    if available < count * BYTES_A_PROCESS:
+    if available < count * BYTES_PER_PROCESS:
         return record | {
-            "left_out": f"{available >> 20} MiB of memory are free, about {BYTES_A_PROCESS >> 20} a process"
+            "left_out": f"{available >> 20} MiB of memory are free, about {BYTES_PER_PROCESS >> 20} a process"
         }
     backend = RayBackend(heartbeat_seconds=600.0, modules=MODULES)  # as a run does
     try:
@@ -108,8 +108,8 @@ def measure(count: int, *, learns: bool = False) -> dict[str, object]:
             "update_milliseconds": round(1e3 * statistics.median(rounds), 3),
             "update_milliseconds_slowest": round(1e3 * max(rounds[1:]), 3),
             "control_cpu_milliseconds": round(1e3 * cpu / ROUNDS, 3),
-            "resident_mib_a_process": round(statistics.mean(one.rss for one in memory) / (1 << 20), 1),
-            "own_mib_a_process": round(statistics.mean(one.uss for one in memory) / (1 << 20), 1),
+            "resident_mib_per_process": round(statistics.mean(one.rss for one in memory) / (1 << 20), 1),
+            "own_mib_per_process": round(statistics.mean(one.uss for one in memory) / (1 << 20), 1),
         }
     finally:
         backend.stop()
