@@ -30,7 +30,6 @@ from kinetix_dist.runtime.driver.roles import Refresh, Reporter
 from kinetix_dist.runtime.driver.run_directory import EVALUATIONS, PROCESSES, RunDirectory
 from kinetix_dist.runtime.driver.run_files import LineFile, SinkEvents, SnapshotSink, UnfinishedSnapshot
 from kinetix_dist.telemetry.curriculum_log import (
-    ALL_EPISODES_FORMAT,
     BUFFER,
     OUTCOMES,
     OUTCOMES_FORMAT,
@@ -260,8 +259,7 @@ class OutcomeWindow:
         """The line of what is there after so many updates, if there is any; the next window begins."""
         if not self._counts:
             return []
-        line_format = ALL_EPISODES_FORMAT if "finished" in self._counts else OUTCOMES_FORMAT
-        line = {"format": line_format, "update": num_updates, "from_update": self._from_update}
+        line = {"format": OUTCOMES_FORMAT, "update": num_updates, "from_update": self._from_update}
         if self._buffer is not None:
             line["buffer"] = self._buffer
         num_sources = len(self._sources)
