@@ -20,14 +20,13 @@ LAYERS = (
     ("dashboard", "play"),
     ("editor",),  # below play, whose worker answers what the editor asks
     ("config",),
-    ("phases",),
     ("actors", "learner", "curator", "evaluation"),
     ("messages",),
     ("models",),
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
+    ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "setting", "text_files", "user_directories"),
     ("engine_package", "errors", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}

@@ -195,7 +195,7 @@ def test_levels_with_what_the_engine_was_made_without_are_refused(env: Environme
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("size", "xl", "EnvConfig.size is 'xl'; sizes are s, m, l"),
+        ("size", "xl", "EnvConfig.size is 'xl'; choose one of s, m, l"),
         ("action_space", "buttons", "EnvConfig.action_space is 'buttons'"),
         ("frame_skip", 0, "EnvConfig.frame_skip is 0"),
         ("frame_skip", 1.5, "EnvConfig.frame_skip is 1.5; it must be a whole number"),
@@ -203,8 +203,8 @@ def test_levels_with_what_the_engine_was_made_without_are_refused(env: Environme
         ("effect_groups", True, "EnvConfig.effect_groups is True; it must be a whole number"),
         ("max_steps", -1, "EnvConfig.max_steps is -1"),
         ("dense_reward_scale", float("nan"), "EnvConfig.dense_reward_scale is nan"),
-        ("failure_penalty", -0.5, "EnvConfig.failure_penalty is -0.5; it must be 0 or more"),
-        ("failure_penalty", 1e39, "EnvConfig.failure_penalty is 1e\\+39; it must be 0 or more, and a float32"),
+        ("failure_penalty", -0.5, "EnvConfig.failure_penalty is -0.5; it must be from 0 to 3.4"),
+        ("failure_penalty", 1e39, "EnvConfig.failure_penalty is 1e\\+39; it must be from 0 to 3.4"),
     ],
 )
 def test_bad_config_values_are_refused(field: str, value: object, message: str) -> None:

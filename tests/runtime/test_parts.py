@@ -80,7 +80,7 @@ def test_scores_of_candidates_need_a_whole_episode():
         dataclasses.replace(config, curriculum=dataclasses.replace(config.curriculum, scoring_steps=63))
     old = to_dict(config)
     old["curriculum"]["scoring_steps"] = 63
-    assert from_dict_for_playing(old).curriculum.scoring_steps == 64  # such policies are still played
+    assert from_dict_for_playing(old).policy == config.policy  # such policies are still played
     # Others score no candidates by steps.
     fixed = dataclasses.replace(config.curriculum, name="domain_randomization", scoring_steps=1)
     dataclasses.replace(config, curriculum=fixed)
@@ -121,7 +121,7 @@ def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
 @pytest.mark.parametrize("name", [name for name in RECIPES if recipe(name).run.device == "gpu"])
 def test_recipes_for_gpus_evaluate_and_record_beside_training(name):
     config = recipe(name)
-    assert config.evaluates_beside and config.evaluation.every > 0 and config.recording.every > 0
+    assert config.evaluates_in_background and config.evaluation.every > 0 and config.recording.every > 0
     num_updates = config.run.total_env_steps // config.rollout.steps_per_update
     assert num_updates // config.evaluation.every >= 10 and num_updates // config.recording.every >= 3
     assert ("evaluator 0", 0) in [(process.name, process.gpu) for process in plan(config, num_gpus=2).processes]

@@ -9,8 +9,8 @@ import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, select_arrays
 from kinetix_dist.config import TrainConfig, differences, from_dict, to_dict
+from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.models.added_layers import GATE_BIAS
-from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller

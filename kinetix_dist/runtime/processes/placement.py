@@ -71,7 +71,7 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
     if config.has_curator:
         for index in range(min(config.run.num_curators, len(beside)) if on_gpus else config.run.num_curators):
             beside[index % len(beside)].append(("curator", index))
-    if config.evaluates_beside:
+    if config.evaluates_in_background:
         beside[0].append(("evaluator", 0))
     if not on_gpus:
         devices, on_cpu = [], devices
