@@ -38,7 +38,10 @@ class Removed:
 
 
 # Path before -> why it is gone. Stored values that are off are left out.
-REMOVED: dict[str, Removed] = {}
+REMOVED: dict[str, Removed] = {
+    "curriculum.learnable_only": Removed(why="it gained nothing", off=(False,)),
+    "env.effect_groups": Removed(why="one engine for all worlds is as fast"),
+}
 
 # (path now, value before) -> (value with which a stored policy is played, why it is gone).
 REMOVED_VALUES: dict[tuple[str, Any], tuple[Any, str]] = {}

@@ -24,10 +24,11 @@ def from_dict(data: Mapping[str, Any]) -> TrainConfig:
 
 def from_dict_for_playing(data: Mapping[str, Any]) -> StoredConfig:
     """Configuration of a policy that is only played, on any device: checks of training are left out."""
-    config = _read(StoredConfig, data, for_playing=True)
-    if config.policy.kernels != "fused":
-        return config
-    return dataclasses.replace(config, policy=dataclasses.replace(config.policy, kernels="auto"))
+    data = _with_todays_names(data, for_playing=True)
+    policy = data.get("policy")
+    if isinstance(policy, dict) and policy.get("kernels") == "fused":  # of Hopper GPUs, and of some networks
+        policy["kernels"] = "auto"
+    return _read(StoredConfig, data, for_playing=True)
 
 
 def has_same_numbers(config: TrainConfig, stored: Mapping[str, Any], stored_hash: str) -> bool:

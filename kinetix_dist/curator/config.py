@@ -123,7 +123,6 @@ class CurriculumConfig:
     adopt_after: int = setting(4, minimum=1)  # updates from the request of a refresh to its adoption
     buffer_size: int = setting(1024, minimum=1)  # K, levels kept
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
-    learnable_only: bool = False  # "sfl": of these, only levels with a score above 0, where there are any
     sizes: tuple[tuple[str, float], ...] = ()  # weights of sizes among levels drawn; (): all are of env.size
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)
@@ -134,8 +133,6 @@ class CurriculumConfig:
     def __post_init__(self) -> None:
         check_settings(self)
         check_weights("CurriculumConfig.sizes", self.sizes)
-        if self.learnable_only and self.name != "sfl":
-            raise ConfigError(f"CurriculumConfig.learnable_only is for 'sfl' and not for {self.name!r}; leave it out")
         if self.num_candidates % self.scoring_batch:
             raise ConfigError(
                 f"CurriculumConfig.num_candidates {self.num_candidates} is not a multiple of scoring_batch "

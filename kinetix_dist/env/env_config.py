@@ -28,7 +28,6 @@ class EnvConfig:
     failure_penalty: float = setting(1.0, minimum=0, maximum=FLOAT32_MAX)  # reward for touching red is minus this
     action_space: str = setting("multi_discrete", choices=ACTION_SPACES)  # or "continuous" or "discrete"
     observation: str = setting("entity", choices=OBSERVATIONS)  # or "flat" or "pixels"
-    effect_groups: int = setting(0, minimum=0)  # groups of worlds with engines of their own; 0: one full engine
 
     def __post_init__(self) -> None:
         check_settings(self)

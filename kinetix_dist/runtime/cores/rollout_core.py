@@ -192,7 +192,7 @@ def rollout_core(
     made_from = None
     if is_told and are_of_this_project(*parts, policy, curriculum):
         told = *map(told_apart, parts), (type(policy).__module__, policy), type(curriculum)
-        made_from = repr((settings, env.variants, *told, groups, division))
+        made_from = repr((settings, *told, groups, division))
     return _kept(settings, env, policy, curriculum, mesh, groups=groups, division=division, made_from=made_from)
 
 
