@@ -157,7 +157,7 @@ class Sfl(Curriculum):
         return refresh_log(parts, config.buffer_size)
 
     def probe(self, state: LevelBuffer | None, num_levels: int) -> Probe | None:
-        """Levels of the buffer in use, evenly spread over their ranks; all where it has fewer. None before the first."""
+        """Levels of the buffer in use, evenly spread over their ranks; all where it has fewer. None before it."""
         if state is None or not num_levels:
             return None
         num_levels = min(num_levels, len(state.score))
