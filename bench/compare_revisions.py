@@ -1,7 +1,7 @@
-"""The engine of several git revisions, and of variants of the kernel as it is, timed side by side in one run.
+"""Engine speed of git revisions, or of variants of today's kernel, compared with the working tree in one run.
 
-    python bench/compare_revisions.py export                 # where git is: jax2d/ of each into runs/revisions
-    python bench/compare_revisions.py run --json runs/revisions.json      # anywhere: each beside the working tree
+    python bench/compare_revisions.py export REVISION...     # where git is: jax2d/ of each into runs/revisions
+    python bench/compare_revisions.py run --json runs/revisions.json      # anywhere
     python bench/compare_revisions.py run --variants --json runs/variants.json
 
 Every engine has a process of its own; all get the same worlds, actions and settings, and their runs are interleaved.
@@ -47,22 +47,6 @@ from kinetix_dist.level.level import SIZES
 CHECKOUT = Path(__file__).resolve().parent.parent
 FOLDER = Path("runs/revisions")
 NOW = "working tree"
-# Each is what the kernel was after a change; the one above it is what it was before.
-REVISIONS = {
-    "1df39d4": "as timed on an H200 at first",
-    "c5d8b0f": "hard scenes: seams, fast turns, friction in bounces",
-    "7f82489": "effects; a sweep above 32 shapes",
-    "47a1f4f": "contacts found by one copy of the code",
-    "21ba8b1": "two bodies in registers while they are solved",
-    "b73486f": "loops stay loops",
-    "8fe2fc8": "contacts prepared further ahead; inactive slots cost nothing",
-    "b759c9c": "paper follows its appendix",
-    "05fddb8": "near pairs listed first",
-    "bf89792": "fixed bodies once a call",
-    "9678843": "speed limits hold for every state",
-    "afbda07": "pushes and twists written once, in Pair",
-    "1a08b34": "bounces in rounds, sub-steps stopped where a body leaves its predicted motion",
-}
 VARIANTS: dict[str, dict[str, Any]] = {  # fields of `jax2d.warp.variant.CompileOptions`
     "blocks of 32": {"block_dim": 32},
     "blocks of 128": {"block_dim": 128},
@@ -82,18 +66,18 @@ WORLDS_CPU, WORLDS_GPU = (256,), (8192, 65536)
 Record = dict[str, Any]
 
 
-def export(folder: Path, revisions: dict[str, str]) -> int:
+def export(folder: Path, revisions: list[str]) -> int:
     """Writes FOLDER/<number>_<revision>/jax2d and FOLDER/revisions.json."""
     shutil.rmtree(folder, ignore_errors=True)
     listed = []
-    for number, (revision, label) in enumerate(revisions.items()):
+    for number, revision in enumerate(revisions):
         done = subprocess.run(["git", "archive", revision, "jax2d"], cwd=CHECKOUT, capture_output=True)
         if done.returncode != 0:
             raise UserError(f"git archive {revision}: {one_line(done.stderr.decode())}")
         name = f"{number:02}_{revision}"
         with tarfile.open(fileobj=BytesIO(done.stdout)) as archive:
             archive.extractall(folder / name, filter="data")
-        listed.append({"folder": name, "revision": revision, "label": label})
+        listed.append({"folder": name, "revision": revision})
     (folder / "revisions.json").write_text(json.dumps(listed, indent=1) + "\n")
     print(f"{len(listed)} revisions in {folder}")
     return 0
@@ -128,9 +112,11 @@ def entrants(stack: ExitStack, folder: Path, variants: bool, only: list[str] | N
     else:
         index = folder / "revisions.json"
         if not index.is_file():
-            raise UserError(f"{index} does not exist; run `python bench/compare_revisions.py export` where git is")
+            raise UserError(
+                f"{index} does not exist; run `python bench/compare_revisions.py export REVISION...` where git is"
+            )
         listed = json.loads(index.read_text())
-        chosen = [(one["revision"], one["label"], folder / one["folder"], {}) for one in listed]
+        chosen = [(one["revision"], "", folder / one["folder"], {}) for one in listed]
     names = [name for name, *_ in chosen]
     if unknown := sorted(set(only or []) - set(names)):
         raise UserError(f"--only has {unknown[0]!r}; there are {', '.join(names)}")
@@ -275,7 +261,7 @@ def run(args: argparse.Namespace) -> int:
 def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("do", choices=("export", "run"))
-    parser.add_argument("revisions", nargs="*", help="export: other revisions than those of the lab log, oldest first")
+    parser.add_argument("revisions", nargs="*", help="export: git revisions, oldest first")
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the exported revisions")
     parser.add_argument("--variants", action="store_true", help="run: variants of the working tree, not revisions")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="run: these revisions or variants alone")
@@ -294,8 +280,10 @@ def main() -> int:
     for size in args.sizes:
         if size not in SIZES and not (size.isdigit() and 4 <= int(size) <= 512):
             parser.error(f"--sizes has {size!r}; give s, m, l, or a number of shapes from 4 to 512")
+    if args.do == "export" and not args.revisions:
+        parser.error("export: give one git revision or more")
     if args.do == "export":
-        return exit_code(parser, lambda: export(args.folder, dict.fromkeys(args.revisions, "") or REVISIONS))
+        return exit_code(parser, lambda: export(args.folder, args.revisions))
     return exit_code(parser, lambda: run(args))
 
 

@@ -35,9 +35,9 @@ from kinetix_dist.level.frontier import (
 )
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.noop import noop_solved
-from kinetix_dist.play.players import Trained
 from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 from kinetix_dist.telemetry.json_lines import replace_file
+from kinetix_dist.trained_policy import Trained
 
 FIRST_ATTEMPTS = 8  # of each policy on a level; all of them only where these solve nothing
 PADDED_TO = 256  # levels

@@ -35,7 +35,6 @@ from kinetix_dist import prng
 from kinetix_dist.checkpoint import list_checkpoints, select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.slice_buffer import IN_USE, recent
-from kinetix_dist.dashboard.refreshes import Refreshes, rate_over_levels
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
@@ -43,10 +42,11 @@ from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import Level
-from kinetix_dist.play.players import Trained, checkpoint_at, newest_checkpoint_of
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.stored import CURRICULUM
+from kinetix_dist.runtime.cores.playing import make_environment
+from kinetix_dist.runtime.cores.run_names import CURRICULUM
+from kinetix_dist.studio.runs.refreshes import Refreshes, rate_over_levels
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, REFRESH, list_snapshots, read_snapshot
+from kinetix_dist.trained_policy import Trained, checkpoint_at, newest_checkpoint_of
 
 COLUMNS = "{:>8} {:>7} {:>8} {:>16} {:>16} {:>24} {:>8} {:>30}"
 

@@ -49,11 +49,11 @@ from kinetix_dist.learner.sharding import data_mesh, on_devices
 from kinetix_dist.learner.update import IN_SPECS, _Program, _shuffled, advantages_of, make_update
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.models.policy import DTYPES
-from kinetix_dist.play.players import Trained, checkpoint_at
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.playing import make_environment
 from kinetix_dist.runtime.cores.rollout_core import Batch, RolloutCore
+from kinetix_dist.trained_policy import Trained, checkpoint_at
 
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "q999": 0.999, "max": 1.0}
 COLUMNS = "{:>9} {:>7} {:>8} {:>9} {:>7}" + " {:>9}" * (len(QUANTILES) + 3)

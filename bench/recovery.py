@@ -30,11 +30,11 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-from bench.drill_run import (
+from bench.fault_run import (
     FOR_EVER,
     GONE_S,
-    DrillError,
-    DrillRun,
+    FaultError,
+    FaultRun,
     gpu_memory_mib,
     machine,
     shared_memory,
@@ -58,7 +58,7 @@ def measure(options: argparse.Namespace) -> Generator[dict[str, Any]]:
     for placement, losses in itertools.groupby(sorted(options.losses, key=_order), key=PLACEMENTS.__getitem__):
         folder = Path(tempfile.mkdtemp(prefix="kinetix-recovery-"))
         settings = (*OPTIONS, "--curriculum.refresh_every", str(refresh_every(options.recipe)), *options_of_run)
-        run = DrillRun(folder / "run", placement, settings, options.device, options.recipe, ends_at)
+        run = FaultRun(folder / "run", placement, settings, options.device, options.recipe, ends_at)
         for record in _losses_of(run, list(losses), options):
             if is_kept := bool(record.get("wrong")):
                 record["kept"] = str(folder)
@@ -67,7 +67,7 @@ def measure(options: argparse.Namespace) -> Generator[dict[str, Any]]:
             shutil.rmtree(folder)
 
 
-def _losses_of(run: DrillRun, losses: list[str], options: argparse.Namespace) -> Generator[dict[str, Any]]:
+def _losses_of(run: FaultRun, losses: list[str], options: argparse.Namespace) -> Generator[dict[str, Any]]:
     about = {"benchmark": "recovery", "placement": run.placement, "recipe": run.recipe, "device": run.device}
     memory, shared = {"before": gpu_memory_mib()}, shared_memory()
     after_start, killed, wrong = _cache_files(), [], []
@@ -83,7 +83,7 @@ def _losses_of(run: DrillRun, losses: list[str], options: argparse.Namespace) ->
             killed += [lost] if lost != "driver" else []
             yield about | _recovery(run, lost)
         _settle(run, options.settled)
-    except DrillError as error:
+    except FaultError as error:
         wrong.append(str(error))
     finally:
         run.end(signal.SIGKILL)
@@ -116,13 +116,13 @@ def _order(lost: str) -> tuple[str, int]:
     return PLACEMENTS[lost], list(PLACEMENTS).index(lost)
 
 
-def _settle(run: DrillRun, num_updates: int) -> None:
+def _settle(run: FaultRun, num_updates: int) -> None:
     """Until what compiles has compiled."""
     last = max(run.updates(), default=0)
     run.wait(lambda: max(run.updates(), default=0) >= last + num_updates, f"{num_updates} updates")
 
 
-def _recovery(run: DrillRun, lost: str) -> dict[str, Any]:
+def _recovery(run: FaultRun, lost: str) -> dict[str, Any]:
     before, reached = machine(), max(run.updates())
     num_started, num_recovered = len(run.events("process_started")), len(run.events("recovered", role=lost))
     cpu, began = run.cpu_now(), time.monotonic()
@@ -147,7 +147,7 @@ def _recovery(run: DrillRun, lost: str) -> dict[str, Any]:
     }
 
 
-def _compile_seconds(run: DrillRun) -> dict[str, list[float]]:
+def _compile_seconds(run: FaultRun) -> dict[str, list[float]]:
     """Of every start of each process, in order."""
     found: dict[str, dict[int, float]] = defaultdict(dict)
     for line in read_lines(run.path / "processes.jsonl").rows:

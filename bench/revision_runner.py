@@ -13,7 +13,7 @@ Reads one JSON request a line from stdin and answers each with one line on stdou
 
 A failure answers {"ok": false, "error": one line}. World i plays world i of the file modulo their number. Runs go on
 from where the one before ended; new actions are drawn for every two steps. On a CPU seconds are processor time. This
-file uses nothing of the project but the `jax2d` on its path, in ways that every revision since 1df39d4 understands.
+file uses nothing of the project but the `jax2d` on its path, with nested scenes (`e0d5a3c`) and field names of today.
 """
 
 from __future__ import annotations
@@ -35,30 +35,6 @@ FRAME_SKIP = 2  # physics steps that an action is held for
 STARTS = ("position", "angle", "velocity", "angular_velocity")
 
 
-# Names of fields where a scene was flat: revisions before nested scenes.
-FLAT_NAMES = {
-    "shapes.active": "shape_active",
-    **{f"joints.{name}": f"joint_{name}" for name in ("active", "a", "b", "anchor_a", "anchor_b", "rest_angle")},
-    **{f"thrusters.{name}": f"thruster_{name}" for name in ("active", "body", "position", "angle", "power")},
-}
-
-
-def scene_of(arrays: dict[str, np.ndarray]) -> Any:
-    """The scene of this revision from arrays by the dotted names of today."""
-    import jax2d
-
-    try:
-        from jax2d.fields import from_dict
-    except ImportError:
-        kind = arrays.pop("joints.kind")
-        del arrays["joints.axis_angle"]  # of sliders, which these revisions do not have
-        if (kind == 2).any():
-            raise ValueError("this revision has no sliders; time it on other levels") from None
-        flat = {FLAT_NAMES.get(name, name.split(".")[-1]): values for name, values in arrays.items()}
-        return jax2d.Scene(**known_to(jax2d.Scene, flat | {"joint_is_fixed": kind == 1}))
-    return from_dict(jax2d.Scene, arrays)
-
-
 def known_to(kind: Any, values: dict[str, Any]) -> dict[str, Any]:
     """Of these fields those that a record of this revision has: worlds that are timed do not use what came later."""
     names = {field.name for field in dataclasses.fields(kind)}
@@ -75,14 +51,12 @@ def backend_of(options: dict[str, Any]) -> Any:
     return partial(WarpBackend, options=CompileOptions(**options))
 
 
-def effects_of_levels(capacity: Any) -> dict[str, Any]:
-    """The engine that levels are stepped with, of revisions that have what levels never call for."""
-    try:
-        from jax2d import effects
-    except ImportError:  # before there were any
-        return {}
-    beyond = [name for name in ("kinematic_bodies", "brakes_and_servos", "springs") if name in effects.EFFECTS]
-    return {"effects": effects.Effects.full(capacity).without(*beyond)} if beyond else {}
+def effects_of_levels(capacity: Any) -> Any:
+    """Effects of an engine that steps levels: all but those that no level calls for."""
+    from jax2d.effects import EFFECTS, Effects
+
+    beyond = [name for name in ("kinematic_bodies", "brakes_and_servos", "springs") if name in EFFECTS]
+    return Effects.full(capacity).without(*beyond)
 
 
 class Bench:
@@ -90,15 +64,16 @@ class Bench:
 
     def __init__(self, worlds: str, capacity: dict[str, int], preset: str, count: int, steps: int, seed: int) -> None:
         import jax2d
+        from jax2d.fields import from_dict
 
         options = json.loads(sys.argv[1]) if len(sys.argv) > 1 else {}
         settings = jax2d.preset(preset)
         room = jax2d.Capacity(**known_to(jax2d.Capacity, capacity))
-        engine = jax2d.Engine(room, settings=settings, backend=backend_of(options), **effects_of_levels(room))
+        engine = jax2d.Engine(room, settings=settings, backend=backend_of(options), effects=effects_of_levels(room))
         with np.load(worlds) as file:
             fields = dict(file)
         starts = [fields.pop(name) for name in STARTS]
-        scene = scene_of(fields)
+        scene = from_dict(jax2d.Scene, fields)
         order = jnp.arange(count) % len(starts[0])
         repeat = partial(jax.tree.map, lambda x: jnp.take(x, order, axis=-1))  # worlds are the last axis of tables
         self._scene = jax.jit(repeat)(engine.pack_scene(scene))

@@ -31,8 +31,8 @@ import psutil
 from bench.dashboard import CHECKOUT, DRAWN, add_browser_argument, launched, serving
 from bench.program import exit_code, output_file, parser_of
 from kinetix_dist.child_python import command_of
-from kinetix_dist.dashboard.run_index import last_row
 from kinetix_dist.errors import UserError
+from kinetix_dist.studio.runs.run_index import last_row
 
 LOOK_MS = 20  # between looks for a row
 LEFT_OUT = 3  # updates at the start: they compile, and the page is opened

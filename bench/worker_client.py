@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.child_python import command_of
-from kinetix_dist.play.frames import Frame, FrameSizes, decode
-from kinetix_dist.play.wire import NOT_FOUND, Message, RequestError, encode, read
-from kinetix_dist.server.worker_client import WORKER
+from kinetix_dist.studio.server.worker_client import WORKER
+from kinetix_dist.studio.worker.frames import Frame, FrameSizes, decode
+from kinetix_dist.studio.worker.wire import NOT_FOUND, Message, RequestError, encode, read
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

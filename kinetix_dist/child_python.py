@@ -1,11 +1,11 @@
 """Python processes that import what this one imports, whatever lies in the directory where they start.
 
-    command_of("kinetix_dist.play.worker") -> [python, -P, .../child_python.py, this process's sys.path, module]
+    command_of("some.module") -> [python, -P, .../child_python.py, this process's sys.path, "some.module"]
 
 `python -m MODULE` would put the current directory first: another checkout there, or a `jax.py`, would be run instead.
 `-P` leaves it out, and the child takes the import path of this process before it imports anything. Every Python process
 that the project starts is started by `command_of`; those of Ray get
-`directories_outside_python` in another way (`ray_private.py`).
+`directories_outside_python` in another way (`ray_setup.py`).
 Processes that can be asked say where they import from (`imported_from`), and who starts them compares it.
 """
 

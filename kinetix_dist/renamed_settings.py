@@ -15,7 +15,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 # Path of a field or section before -> path now.
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = {
+    "curriculum.generator.locomotion_share": "curriculum.generator.mechanism_share",
+    "curriculum.generator.locomotion_kinds": "curriculum.generator.mechanism_families",
+    "curriculum.generator.locomotion_weights": "curriculum.generator.mechanism_weights",
+    "env.physics.blow_passes": "env.physics.impact_passes",
+    "env.physics.yielding_hertz_share": "env.physics.softened_hertz_share",
+    "env.physics.yielding_damping_ratio": "env.physics.softened_damping_ratio",
+}
 
 # (path now, value before) -> value now; also of the entries of a list.
 RENAMED_VALUES: dict[tuple[str, Any], Any] = {
@@ -41,6 +48,10 @@ class Removed:
 REMOVED: dict[str, Removed] = {
     "curriculum.learnable_only": Removed(why="it gained nothing", off=(False,)),
     "env.effect_groups": Removed(why="one engine for all worlds is as fast"),
+    "rollout.random_start_share": Removed(why="exploring starts gave nothing", off=(0.0,)),
+    "rollout.random_start_steps": Removed(why="exploring starts gave nothing"),
+    "curriculum.generator.edited_share": Removed(why="half of the levels edited gave nothing", off=(0.0,)),
+    "curriculum.generator.num_changes": Removed(why="half of the levels edited gave nothing"),
 }
 
 # (path now, value before) -> (value with which a stored policy is played, why it is gone).

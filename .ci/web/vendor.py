@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-TARGET = Path("kinetix_dist/server/static/vendor")
+TARGET = Path("kinetix_dist/studio/static/vendor")
 FILES = {  # file there: (package, file in it)
     "uPlot.esm.js": ("uplot", "dist/uPlot.esm.js"),
     "uPlot.esm.d.ts": ("uplot", "dist/uPlot.d.ts"),

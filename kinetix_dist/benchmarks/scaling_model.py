@@ -39,9 +39,8 @@ class Costs:
     message: float  # of the control plane, a process and update
 
 
-# M, H200. Rollouts: shares of time of docs/results/2026-11-21-h200 (2,048 and 16,384 worlds). Gradient steps and the
-# link in a host: docs/results/2026-11-22-scaling. Doublings in a host: fitted to `local` on 2 and 4 GPUs of
-# docs/results/2026-11-21-h200. Message: docs/results/2026-11-22-scaling, on two slow and busy cores.
+# M, H200, all of docs/results/distribution.md. Rollouts: shares of time with 2,048 and 16,384 worlds. Doublings in a
+# host: fitted to `local` on 2 and 4 GPUs. Message: measured on two slow and busy cores.
 # Assumed, never measured: a doubling between hosts costs twice one within; the link between hosts moves 40 GB/s.
 COSTS = Costs(
     rollout_fixed=0.143,

@@ -12,9 +12,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import user_errors
 from kinetix_dist.jax_arithmetic import check_arithmetic
 from kinetix_dist.jax_settings import check_settings
-from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.training_run import train
-from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
+from kinetix_dist.runtime import PlacementError, RunDirectory, count_gpus, plan_placement, resolve_device, train
 from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 
@@ -56,4 +54,4 @@ def check_placement(config: TrainConfig, num_gpus: int) -> None:
     """Raises ValueError where the roles of `config` do not fit on so many GPUs."""
     resolve_device(config.run.device, num_gpus=num_gpus)
     if config.run.placement != "local":
-        plan(config, num_gpus=num_gpus)
+        plan_placement(config, num_gpus=num_gpus)

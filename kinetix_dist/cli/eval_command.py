@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates
     from kinetix_dist.evaluation.policies import Player
     from kinetix_dist.level.level import Level
-    from kinetix_dist.play.players import Trained
+    from kinetix_dist.trained_policy import Trained
 
 BASELINES = ("random", "noop")
 MAX_ROWS = 100  # levels in the printed table; the JSON file always has all of them
@@ -212,7 +212,7 @@ def trained_of(args: Args) -> Trained | None:
     """The checkpoint to play and the config it was trained with; None for a baseline."""
     if args.policy != "trained":
         return None
-    from kinetix_dist.play.players import checkpoint_at, newest_checkpoint_of
+    from kinetix_dist.trained_policy import checkpoint_at, newest_checkpoint_of
 
     if args.checkpoint is not None:
         if (args.checkpoint / "checkpoints").is_dir():

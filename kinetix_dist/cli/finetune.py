@@ -147,8 +147,7 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
     from kinetix_dist.level.fit import capacity_of
     from kinetix_dist.level.level import SIZES
     from kinetix_dist.level.sets import load_level_set
-    from kinetix_dist.runtime.driver.training_run import hold_to_cpu
-    from kinetix_dist.runtime.processes.placement import PlacementError
+    from kinetix_dist.runtime import PlacementError, hold_to_cpu
 
     with user_errors(PlacementError):
         hold_to_cpu(config)
@@ -164,7 +163,7 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
 
 def _each(args: Args, config: TrainConfig) -> int:
     from kinetix_dist.finetune.each import train_each
-    from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StopRequested, StopSignals
+    from kinetix_dist.runtime import EXIT_STOPPED, StopRequested, StopSignals
 
     assert args.train is not None
     path = args.train.run or train.RUNS / f"finetune-{Path(config.curriculum.levels).stem}"

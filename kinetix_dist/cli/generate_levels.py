@@ -95,7 +95,7 @@ def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
         return *_model(args, args.like), "like"
     if args.teacher is not None:
         from kinetix_dist.curator.teacher_levels import teacher_levels
-        from kinetix_dist.play.players import newest_checkpoint_of
+        from kinetix_dist.trained_policy import newest_checkpoint_of
 
         trained, _ = newest_checkpoint_of(args.teacher)
         size = trained.config.env.size

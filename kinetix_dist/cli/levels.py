@@ -208,8 +208,8 @@ def _warnings_of(path: Path, *, plays: bool) -> list[str]:
     from kinetix_dist.level.sets import read_level_file
     from kinetix_dist.level.start_warnings import noop_warning, start_warnings
     from kinetix_dist.level.structure import read_document
-    from kinetix_dist.play.attempts import steps_until_noop_solves
-    from kinetix_dist.play.programs import environment
+    from kinetix_dist.studio.worker.attempts import steps_until_noop_solves
+    from kinetix_dist.studio.worker.programs import environment
 
     if is_proof_document(read_document(path)):
         read_proof(path)

@@ -54,7 +54,7 @@ def _level_to_open(given: str) -> str:
 def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
     """What pages call a policy, and the runs that are served for it."""
     from kinetix_dist.checkpoint.pretrained import pretrained_names
-    from kinetix_dist.dashboard.run_files import is_run
+    from kinetix_dist.studio.runs.run_files import is_run
 
     if policy in WITHOUT_A_NETWORK:
         return policy, ()

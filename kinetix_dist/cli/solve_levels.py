@@ -300,6 +300,6 @@ def _player(args: Solve, env: Environment, level: Level) -> Player | None:
     if args.checkpoint is None:
         return None
     from jax2d.scene import stack_worlds
-    from kinetix_dist.play.players import checkpoint_at
+    from kinetix_dist.trained_policy import checkpoint_at
 
     return checkpoint_at(args.checkpoint).player(env, stack_worlds([level]))

@@ -82,7 +82,7 @@ class _TooFewDevicesError(UserError):
 
 def _lanes(runs: list[Run], asked: int) -> list[Lane]:
     """Raises UserError for arms that cannot run in any lane, then _TooFewDevicesError."""
-    from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
+    from kinetix_dist.runtime import PlacementError, count_gpus, plan_placement, resolve_device
     from kinetix_dist.sweep.lanes import cpu_lanes, gpu_lanes
 
     if "RAY_ADDRESS" in os.environ:
@@ -95,7 +95,7 @@ def _lanes(runs: list[Run], asked: int) -> list[Lane]:
             device = resolve_device(one.config.run.device, num_gpus=max(num_gpus, one.config.run.device == "gpu"))
             devices.add(device)
             if one.config.run.placement != "local":
-                plan(one.config, num_gpus=int(device == "gpu"))
+                plan_placement(one.config, num_gpus=int(device == "gpu"))
     if len(devices) > 1:
         raise UserError("some arms run on GPUs and some on CPUs; give all the same run.device")
     if devices == {"cpu"}:
@@ -139,7 +139,7 @@ def _print_plan(
 
 
 def _train(args: Args, design: Design, runs: list[Run], lanes: list[Lane], path: Path) -> int:
-    from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StopSignals
+    from kinetix_dist.runtime import EXIT_STOPPED, StopSignals
     from kinetix_dist.sweep.driver import RunsFailedError, Sweep, SweepStoppedError, done_so_far, seconds_to_stop
     from kinetix_dist.sweep.rungs import check_fits
 

@@ -28,8 +28,7 @@ from kinetix_dist.text_files import read_json
 
 if TYPE_CHECKING:
     from kinetix_dist.config import RunConfig, TrainConfig
-    from kinetix_dist.runtime.driver.run_directory import RunDirectory
-    from kinetix_dist.runtime.driver.stopping import StopSignals
+    from kinetix_dist.runtime import RunDirectory, StopSignals
 
 RUNS = Path("runs")
 DEFAULT_RECIPE = "quickstart"
@@ -157,8 +156,7 @@ def _listed(option: str, text: str) -> list[str]:
 
 
 def run(args: Args) -> int:
-    from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, StopRequested, StopSignals
-    from kinetix_dist.runtime.driver.training_run import RunFailedError
+    from kinetix_dist.runtime import EXIT_STOPPED, RunFailedError, StoppedError, StopRequested, StopSignals
 
     hint = "; go on with --resume"
     with StopSignals(limit_s=args.config.run.stop_seconds, hint=hint) as stop:
@@ -182,10 +180,18 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.models.kernels.support import KernelError
-    from kinetix_dist.runtime.driver.run_directory import RunDirectoryError
-    from kinetix_dist.runtime.driver.starting import starting_point
-    from kinetix_dist.runtime.driver.training_run import check_devices, hold_to_cpu, start_fork_server, train
-    from kinetix_dist.runtime.processes.placement import PlacementError, count_gpus, plan, resolve_device
+    from kinetix_dist.runtime import (
+        PlacementError,
+        RunDirectoryError,
+        check_devices,
+        count_gpus,
+        hold_to_cpu,
+        plan_placement,
+        resolve_device,
+        start_fork_server,
+        starting_point,
+        train,
+    )
     from kinetix_dist.telemetry.sinks.prometheus import PortTakenError
 
     config = args.config
@@ -195,7 +201,7 @@ def _run(args: Args, stop: StopSignals) -> None:
         with user_errors(PlacementError):  # before a directory is made; a cluster is asked when it is connected
             resolve_device(config.run.device, num_gpus=count_gpus())
             if config.run.placement != "local":
-                plan(config, num_gpus=count_gpus())
+                plan_placement(config, num_gpus=count_gpus())
     fork_server = start_fork_server(config)
     directory, differs = None, ()
     try:
@@ -235,7 +241,7 @@ def _run(args: Args, stop: StopSignals) -> None:
 
 def _is_finished(args: Args) -> bool:
     """Whether the run to resume is at the end that its configuration asks for; says so, and how it goes on."""
-    from kinetix_dist.runtime.driver.finished import finished_report
+    from kinetix_dist.runtime import finished_report
 
     assert args.run is not None
     report = finished_report(args.run, args.config)
@@ -260,7 +266,7 @@ def _override(base: TrainConfig, overrides: list[str], prog: str) -> TrainConfig
 
 def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
     from kinetix_dist.config import from_dict
-    from kinetix_dist.runtime.driver.run_directory import newest_run, no_run_in
+    from kinetix_dist.runtime import newest_run, no_run_in
 
     if run is None:
         run = newest_run(RUNS, name)
@@ -298,7 +304,7 @@ def _check_levels(config: TrainConfig) -> None:
 
 
 def _open(args: Args) -> RunDirectory:
-    from kinetix_dist.runtime.driver.run_directory import RunDirectory
+    from kinetix_dist.runtime import RunDirectory
 
     if args.resume:
         assert args.run is not None

@@ -9,9 +9,8 @@ from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
-from kinetix_dist.level.generator_config import ALL_KINDS
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.locomotion import fitting_kinds
+from kinetix_dist.level.mechanisms import FAMILIES, fitting_families
 from kinetix_dist.level.size_mixture import sizes_drawn
 from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
@@ -56,25 +55,6 @@ def check_network(env: EnvConfig, policy: PolicyConfig) -> None:
         raise ConfigError(
             f"env.observation {env.observation!r} gives {gives}, but policy.network {policy.network!r} takes {takes}; "
             f"{advice}"
-        )
-
-
-def check_random_starts(
-    rollout: RolloutConfig, env: EnvConfig, curriculum: CurriculumConfig, kind: type[Curriculum]
-) -> None:
-    """Random starts change no score of a level and leave something to play."""
-    if not rollout.random_start_share:
-        return
-    if kind.observes:
-        raise ConfigError(
-            f"rollout.random_start_share is {rollout.random_start_share}, but curriculum {curriculum.name!r} scores "
-            "levels by the episodes of training, which would begin after random actions; set it to 0 or use a "
-            "curriculum that plays levels itself (sfl)"
-        )
-    if rollout.random_start_steps >= env.max_steps:
-        raise ConfigError(
-            f"rollout.random_start_steps is {rollout.random_start_steps} and an episode has {env.max_steps} steps "
-            "(env.max_steps); lower it, so that there is something left to play"
         )
 
 
@@ -128,12 +108,12 @@ def check_rollout_actors(run: RunConfig, rollout: RolloutConfig) -> None:
 
 
 def check_generator(env: EnvConfig, curriculum: CurriculumConfig) -> None:
-    """Every size of levels fits one of the families that the generator is to draw."""
+    """Every size of levels has room for one of the mechanism families."""
     generator = curriculum.generator
     for size in sizes_drawn(curriculum.sizes) or [env.size]:
-        if generator.locomotion_share and not fitting_kinds(generator.locomotion_kinds, SIZES[size]):
-            named = ", ".join(generator.locomotion_kinds) or "()"
+        if generator.mechanism_share and not fitting_families(generator.mechanism_families, SIZES[size]):
+            named = ", ".join(generator.mechanism_families) or "()"
             raise ConfigError(
-                f"curriculum.generator.locomotion_kinds {named}: levels of size {size!r} have room for none; add one "
-                f"of {', '.join(fitting_kinds(ALL_KINDS, SIZES[size]))}, or use a larger size"
+                f"curriculum.generator.mechanism_families {named}: levels of size {size!r} have room for none; add one "
+                f"of {', '.join(fitting_families(list(FAMILIES), SIZES[size]))}, or use a larger size"
             )

@@ -47,7 +47,6 @@ class TrainConfig:
         checks.check_sizes(env, curriculum)
         checks.check_action_space(env, self.policy, self.ppo)
         checks.check_network(env, self.policy)
-        checks.check_random_starts(rollout, env, curriculum, self.curriculum_class)
         checks.check_episode_lengths(rollout, env, curriculum, self.curriculum_class)
         checks.check_curators(run, curriculum, self.curriculum_class)
         checks.check_rollout_actors(run, rollout)

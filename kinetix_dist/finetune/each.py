@@ -18,7 +18,7 @@ from kinetix_dist.finetune.specialists import Specialists
 from kinetix_dist.finetune.starts import SCRATCH, Start
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
-from kinetix_dist.runtime.driver.starting import starting_point
+from kinetix_dist.runtime import starting_point
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
 

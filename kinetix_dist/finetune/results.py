@@ -30,8 +30,7 @@ from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
 from kinetix_dist.finetune.specialists import Point, Specialist
 from kinetix_dist.finetune.starts import FROM_SCRATCH, Start
 from kinetix_dist.level.level import Level
-from kinetix_dist.runtime.driver.provenance import versions
-from kinetix_dist.runtime.driver.run_directory import LOCK_NAME, RunDirectoryError, lock_directory
+from kinetix_dist.runtime import LOCK_NAME, RunDirectoryError, lock_directory, versions
 from kinetix_dist.telemetry.json_lines import replace_file
 from kinetix_dist.text_files import read_json
 

@@ -5,8 +5,8 @@
     .train(level, start) -> Specialist      trains afresh on a level; nothing is compiled again
 
 Levels are the state of the curriculum `fixed`, an argument of the program that plays, and so are parameters: programs
-depend on the size of levels alone. Specialists are trained one after another. `bench.runs_at_once` measures what
-training several at once by `jax.vmap` would take (docs/results/2026-11-23-finetune.md: on a CPU it is slower).
+depend on the size of levels alone. Specialists are trained one after another: several at once by
+`jax.vmap` are slower on a CPU (docs/lab_log.md).
 """
 
 from __future__ import annotations
@@ -26,14 +26,16 @@ from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.policy import make_policy
-from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.evaluator import EVALUATION_STREAM
-from kinetix_dist.runtime.cores.learner_core import LearnerCore
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.memory import check_memory
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore
-from kinetix_dist.runtime.cores.update_metrics import training_metrics
-from kinetix_dist.runtime.driver.clock import is_over
+from kinetix_dist.runtime import (
+    EVALUATION_STREAM,
+    LearnerCore,
+    RolloutCore,
+    check_memory,
+    is_over,
+    make_curriculum,
+    make_environment,
+    training_metrics,
+)
 from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
 
 Arrays = Mapping[str, np.ndarray]

@@ -10,7 +10,7 @@ from typing import Any
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import UserError
-from kinetix_dist.play.players import Trained, checkpoint_at, newest_checkpoint_of
+from kinetix_dist.trained_policy import Trained, checkpoint_at, newest_checkpoint_of
 
 FROM_SCRATCH = "scratch"
 

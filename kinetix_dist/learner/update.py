@@ -62,7 +62,7 @@ class _Program:
     division: Division  # of the virtual shards, or of blocks of them
 
     @property
-    def shards_a_place(self) -> int:
+    def shards_per_slot(self) -> int:
         return self.config.virtual_shards // self.division.num_parts
 
     @property
@@ -87,7 +87,7 @@ def make_update(
     observation, distribution: those of the environment; `policy` takes the one and gives the outputs of the other.
     division: of blocks of virtual shards over the devices, by default of single ones; a divisor of their number.
     learner_state: replicated over `mesh`. static [W, ...], trajectory [T, W, ...] and last_value [W]: sharded by
-    world (`sharding.shard_worlds`), in all places of the division (`Division.spread`). metrics: METRICS, replicated
+    world (`sharding.shard_worlds`), in all slots of the division (`Division.spread`). metrics: METRICS, replicated
     float32 scalars, means over applied gradient steps (NaN when all were skipped) except explained_variance (of the
     values in the trajectory), skipped_steps and the learning_rate of the update.
     """
@@ -193,20 +193,20 @@ def _update(
 
 
 def _num_worlds(division: Division, num_rows: int) -> int:
-    """Worlds of all devices, each once, of those that lie in all places."""
-    return num_rows // (division.num_devices * division.places) * division.num_parts
+    """Number of worlds of all devices, each once, of those that lie in all slots."""
+    return num_rows // (division.num_devices * division.slots) * division.num_parts
 
 
 def _counted(program: _Program, *, num_samples_here: int) -> Array | None:
-    """[samples] bool, the same number for each place of this device: false where a part is there once more.
+    """[samples] bool, the same number for each slot of this device: false where a part is there once more.
 
     None where all count.
     """
     division = program.division
     if division.is_even:
         return None
-    places = jnp.asarray(division.is_counted)[jax.lax.axis_index(DATA_AXIS)]
-    return jnp.repeat(places, num_samples_here // division.places)
+    is_counted = jnp.asarray(division.is_counted)[jax.lax.axis_index(DATA_AXIS)]
+    return jnp.repeat(is_counted, num_samples_here // division.slots)
 
 
 def _counted_of_minibatch(program: _Program, num_steps: int, num_worlds: int) -> Array | None:
@@ -228,7 +228,7 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
 
     Of a recurrent policy, whole worlds are shuffled: samples [T, worlds], step by step.
     """
-    config, block = program.config, program.shards_a_place
+    config, block = program.config, program.shards_per_slot
     blocks = jnp.asarray(program.division.parts)[jax.lax.axis_index(DATA_AXIS)]
     numbers = (blocks[:, None] * block + jnp.arange(block)).reshape(-1)  # of the shards on this device
     num_shards = numbers.size

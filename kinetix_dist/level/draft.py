@@ -47,43 +47,50 @@ class DrivenJoints:
     colour: Array  # [J] int32
 
 
-def hinge_or_weld(
-    *,
-    is_weld: Array,
-    rest_angle: Array,
-    motor_on: Array,
-    motor_speed: Array,
-    motor_power: Array,
-    has_limits: Array,
-    lower_limit: Array,
-    upper_limit: Array,
-    colour: Array,
-    a: Array | int = 0,
-    b: Array | int = 0,
-    anchor_a: Array | None = None,
-    anchor_b: Array | None = None,
-) -> DrivenJoints:
-    """One active joint, without the leading axis. A weld has neither motor nor limits, whatever is asked for; a hinge
-    without limits has zeros there."""
-    has_limits = has_limits & ~is_weld
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Ends:
+    """The two shapes that a joint holds; left open where the caller fills them in later."""
+
+    a: Array | int = 0  # slots
+    b: Array | int = 0
+    anchor_a: Array | None = None  # [2] m, frame of a
+    anchor_b: Array | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MotorAndLimits:
+    """Motor and limits of a hinge; a weld has neither."""
+
+    motor_on: Array
+    speed: Array
+    power: Array
+    colour: Array
+    has_limits: Array
+    lower_limit: Array  # rad
+    upper_limit: Array
+
+
+def joint_row(ends: Ends, is_weld: Array, rest_angle: Array, hinge: MotorAndLimits) -> DrivenJoints:
+    """One active joint, a hinge or a weld, without the leading axis. Limits that a joint does not have are zeros."""
+    has_limits = hinge.has_limits & ~is_weld
     joint = Joints(
         active=jnp.array(True),
         kind=jnp.where(is_weld, JointKind.FIXED, JointKind.REVOLUTE),
-        a=jnp.asarray(a),
-        b=jnp.asarray(b),
-        anchor_a=jnp.zeros(2, jnp.float32) if anchor_a is None else anchor_a,
-        anchor_b=jnp.zeros(2, jnp.float32) if anchor_b is None else anchor_b,
+        a=jnp.asarray(ends.a),
+        b=jnp.asarray(ends.b),
+        anchor_a=jnp.zeros(2, jnp.float32) if ends.anchor_a is None else ends.anchor_a,
+        anchor_b=jnp.zeros(2, jnp.float32) if ends.anchor_b is None else ends.anchor_b,
         rest_angle=rest_angle,
         axis_angle=jnp.zeros((), jnp.float32),
-        motor_on=motor_on & ~is_weld,
+        motor_on=hinge.motor_on & ~is_weld,
         drive=jnp.array(JointDrive.VELOCITY, jnp.int32),
-        motor_speed=jnp.where(is_weld, 0.0, motor_speed),
-        motor_power=jnp.where(is_weld, 0.0, motor_power),
+        motor_speed=jnp.where(is_weld, 0.0, hinge.speed),
+        motor_power=jnp.where(is_weld, 0.0, hinge.power),
         has_limits=has_limits,
-        lower_limit=jnp.where(has_limits, lower_limit, 0.0),
-        upper_limit=jnp.where(has_limits, upper_limit, 0.0),
+        lower_limit=jnp.where(has_limits, hinge.lower_limit, 0.0),
+        upper_limit=jnp.where(has_limits, hinge.upper_limit, 0.0),
     )
-    return DrivenJoints(joints=joint, colour=colour)
+    return DrivenJoints(joints=joint, colour=hinge.colour)
 
 
 @jax.tree_util.register_dataclass

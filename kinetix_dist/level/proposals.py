@@ -15,7 +15,17 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array, replace
 from jax2d.scene import JointKind
-from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, hinge_or_weld, read_slot, write_slot
+from kinetix_dist.level.draft import (
+    Draft,
+    DrivenJoints,
+    Ends,
+    MotorAndLimits,
+    Shapes,
+    first_free,
+    joint_row,
+    read_slot,
+    write_slot,
+)
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M
 from kinetix_dist.level.overlap import contact_points, inset, reach, separation, world_corners
@@ -309,14 +319,13 @@ def _sample_joint(
     speed = config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min)
     strongest = jnp.where(both_polygons, config.motor_power_max, config.wheel_power_max)
     power = config.motor_power_min + draw[3] * (strongest - config.motor_power_min)
-    return hinge_or_weld(
-        is_weld=is_fixed,
-        rest_angle=rest_angle,
+    hinge = MotorAndLimits(
         motor_on=draw[1] < motor_on_chance,
-        motor_speed=speed,
-        motor_power=power,
+        speed=speed,
+        power=power,
         has_limits=(draw[4] < config.limits_chance) & both_polygons,
         lower_limit=-config.limit_max * draw[5],
         upper_limit=config.limit_max * draw[6],
         colour=jnp.floor(draw[7] * NUM_MOTOR_COLOURS).astype(jnp.int32),
     )
+    return joint_row(Ends(), is_fixed, rest_angle, hinge)

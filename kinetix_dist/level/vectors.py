@@ -26,10 +26,12 @@ from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import (
     Draft,
     DrivenThrusters,
+    Ends,
+    MotorAndLimits,
     Shapes,
     draft_to_level,
     empty_draft,
-    hinge_or_weld,
+    joint_row,
     read_slot,
     write_slot,
 )
@@ -273,21 +275,17 @@ def _with_joint(draft: Draft, slot: Array, row: Array, capacity: Capacity, confi
     strongest = jnp.where(both_boxes, config.motor_power_max, config.wheel_power_max)
     speed = jnp.clip(jnp.abs(rest[2]) * config.motor_speed_max, config.motor_speed_min, config.motor_speed_max)
     power = jnp.clip(rest[3] * config.motor_power_max, jnp.minimum(config.motor_power_min, strongest), strongest)
-    driven = hinge_or_weld(
-        is_weld=is_weld,
-        rest_angle=other.angle - one.angle,
+    hinge = MotorAndLimits(
         motor_on=_is_on(rest[1]),
-        motor_speed=jnp.where(rest[2] < 0, -speed, speed),
-        motor_power=power,
+        speed=jnp.where(rest[2] < 0, -speed, speed),
+        power=power,
         has_limits=_is_on(rest[4]) & both_boxes,
         lower_limit=config.limit_max * jnp.clip(rest[5], -1.0, 0.0),
         upper_limit=config.limit_max * jnp.clip(rest[6], 0.0, 1.0),
         colour=jnp.argmax(rest[7:]),
-        a=a,
-        b=b,
-        anchor_a=anchor_a,
-        anchor_b=anchor_b,
     )
+    ends = Ends(a=a, b=b, anchor_a=anchor_a, anchor_b=anchor_b)
+    driven = joint_row(ends, is_weld, other.angle - one.angle, hinge)
     return dataclasses.replace(draft, shapes=shapes, driven_joints=write_slot(draft.driven_joints, slot, driven, do))
 
 

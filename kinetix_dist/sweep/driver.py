@@ -21,9 +21,9 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 
 from kinetix_dist.config import to_dict
-from kinetix_dist.dashboard.run_files import CONFIG, read_object
 from kinetix_dist.errors import UserError, one_line, user_errors
-from kinetix_dist.runtime.driver.run_directory import RunDirectoryError, lock_directory
+from kinetix_dist.runtime import RunDirectoryError, lock_directory
+from kinetix_dist.studio.runs.run_files import CONFIG, read_object
 from kinetix_dist.sweep.arms import Run, hash_of, train_arguments
 from kinetix_dist.sweep.design import Design
 from kinetix_dist.sweep.lanes import Lane, start_training

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from kinetix_dist.dashboard.evaluations import evaluations
-from kinetix_dist.dashboard.run_files import METRICS, last_row
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.set_files import designed_files, designed_sets
 from kinetix_dist.level.sets import RANDOM_SETS, development_sets, files_of_set, is_public_level, size_of_drawn_set
+from kinetix_dist.studio.runs.evaluations import evaluations
+from kinetix_dist.studio.runs.run_files import METRICS, last_row
 from kinetix_dist.sweep.design import DesignError, Objective
 from kinetix_dist.telemetry.json_lines import read_lines
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
@@ -18,31 +16,23 @@ from bench import (
     dashboard,
     engine_worker,
     export_policy,
-    fault_drill,
+    fault_tests,
     frontier_sets,
     goal_following,
-    gpu_session,
-    gradient_rounding,
     kernel_profile,
     learnability,
     learner_traffic,
     paper_single_steps,
-    plot_runs,
     policy_rounding,
     public_package,
     published_steps,
     recovery,
-    run_data_sizes,
-    runs_at_once,
-    scoring,
     set_fingerprints,
-    size_arrays,
     smoke,
     soak,
     training_memory,
 )
 from jax2d.fidelity import hard_table, references
-from tests.helpers import REPOSITORY
 
 PROGRAMS = [
     compare_revisions.main,
@@ -53,24 +43,17 @@ PROGRAMS = [
     learner_traffic.main,
     engine_worker.main,
     export_policy.main,
-    fault_drill.main,
+    fault_tests.main,
     frontier_sets.main,
     goal_following.main,
-    gradient_rounding.main,
-    gpu_session.main,
     hard_table.main,
     kernel_profile.main,
     paper_single_steps.main,
-    plot_runs.main,
     policy_rounding.main,
     public_package.main,
     published_steps.main,
     recovery.main,
     references.main,
-    run_data_sizes.main,
-    runs_at_once.main,
-    size_arrays.main,
-    scoring.main,
     set_fingerprints.main,
     smoke.main,
     soak.main,
@@ -114,6 +97,7 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (compare_revisions.main, ["run", "--sizes", "xl"], "--sizes has 'xl'"),
         (compare_revisions.main, ["run", "--json", "text.npz/out.json"], "cannot write text.npz/out.json"),
         (compare_revisions.main, ["export", "nosuch", "--folder", "revisions"], "nosuch"),
+        (compare_revisions.main, ["export"], "export: give one git revision or more"),
         (compile_time.main, ["--sizes", "xl"], "--sizes has 'xl'"),
         (compile_time.main, ["--sizes", "3"], "a world of 3 shapes"),
         (control_plane.main, ["--processes", "4", "0"], "--processes has 0"),
@@ -121,17 +105,10 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (goal_following.main, [], "--checkpoint"),
         (goal_following.main, ["--checkpoint", "nosuch"], "nosuch"),
         (goal_following.main, ["--checkpoint", "generalist", "--levels", "3"], "--levels is 3; an interval needs 4"),
-        (gradient_rounding.main, ["generalist", "--count", "0"], "--count is 0; it must be 1 or more"),
-        (gradient_rounding.main, ["generalist", "--max-qk-norm", "-1"], "--max-qk-norm is -1.0; it must be 0"),
-        (gradient_rounding.main, ["nosuch"], "nosuch"),
-        (gpu_session.main, [], "give --part 1, 2 or 3"),
-        (gpu_session.main, ["--part", "1", "--only", "nosuch"], "--only has 'nosuch'; part 1 has "),
         (policy_rounding.main, ["--checkpoint", "generalist", "--envs", "-1"], "--envs is -1; it must be 0 or more"),
         (policy_rounding.main, ["--checkpoint", "generalist", "--recipe", "tinny"], "did you mean 'tiny'?"),
         (policy_rounding.main, ["--checkpoint", "nosuch"], "nosuch"),
         (learnability.main, ["nosuch", "--attempts", "1"], "--attempts is 1; give 2 or more"),
-        (scoring.main, ["nosuch"], "nosuch is not a directory; give a run directory"),
-        (scoring.main, ["nosuch", "--measure", "1"], "--measure is 1; give 2 or more attempts"),
         (smoke.main, ["--updates", "1"], "--updates is 1; the first one is not timed, so give 2 or more"),
         (smoke.main, ["--options", "rollout.num_envs=32"], "--options has 'rollout.num_envs=32'"),
         (smoke.main, ["--options", "run.seed"], "--options has 'run.seed'; give NAME=VALUE"),
@@ -151,17 +128,12 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (training_memory.main, ["--worlds", "1000"], "is not a multiple of num_groups 64"),
         (training_memory.main, ["--recipes", "nosuch"], "unknown recipe 'nosuch'"),
         (paper_single_steps.main, ["--levels", "none"], "no public levels in none/s"),
-        (plot_runs.main, ["--set", "random_s", "--to", "a.png", "a=nosuch.jsonl"], "nosuch.jsonl"),
-        (plot_runs.main, ["--set", "random_s", "--to", "a.png", "a=text.npz"], "text.npz"),
-        (plot_runs.main, ["--set", "random_s", "--to", "text.npz/a.png", "a=b"], "cannot write text.npz/a.png"),
         (public_package.main, [], "where are the public levels?"),
         (public_package.main, ["--levels", "none"], "no public levels in none/s"),
         (public_package.main, ["--levels", "none", "--policies", "0"], "--policies is 0; give 1 or more"),
         (public_package.main, ["--levels", "none", "--ways", "nosuch"], "--ways has 'nosuch': unknown preset 'nosuch'"),
         (public_package.main, ["--levels", "none", "--ways", "paper+mass"], "--ways has 'paper+mass'"),
         (public_package.main, ["--levels", "none", "--ways", "paper,decay=1"], "--ways has 'paper,decay=1'"),
-        (run_data_sizes.main, ["--recipes", "nosuch"], "--recipes has 'nosuch'"),
-        (run_data_sizes.main, ["--recipes", "plr_s"], "whose curriculum is sfl"),
         (soak.main, ["--worlds", "0"], "--worlds is 0"),
         (soak.main, ["--replay", "xl", "0", "0"], "--replay is xl 0 0"),
         (soak.main, ["--replay", "s", "first", "0"], "--replay is s first 0"),
@@ -176,13 +148,3 @@ def test_bad_input_is_one_line(main: Callable, arguments: list[str], says: str, 
     assert end_of(main, arguments, monkeypatch) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
-
-
-def test_a_session_on_a_gpu_runs_as_a_script_of_this_checkout(tmp_path: Path) -> None:
-    """Nothing on the path says where the checkout is: so it is on a machine where only packages are unpacked."""
-    command = [sys.executable, str(REPOSITORY / "bench" / "gpu_session.py"), "--part", "1", "--only", "nosuch"]
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        [*command, "--out", str(tmp_path)], capture_output=True, text=True, cwd=tmp_path, env=environment, check=False
-    )
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr

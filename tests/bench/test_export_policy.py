@@ -7,7 +7,7 @@ from pathlib import Path
 from bench import export_policy
 from kinetix_dist.checkpoint import load_checkpoint, save_alone
 from kinetix_dist.config import from_dict
-from kinetix_dist.play.players import checkpoint_at
+from kinetix_dist.trained_policy import checkpoint_at
 
 
 def test_level_sets_of_another_machine_are_left_out_and_what_is_left_can_be_played(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from kinetix_dist.benchmarks.scaling_model import COSTS, Options, predictions, r
 from tests.helpers import REPOSITORY
 
 RESULTS = REPOSITORY / "docs" / "results"
-MEASURED = json.loads((RESULTS / "2026-11-21-h200" / "scaling.json").read_text())
+MEASURED = json.loads((RESULTS / "distribution" / "scaling.json").read_text())
 
 
 @pytest.mark.parametrize("measured", MEASURED, ids=lambda row: f"{row['placement']}-{row['devices']}")
@@ -23,13 +23,13 @@ def test_it_is_within_a_twentieth_of_every_point_of_weak_scaling_that_was_measur
 
 
 def test_it_is_within_a_twentieth_of_the_gain_of_two_gpus_on_the_same_worlds():
-    """466 k against 274 k env steps a second (docs/results/2026-11-20-h200.md): 1.70. Not among what was fitted."""
+    """466 k against 274 k env steps a second (docs/results/distribution.md): 1.70. Not among what was fitted."""
     (record,) = predictions(Options(mode="strong", devices=(2,)))
     assert 2 * record.efficiency == pytest.approx(1.70, rel=0.05)
 
 
 def test_gradient_steps_follow_a_line_through_what_was_measured():
-    for row in json.loads((RESULTS / "2026-11-22-scaling" / "learner_step.json").read_text()):
+    for row in json.loads((RESULTS / "distribution" / "costs.json").read_text())["learner_step"]:
         samples = row["minibatch"] / row["devices"]
         step = COSTS.step_fixed + COSTS.step_sample * samples + reduce_seconds(row["devices"], COSTS)
         assert 1e3 * step == pytest.approx(row["milliseconds_a_gradient_step"], rel=0.10), row
@@ -47,7 +47,7 @@ def test_parts_add_up_and_a_reduction_grows_with_the_number_of_gpus():
 
 
 def test_the_docs_have_what_the_model_says():
-    text = (REPOSITORY / "docs" / "results" / "2026-11-22-scaling.md").read_text()
+    text = (REPOSITORY / "docs" / "results" / "distribution.md").read_text()
     for settings in ("paper", "fresh"):
         for mode in ("strong", "weak"):
             found = predictions(Options(settings=settings, mode=mode))

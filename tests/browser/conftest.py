@@ -18,7 +18,7 @@ import pytest
 
 from tests.browser.browsers import OPTIONS, found_browsers
 from tests.helpers import PATIENCE_S, python_path
-from tests.server.serving import Server, serving
+from tests.studio.serving import Server, serving
 
 REQUIRED = os.environ.get("KINETIX_BROWSER_TESTS") == "required"
 FOUND = {browser.kind: browser for browser in found_browsers()}

@@ -15,7 +15,7 @@ from jax2d.display_list import display_list
 from jax2d.palette import as_json
 from jax2d.rasteriser import DEFAULT_VIEW, rasterise
 from kinetix_dist.level.sets import load_level_set
-from tests.server.serving import Server
+from tests.studio.serving import Server
 
 PIXELS = 524  # 100 a metre of the 5.24 m that are seen
 DRAW = """async ([display, poses, thrust, palette, pixels]) => {

@@ -18,7 +18,7 @@ from kinetix_dist.level.fit import capacity_of_size, fit_level
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import files_of_set, read_public_level
 from tests.helpers import REPOSITORY, python_path
-from tests.server.serving import Server
+from tests.studio.serving import Server
 
 OpenPage = Callable[..., Any]
 VIEW_M = 5.5  # WHOLE_VIEW of state.js: along the shorter side of the picture, about (2.5, 2.5)

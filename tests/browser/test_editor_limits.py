@@ -14,7 +14,7 @@ import pytest
 
 from tests.browser.test_editor import Bench
 from tests.browser.test_pages import COLOURS
-from tests.server.serving import end
+from tests.studio.serving import end
 
 MANY_BYTES = 100_000_000
 COMPILE_MS = 240_000  # until play starts: the worker compiles behind everything else that the machine does

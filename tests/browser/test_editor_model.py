@@ -16,9 +16,9 @@ from jax2d.display_list import display_list
 from kinetix_dist.level.document import dump_document, level_to_json
 from kinetix_dist.level.schema import document_info, level_from_json, turned_colours_of
 from kinetix_dist.level.sets import files_of_set
-from kinetix_dist.play.hello import hello
+from kinetix_dist.studio.worker.hello import hello
 from tests.helpers import REPOSITORY
-from tests.server.serving import Server, serving
+from tests.studio.serving import Server, serving
 
 FILES = [file for size in "sml" for file in files_of_set(f"all_designed_{size}")]
 NEAR_M = 1e-5  # the engine's levels are float32: 5 m are known to 5e-7 m, and centroids and anchors are sums of some

@@ -17,10 +17,10 @@ import pytest
 
 from kinetix_dist.telemetry import curriculum_log
 from kinetix_dist.telemetry.json_lines import append_line
-from tests.dashboard.runs_for_tests import solve_rate, write_rows, write_run
-from tests.dashboard.test_refreshes import window, write_refresh
 from tests.helpers import PATIENCE_S
-from tests.server.serving import Server, end, environment, wait_for
+from tests.studio.runs_for_tests import solve_rate, write_rows, write_run
+from tests.studio.serving import Server, end, environment, wait_for
+from tests.studio.test_refreshes import window, write_refresh
 
 METRIC = "train/solve_rate"  # that runs are compared by at first
 OpenPage = Callable[..., Any]

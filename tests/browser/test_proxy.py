@@ -13,7 +13,7 @@ import pytest
 
 from tests.browser.test_pages import panel, wait_for_drawn
 from tests.helpers import REPOSITORY
-from tests.server.serving import Server, environment, serving
+from tests.studio.serving import Server, environment, serving
 
 PREFIX = "/kinetix/pages"
 

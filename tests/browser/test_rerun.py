@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from tests.browser.conftest import TIMEOUT_MS
-from tests.server.serving import Server, serving, wait_for
+from tests.studio.serving import Server, serving, wait_for
 
 
 @pytest.fixture(scope="module")

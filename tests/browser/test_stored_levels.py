@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.play import frames
-from kinetix_dist.play.actors import env_of
-from kinetix_dist.play.levels import level_of
-from kinetix_dist.play.session import Session
+from kinetix_dist.studio.worker import frames
+from kinetix_dist.studio.worker.actors import env_of
+from kinetix_dist.studio.worker.levels import level_of
+from kinetix_dist.studio.worker.session import Session
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, list_snapshots
-from tests.server.serving import Server
+from tests.studio.serving import Server
 
 NUM_STEPS, INDEX = 10, 3
 RECORD = """async () => {

@@ -19,7 +19,7 @@ from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import load_level_set
-from kinetix_dist.runtime.cores.agents import PpoAgents
+from kinetix_dist.runtime.cores.curriculum_state import PpoAgents
 from tests.runtime.runs import tiny_config
 
 NUM_LEVELS = 6

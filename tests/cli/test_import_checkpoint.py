@@ -15,8 +15,8 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
 from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.runtime.driver.checkpoints import starting_point
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.starting import starting_point
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from tests.kinetix_package import write_formula_policy, write_policy

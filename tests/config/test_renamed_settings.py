@@ -24,7 +24,7 @@ from kinetix_dist.renamed_settings import (
     refuse_old_options,
     translated,
 )
-from kinetix_dist.runtime.driver.resumable import newest_checkpoint
+from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.sweep.arms import runs_of
 from kinetix_dist.sweep.design import ArmOptions, Design, DesignError, Objective

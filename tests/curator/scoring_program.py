@@ -17,7 +17,7 @@ from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.learner_core import initial_state
-from kinetix_dist.runtime.cores.levels import make_environment
+from kinetix_dist.runtime.cores.playing import make_environment
 from tests.runtime.runs import tiny_config
 
 NUM_CANDIDATES, KEPT, BATCH = 32, 12, 8

@@ -18,7 +18,7 @@ from kinetix_dist.learner.sharding import data_mesh, replicate
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.roles import Role
 from kinetix_dist.messages import Trajectory
-from kinetix_dist.runtime.cores.agents import PpoAgents
+from kinetix_dist.runtime.cores.curriculum_state import PpoAgents
 from tests.curator.made import curriculum_of
 from tests.runtime.runs import tiny_config
 

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from kinetix_dist.cli.dashboard import Args
-from kinetix_dist.dashboard.warnings import RULES, Rule
+from kinetix_dist.studio.runs.warnings import RULES, Rule
 from kinetix_dist.telemetry.names import METRICS
 from tests.helpers import REPOSITORY
 

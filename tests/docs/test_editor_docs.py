@@ -11,7 +11,7 @@ from kinetix_dist.cli.edit import Args
 from tests.helpers import REPOSITORY
 
 TEXT = (REPOSITORY / "docs" / "editor.md").read_text()
-EDITOR = REPOSITORY / "kinetix_dist" / "server" / "static" / "editor"
+EDITOR = REPOSITORY / "kinetix_dist" / "studio" / "static" / "editor"
 TOOLS = re.findall(r'\{ key: "(\w)", label: "([^"]+)"', (EDITOR / "tools.js").read_text())
 COMMANDS = re.findall(r'\{ keys: \[((?:"[^"]+"(?:, )?)+)\], label: "([^"]+)"', (EDITOR / "commands.js").read_text())
 

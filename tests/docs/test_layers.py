@@ -8,17 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from kinetix_dist import runtime
 from tests.helpers import REPOSITORY
 
 # A module may import layers to the right of its own, and its own package; siblings in one layer never see each other.
 LAYERS = (
     ("__main__",),
     ("cli",),
-    ("benchmarks", "finetune", "server", "sweep"),
-    ("recipes",),
+    ("benchmarks", "finetune", "sweep"),
+    ("api", "recipes"),
     ("runtime",),
-    ("dashboard", "play"),
-    ("editor",),  # below play, whose worker answers what the editor asks
+    ("studio",),
+    ("trained_policy",),
     ("config",),
     ("actors", "learner", "curator", "evaluation"),
     ("messages",),
@@ -27,22 +28,29 @@ LAYERS = (
     ("level",),
     ("telemetry", "checkpoint"),
     ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "setting", "text_files", "user_directories"),
-    ("engine_package", "errors", "installation", "near_names", "renamed_settings"),
+    ("engine_package", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
-# Rooms of runtime/, and which of the others each may import.
-ROOMS = {"driver": {"cores", "processes"}, "cores": set(), "processes": set()}
+# Subpackages of packages that have them, and which of the others each may import.
+SUBPACKAGES = {
+    "runtime": {"driver": {"cores", "processes"}, "cores": set(), "processes": set()},
+    "studio": {"server": {"runs", "worker"}, "runs": set(), "worker": set()},
+}
 RAY_ALLOWED = ("kinetix_dist/runtime/processes/", "kinetix_dist/cli/doctor_probes.py")
 SOURCES = sorted([*REPOSITORY.glob("jax2d/**/*.py"), *REPOSITORY.glob("kinetix_dist/**/*.py")])
 
 
-def imports(file: Path) -> Iterator[str]:
-    """Full names of all modules that a file imports, anywhere in it but under `if TYPE_CHECKING`."""
+def imports(file: Path, *, types: bool = False) -> Iterator[str]:
+    """Full names of all modules that a file imports, anywhere in it; under `if TYPE_CHECKING` only with `types`."""
     package = file.relative_to(REPOSITORY).with_suffix("").parts[:-1]
     stack: list[ast.AST] = [ast.parse(file.read_text(), str(file))]
     while stack:
         node = stack.pop()
-        if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+        if (
+            not types
+            and isinstance(node, ast.If)
+            and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
+        ):
             continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -70,15 +78,15 @@ def part_of(module: str) -> str | None:
     return names[1] if names[0] == "kinetix_dist" and len(names) > 1 else None
 
 
-def room_of(module: str) -> str | None:
-    """The room of runtime/ a module belongs to."""
-    names = module.split(".")
-    return names[2] if names[:2] == ["kinetix_dist", "runtime"] and len(names) > 2 else None
+def subpackage_of(module: str) -> tuple[str, str] | None:
+    """Package and subpackage that a module belongs to: ("studio", "runs") for kinetix_dist.studio.runs.series."""
+    top, package, own, *_ = [*module.split("."), "", "", ""]
+    return (package, own) if top == "kinetix_dist" and package in SUBPACKAGES and own else None
 
 
-def imported_files(file: Path, modules: set[str]) -> set[str]:
-    """Of `modules`, those that a file imports; `from package import module` imports the module, not the package."""
-    names = set(imports(file)) & modules
+def imported_files(file: Path, modules: set[str], *, types: bool) -> set[str]:
+    """Members of `modules` that a file imports; `from package import module` imports the module, not the package."""
+    names = set(imports(file, types=types)) & modules
     return {name for name in names if not any(other.startswith(f"{name}.") for other in names)}
 
 
@@ -109,23 +117,44 @@ def test_a_module_imports_lower_layers_only(file: Path) -> None:
         assert LAYER_OF[other] > LAYER_OF[own], f"{name_of(file)} imports {module}: {own} may not import {other}"
 
 
-@pytest.mark.parametrize("file", [f for f in SOURCES if room_of(module_of(f))], ids=name_of)
-def test_rooms_of_the_runtime_see_what_they_may(file: Path) -> None:
-    own = room_of(module_of(file))
-    assert own in ROOMS, f"{name_of(file)} is in no room of runtime/; put it into one of {', '.join(ROOMS)}"
+@pytest.mark.parametrize("file", [f for f in SOURCES if subpackage_of(module_of(f))], ids=name_of)
+def test_a_subpackage_imports_those_that_it_may(file: Path) -> None:
+    package, own = subpackage_of(module_of(file)) or ("", "")
+    allowed = SUBPACKAGES[package]
+    assert own in allowed, f"{name_of(file)} is in no subpackage of {package}/; put it into one of {', '.join(allowed)}"
     for module in imports(file):
-        other = room_of(module)
-        assert other in {None, own, *ROOMS[own]}, f"{name_of(file)} imports {module}: {own} may not import {other}"
+        of_package, other = subpackage_of(module) or ("", "")
+        may_see = of_package != package or other in {own, *allowed[own]}
+        assert may_see, f"{name_of(file)} imports {module}: {own} may not import {other}"
 
 
-def test_no_file_of_the_runtime_lies_outside_its_rooms() -> None:
-    assert [file.name for file in REPOSITORY.glob("kinetix_dist/runtime/*.py")] == ["__init__.py"]
+@pytest.mark.parametrize("package", SUBPACKAGES)
+def test_no_file_lies_outside_the_subpackages(package: str) -> None:
+    assert [file.name for file in REPOSITORY.glob(f"kinetix_dist/{package}/*.py")] == ["__init__.py"]
 
 
-@pytest.mark.parametrize("package", ["kinetix_dist", "jax2d"])
-def test_no_circle_of_imports_among_files(package: str) -> None:
+def test_other_packages_import_the_public_names_of_the_runtime_alone() -> None:
+    def is_inner(module: str) -> bool:
+        return (subpackage_of(module) or ("", ""))[1] in SUBPACKAGES["runtime"]
+
+    found = [
+        f"{name_of(file)} imports {module}"
+        for file in SOURCES
+        if part_of(module_of(file)) != "runtime"
+        for module in imports(file)
+        if is_inner(module)
+    ]
+    assert not found, "; ".join(found)
+    for name in runtime.__all__:
+        assert getattr(runtime, name) is not None, name
+    assert set(runtime.__all__) == set(runtime._MODULE_OF)
+
+
+# types: imports under `if TYPE_CHECKING` count, too.
+@pytest.mark.parametrize(("package", "types"), [("kinetix_dist", False), ("jax2d", False)])
+def test_no_circle_of_imports_among_files(package: str, types: bool) -> None:
     files = {module_of(file): file for file in SOURCES if name_of(file).startswith(f"{package}/")}
-    graph = {name: imported_files(file, set(files)) - {name} for name, file in files.items()}
+    graph = {name: imported_files(file, set(files), types=types) - {name} for name, file in files.items()}
     assert sum(map(len, graph.values())) >= len(files) // 2, "hardly any import was found: is the graph right?"
     found = circles(graph)
     assert not found, "files import each other in a circle: " + "; ".join(" <-> ".join(sorted(c)) for c in found)

@@ -33,7 +33,7 @@ def test_there_is_a_small_picture_of_each_size() -> None:
     for size in SIZES:
         name = f"images/designed_{size}.png"
         assert f"]({name})" in PAGE
-        assert 20_000 < (REPOSITORY / "docs" / name).stat().st_size < MAX_PICTURE_BYTES
+        assert 10_000 < (REPOSITORY / "docs" / name).stat().st_size < MAX_PICTURE_BYTES
 
 
 def test_every_field_of_a_proof_and_every_method_is_described() -> None:

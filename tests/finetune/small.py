@@ -18,7 +18,7 @@ from kinetix_dist.finetune.specialists import Specialists
 from kinetix_dist.level.paths import levels_root
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.cores.agents import some_observation
+from kinetix_dist.runtime.cores.curriculum_state import some_observation
 
 NAMES = ("hop_home", "kick")
 NUM_UPDATES = 3

@@ -20,7 +20,7 @@ from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.telemetry import exported_program
 from tests.helpers import compile_cache
 
-CONFIG = GeneratorConfig(locomotion_share=0.5, locomotion_kinds=("arm",), varied_share=0.5)
+CONFIG = GeneratorConfig(mechanism_share=0.5, mechanism_families=("arm",), varied_share=0.5)
 CAPACITY = SIZES["s"]
 KEY = jax.random.key(7)
 

@@ -16,7 +16,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.placement import plan_placement
 from tests.runtime.runs import run_updates, tiny_config
 
 NUM_UPDATES = 5
@@ -32,7 +32,7 @@ def split_config(curriculum: str = "domain_randomization", **run: Any) -> TrainC
 
 def main(path: Path, curriculum: str) -> None:
     config = split_config(curriculum)
-    run_updates(config, path, SplitTrainer(config, LocalBackend(), plan(config, num_gpus=0)), None)
+    run_updates(config, path, SplitTrainer(config, LocalBackend(), plan_placement(config, num_gpus=0)), None)
 
 
 if __name__ == "__main__":

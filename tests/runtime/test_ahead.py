@@ -15,8 +15,8 @@ import pytest
 
 from jax2d.warp import ffi
 from kinetix_dist.learner.sharding import data_mesh
-from kinetix_dist.runtime.cores import ahead
-from kinetix_dist.runtime.cores.ahead import THREAD, Ahead
+from kinetix_dist.runtime.cores import programs
+from kinetix_dist.runtime.cores.programs import THREAD, Ahead
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.processes.actor import _doing
@@ -46,7 +46,7 @@ PROGRAMS = {"jit(rollout)", "jit(update)", "jit(_score)"}
 
 @pytest.mark.parametrize("is_resumed", [False, True])
 def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowered, is_resumed, monkeypatch):
-    monkeypatch.setattr(ahead, "has_cores", lambda: True)
+    monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8, num_curators=0), data_mesh(jax.devices()[:1])
     before = Worker(config, mesh)
     before.start(None)
@@ -76,7 +76,7 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
 
 
 def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_beside_that_of_random_actions(lowered, monkeypatch):
-    monkeypatch.setattr(ahead, "has_cores", lambda: True)
+    monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8), data_mesh(jax.devices()[:1])
     before = Worker(config, mesh)
     before.start(None)
@@ -123,8 +123,8 @@ class _Handle:
         self.calls.append(call)
 
 
-@pytest.mark.parametrize("works_beside", [False, True])
-def test_workers_that_work_beside_are_told_what_comes_first(works_beside):
+@pytest.mark.parametrize("works_in_background", [False, True])
+def test_workers_that_work_beside_are_told_what_comes_first(works_in_background):
     handle = _Handle()
 
     class Backend(LocalBackend):
@@ -139,10 +139,10 @@ def test_workers_that_work_beside_are_told_what_comes_first(works_beside):
             pass
 
     backend = Backend()
-    backend.works_beside = works_beside
+    backend.works_in_background = works_in_background
     config = tiny_config(num_updates=8)
     ColocatedTrainer(config, backend, []).start(7, None)
-    assert handle.calls == [("build", config, 7 if works_beside else None), ("start", None)]
+    assert handle.calls == [("build", config, 7 if works_in_background else None), ("start", None)]
 
 
 def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():

@@ -20,9 +20,9 @@ from kinetix_dist.child_python import (
     import_path,
     imported_from,
 )
-from kinetix_dist.runtime.processes.facts import refuse_other_imports, whereabouts
+from kinetix_dist.runtime.processes.measures import refuse_other_imports, whereabouts
 from kinetix_dist.runtime.processes.placement import PlacementError
-from kinetix_dist.runtime.processes.ray_private import job_of_this_import_path
+from kinetix_dist.runtime.processes.ray_setup import job_of_this_import_path
 from tests.helpers import PATIENCE_S, REPOSITORY
 from tests.runtime.foreign_checkout import foreign_checkout
 

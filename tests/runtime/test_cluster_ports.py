@@ -15,7 +15,7 @@ from tests.runtime.train_process import TINY, rows, start, wait_for
 
 README = REPOSITORY / "cluster" / "README.md"
 NUM_WORKER_PORTS = 100
-pytestmark = pytest.mark.slow  # a drill: two Ray nodes, as cluster/README.md starts them
+pytestmark = pytest.mark.slow  # a fault test: two Ray nodes, as cluster/README.md starts them
 
 
 def documented() -> list[str]:

@@ -9,9 +9,8 @@ import ray
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.errors import one_line
-from kinetix_dist.runtime.driver.nodes import check_nodes
-from kinetix_dist.runtime.driver.provenance import versions_and_code
 from kinetix_dist.runtime.processes.placement import PlacementError
+from kinetix_dist.runtime.processes.provenance import check_nodes, versions_and_code
 from tests.helpers import REPOSITORY
 from tests.runtime.raylets import Raylets
 

@@ -14,11 +14,11 @@ from kinetix_dist.learner.step_size import GUARD_FACTOR
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.placement import plan_placement
 from kinetix_dist.telemetry.curriculum_log import list_snapshots, read_snapshot
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
 
@@ -57,7 +57,7 @@ def _train(config, path, *, resume):
     run = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
     run.write_json(run.config_path, {})
     reporter = QuietReporter()
-    backend, placement = LocalBackend(), plan(config, num_gpus=0)
+    backend, placement = LocalBackend(), plan_placement(config, num_gpus=0)
     curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
     controller = Controller(config, run, SplitTrainer(config, backend, placement), curator, reporter)
     controller.restore(resume=resume)

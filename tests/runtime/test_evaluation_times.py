@@ -8,8 +8,8 @@ import pytest
 from kinetix_dist.config import ConfigError, EvaluationConfig, RecordingConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
 from kinetix_dist.runtime.driver.evaluations import EVALUATE, RECORD, Due
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from tests.runtime.runs import QuietReporter, run_updates, tiny_config

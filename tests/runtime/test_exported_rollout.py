@@ -54,7 +54,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def made_from(config: TrainConfig) -> str | None:
         found: list[str | None] = []
-        monkeypatch.setattr(module, "_kept", lambda *parts, made_from, **others: found.append(made_from))
+        monkeypatch.setattr(module, "_cached", lambda *parts, made_from, **others: found.append(made_from))
         Playing(config, data_mesh(jax.devices()[:1])).rollout(config)
         return found[0]
 

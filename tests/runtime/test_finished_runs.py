@@ -11,7 +11,7 @@ from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import from_dict
 from kinetix_dist.runtime.driver.run_directory import RunDirectory, newest_run
-from kinetix_dist.runtime.driver.session_totals import SessionTotals, totals_before
+from kinetix_dist.runtime.driver.totals import SessionTotals, totals_before
 from tests.runtime.conftest import NUM_UPDATES, STEPS, tiny_options
 
 

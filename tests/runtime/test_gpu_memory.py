@@ -23,7 +23,7 @@ from kinetix_dist.runtime.processes.gpu_memory import (
     this_gpu,
     thread_bytes,
 )
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.placement import plan_placement
 from tests.helpers import python_path
 from tests.runtime.runs import without_evaluator
 
@@ -36,7 +36,7 @@ MEASURED_CONTEXT, MEASURED_PROGRAMS = 560 * MIB, 250 * MIB
 
 
 def _budgets(config, num_gpus=1, gpu=H200):
-    placement = plan(config, num_gpus=num_gpus)
+    placement = plan_placement(config, num_gpus=num_gpus)
     return {process.name: budget_of(process.name, process.memory, gpu) for process in placement.processes}
 
 

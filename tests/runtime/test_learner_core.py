@@ -16,8 +16,7 @@ from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import NETWORKS, init_params
 from kinetix_dist.runtime.cores import learner_core
 from kinetix_dist.runtime.cores.learner_core import LearnerCore, initial_state
-from kinetix_dist.runtime.cores.levels import make_environment
-from kinetix_dist.runtime.cores.playing import Playing
+from kinetix_dist.runtime.cores.playing import Playing, make_environment
 from tests.helpers import compile_cache
 from tests.runtime.runs import tiny_config
 

@@ -17,16 +17,15 @@ from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_chec
 from kinetix_dist.config import to_dict
 from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.runtime.driver import refreshes
+from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
-from kinetix_dist.runtime.driver.resumable import newest_checkpoint
+from kinetix_dist.runtime.driver.refreshes import CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
 from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
 from kinetix_dist.telemetry.curriculum_log import REFRESH, CurriculumLogConfig, list_snapshots, read_snapshot
 from tests.helpers import REPOSITORY
@@ -70,7 +69,7 @@ def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(eight
 def test_a_worker_that_scores_levels_itself_gives_the_run_that_a_curator_gives(eight_updates, tmp_path):
     config, backend, reporter = tiny_config(num_updates=8, num_curators=0), LocalBackend(), QuietReporter()
     trainer = ColocatedTrainer(config, backend, [WORKER])
-    run_updates(config, tmp_path / "run", trainer, CurationByWorkers(trainer), reporter=reporter)
+    run_updates(config, tmp_path / "run", trainer, WorkerCurator(trainer), reporter=reporter)
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(eight_updates[0]))
     assert [row["curriculum/buffer_age"] for row in reporter.rows] == [0, 1, 2, 3, 4, 2, 3, 4]
     assert all(row["time/curate"] > 0 for row in (reporter.rows[0], reporter.rows[5]))
@@ -97,7 +96,7 @@ def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_u
     for num_updates in (4, 8):  # the refresh asked for at 3 is in flight between them
         config = tiny_config(num_updates=num_updates, num_curators=0)
         trainer = _NotingTrainer(config)
-        run_updates(config, tmp_path / "run", trainer, CurationByWorkers(trainer), resume=num_updates == 8)
+        run_updates(config, tmp_path / "run", trainer, WorkerCurator(trainer), resume=num_updates == 8)
         done.append(trainer.done)
     assert done == [
         ["refresh 0", "update 0", "update 1", "update 2", "update 3"],
@@ -124,7 +123,7 @@ def _stopped_after_five(config, path):
 
     trainer = Signalled(config)
     run = run_directory(path, config, resume=False)
-    controller = Controller(config, run, trainer, CurationByWorkers(trainer), QuietReporter(), stop=stop)
+    controller = Controller(config, run, trainer, WorkerCurator(trainer), QuietReporter(), stop=stop)
     controller.restore(resume=False)
     with pytest.raises(StoppedError, match="stopped by SIGTERM after update 5, which is saved"):
         controller.train()
@@ -161,7 +160,7 @@ def test_a_checkpoint_right_before_a_buffer_is_due_has_it(eight_updates, tmp_pat
     monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)
     config, path = _with_refreshes_alike(num_updates=6, checkpoint_every=5), tmp_path / "run"
     trainer = _NotingTrainer(config)
-    run_updates(config, path, trainer, CurationByWorkers(trainer))
+    run_updates(config, path, trainer, WorkerCurator(trainer))
     assert trainer.done[-3:] == ["update 4", "refresh 3", "update 5"]
     last = list_checkpoints(path / "checkpoints")[-1]
     assert last.name == "00000006"
@@ -172,7 +171,7 @@ def test_a_checkpoint_right_before_a_buffer_is_due_has_it(eight_updates, tmp_pat
 def _goes_on_as_unbroken(config, path, unbroken, *, first):
     """A run goes on from the checkpoint after 5 of 8 updates with what `first` says."""
     trainer = _NotingTrainer(config)
-    run_updates(config, path, trainer, CurationByWorkers(trainer), resume=True)
+    run_updates(config, path, trainer, WorkerCurator(trainer), resume=True)
     assert trainer.done == [*first, "update 6", "update 7"]
     assert_same_bits(final_arrays(path), final_arrays(unbroken))
     names = [(kind, number) for kind, number, _ in list_snapshots(path / "curriculum")]
@@ -194,7 +193,7 @@ def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_f
 
     trainer = Signalled(config)
     run = run_directory(tmp_path / "run", config, resume=False)
-    controller = Controller(config, run, trainer, CurationByWorkers(trainer), QuietReporter(), stop=stop)
+    controller = Controller(config, run, trainer, WorkerCurator(trainer), QuietReporter(), stop=stop)
     controller.restore(resume=False)
     with pytest.raises(StoppedError, match="stopped by SIGTERM before the first update"):
         controller.train()
@@ -326,7 +325,7 @@ def test_a_checkpoint_of_a_version_with_other_fields_is_refused(tmp_path):
 def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_path):
     config = tiny_config(num_updates=6, placement="split", num_rollout_actors=2)
     backend = LocalBackend()
-    placement = plan(config, num_gpus=0)
+    placement = plan_placement(config, num_gpus=0)
     reporter = QuietReporter()
     trainer = SplitTrainer(config, backend, placement)
     run_updates(
@@ -343,7 +342,7 @@ def test_split_placement_acts_with_the_policy_of_exactly_one_update_before(tmp_p
 def _run_split(num_updates, path, *, resume=False, trainer_of=SplitTrainer, stop=None, **run):
     config = tiny_config(num_updates=num_updates, placement="split", num_rollout_actors=2, **run)
     config = dataclasses.replace(config, curriculum_log=CurriculumLogConfig(probe_levels=0))
-    backend, placement = LocalBackend(), plan(config, num_gpus=0)
+    backend, placement = LocalBackend(), plan_placement(config, num_gpus=0)
     directory = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
     directory.write_json(directory.config_path, {})
     curator = CuratorClient(config, backend, placement.of("curator"))

@@ -13,14 +13,12 @@ import pytest
 
 from kinetix_dist.config import RecordingConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import RunFailedError, train
-from kinetix_dist.runtime.processes.failures import TooManyLossesError, WorkerLostError
-from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
-from kinetix_dist.runtime.processes.losses import Losses
-from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
+from kinetix_dist.runtime.processes.failures import Losses, TooManyLossesError, WorkerLostError
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 from tests.runtime.train_process import events, rows
@@ -216,7 +214,7 @@ def test_of_the_log_of_a_lost_process_and_of_its_group_the_end_is_kept(tmp_path)
 
 
 @dataclasses.dataclass(frozen=True)
-class LaterTicket(LocalTicket):
+class LaterTicket(LocalFuture):
     is_done: Callable[[], bool]
 
     def is_ready(self):
@@ -230,24 +228,24 @@ class BusyProcess(LocalBackend):
         super().__init__()
         self.plan, self.asked, self.done = None, [], 0
 
-    def spawn_beside(self, plan, build, *arguments):
+    def spawn_in_background(self, plan, build, *arguments):
         return self
 
-    def call_stamped(self, method, weights, policy_version, part, num_parts, probe, given):
+    def call_with_header(self, method, weights, policy_version, part, num_parts, probe, given):
         number = len(self.asked)
         self.asked.append(policy_version)
-        return LaterTicket({"seconds": 1.0, "probe": {}}, lambda: self.done > number), LocalTicket(policy_version)
+        return LaterTicket({"seconds": 1.0, "probe": {}}, lambda: self.done > number), LocalFuture(policy_version)
 
 
 def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
     process = BusyProcess()
     curator = CuratorClient(tiny_config(num_updates=1), process, [ProcessPlan(role="curator", index=0)])
     for version in (0, 3, 6, 9):
-        curator.request(LocalTicket(None), version, None, None)
+        curator.request(LocalFuture(None), version, None, None)
         assert curator.take(patience_s=-1.0) is None
         curator.cancel()
     assert process.asked == [0]
-    curator.request(LocalTicket(None), 12, None, None)
+    curator.request(LocalFuture(None), 12, None, None)
     process.done = 1
     curator.watch()
     assert process.asked == [0, 12]
@@ -258,7 +256,7 @@ def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
 
 def _train_beside(config, backend, path, at_update=None):
     """(controller, rows). at_update(number, curator) is called after every update."""
-    placement = plan(config, num_gpus=0)
+    placement = plan_placement(config, num_gpus=0)
     trainer = ColocatedTrainer(config, backend, placement.of("worker"))
     curator = CuratorClient(config, backend, placement.of("curator"))
     reporter = QuietReporter(lambda number: at_update(number, curator) if at_update else None)

@@ -10,7 +10,7 @@ from ray.cluster_utils import Cluster
 
 from kinetix_dist.runtime.driver.resizing import Resizing
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StopSignals
-from kinetix_dist.runtime.processes.placement import PlacementError, plan
+from kinetix_dist.runtime.processes.placement import PlacementError, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.helpers import PATIENCE_S
 from tests.runtime.runs import tiny_config
@@ -50,12 +50,12 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     ray.init(address=cluster.address, log_to_driver=False)
     backend, notes, told = RayBackend(heartbeat_seconds=60.0), [], []
     config = tiny_config(num_updates=1, placement="colocated", num_workers=2, node_wait_seconds=0.5)
-    placement, trainer, stop = plan(config, num_gpus=0), _Placed(), StopSignals()
+    placement, trainer, stop = plan_placement(config, num_gpus=0), _Placed(), StopSignals()
     backend.reserve(placement)
     listen = {"on_event": lambda kind, **details: told.append((kind, details)), "on_note": notes.append}
     resizing = Resizing(config, backend, placement, trainer, {"curator": _Placed()}, **listen)
     resizing.fit(3, stop)
-    assert not notes and not resizing.has_room_to_grow()  # nothing is lost
+    assert not notes and not resizing.can_grow()  # nothing is lost
 
     cluster.remove_node(node)
     resizing.fit(4, stop)
@@ -63,7 +63,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     assert told == [("resized", {"role": "worker", "before": 2, "now": 1, "update": 4})]
     assert "2 workers have no room: " in notes[0] and ", 1 lost; waits 0.5 s" in notes[0]
     assert "goes on with 1 worker instead of 2" in notes[-1]
-    assert not resizing.has_room_to_grow()
+    assert not resizing.can_grow()
     began = time.monotonic()
     with pytest.raises(PlacementError, match=r"has 3 processes, and the cluster 2 CPU slots: .*\(2 CPU .*, 1 lost;"):
         backend.reserve(placement)
@@ -71,7 +71,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     backend.reserve(trainer.placement)
 
     node = cluster.add_node(num_cpus=1)
-    _wait_until(resizing.has_room_to_grow)
+    _wait_until(resizing.can_grow)
     resizing.place(6, stop)
     assert resizing.size == 2 and told[-1][1]["now"] == 2
 
@@ -157,7 +157,7 @@ def test_a_split_run_gives_up_rollout_actors_before_learners():
     """Of two learners and three actors: all sizes that are tried, the largest first. No node is asked."""
     config = tiny_config(num_updates=1, placement="split", num_learners=2, num_rollout_actors=3, min_workers=2)
     told = {"on_event": lambda kind, **details: None, "on_note": lambda text: None}
-    resizing = Resizing(config, None, plan(config, num_gpus=0), _Placed(), {}, **told)
+    resizing = Resizing(config, None, plan_placement(config, num_gpus=0), _Placed(), {}, **told)
     assert resizing.size == 5
     tried = resizing._smaller_and_smaller(resizing._least)
     assert [(c.run.num_learners, c.run.num_rollout_actors) for c in tried] == [(2, 3), (2, 2), (1, 3), (1, 2)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.recipes import RECIPES, recipe
-from kinetix_dist.runtime.processes.placement import PlacementError, check_devices_here, plan
+from kinetix_dist.runtime.processes.placement import PlacementError, check_devices_here, plan_placement
 from tests.helpers import REPOSITORY, environment_of_cpus
 from tests.runtime.runs import tiny_config
 
@@ -57,7 +57,7 @@ def test_every_number_of_gpus_up_to_64_fits_one_configuration_of_the_larger_reci
     assert config.num_blocks == 64
     for count in (*range(1, 9), 16, 24, 64):
         placed = dataclasses.replace(config, run=dataclasses.replace(config.run, num_workers=count, device="cpu"))
-        assert len(plan(placed, num_gpus=0).of("worker")) == count
+        assert len(plan_placement(placed, num_gpus=0).of("worker")) == count
         assert placed.hash == config.hash
 
 
@@ -68,7 +68,7 @@ def test_eight_devices_can_share_every_recipe_but_that_for_tests():
 def test_more_workers_than_blocks_of_worlds_are_refused_with_what_to_raise():
     config = tiny_config(num_updates=1, placement="colocated", num_workers=5)
     with pytest.raises(PlacementError, match=r"5 workers cannot share 4 blocks .* raise rollout.num_groups 4 and ppo"):
-        plan(config, num_gpus=0)
+        plan_placement(config, num_gpus=0)
 
 
 def test_more_devices_of_one_process_than_blocks_of_worlds_are_refused_with_what_to_do():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinetix_dist.runtime.driver.outcome_window import OutcomeWindow
+from kinetix_dist.runtime.driver.run_data import OutcomeWindow
 
 SOURCES = ("fresh",)
 

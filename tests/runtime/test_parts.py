@@ -10,10 +10,9 @@ from rich.console import Console
 
 from kinetix_dist.config import ConfigError, differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.recipes import RECIPES, recipe
-from kinetix_dist.runtime.driver.clock import RoleClock
-from kinetix_dist.runtime.driver.weight_sync import WeightStore
-from kinetix_dist.runtime.driver.work_buffer import Work, WorkBuffer, WorkBufferFullError
-from kinetix_dist.runtime.processes.placement import PlacementError, plan, resolve_device
+from kinetix_dist.runtime.driver.totals import RoleClock
+from kinetix_dist.runtime.driver.work_buffer import WeightStore, Work, WorkBuffer, WorkBufferFullError
+from kinetix_dist.runtime.processes.placement import PlacementError, plan_placement, resolve_device
 from kinetix_dist.telemetry.names import METRICS, UnknownMetricError, check_metrics
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink, read_jsonl
@@ -89,7 +88,7 @@ def test_learnability_of_a_fresh_level_needs_two_episodes():
 
 
 def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
-    placement = plan(without_evaluator(recipe("sfl_s")), num_gpus=2)
+    placement = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=2)
     assert [(p.name, p.gpu, p.gpu_share) for p in placement.processes] == [
         ("worker 0", 0, 0.5),
         ("worker 1", 1, 1.0),
@@ -103,13 +102,15 @@ def test_recipes_for_gpus_evaluate_and_record_beside_training(name):
     assert config.evaluates_in_background and config.evaluation.every > 0 and config.recording.every > 0
     num_updates = config.run.total_env_steps // config.rollout.steps_per_update
     assert num_updates // config.evaluation.every >= 10 and num_updates // config.recording.every >= 3
-    assert ("evaluator 0", 0) in [(process.name, process.gpu) for process in plan(config, num_gpus=2).processes]
+    assert ("evaluator 0", 0) in [
+        (process.name, process.gpu) for process in plan_placement(config, num_gpus=2).processes
+    ]
 
 
 def test_split_has_its_curator_beside_the_first_rollout_actor():
     config = without_evaluator(recipe("sfl_s"))
     config = dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split", num_rollout_actors=2))
-    placement = plan(config, num_gpus=4)
+    placement = plan_placement(config, num_gpus=4)
     assert [(p.name, p.gpu) for p in placement.processes] == [
         ("learner 0", 0),
         ("rollout 0", 1),
@@ -121,7 +122,9 @@ def test_split_has_its_curator_beside_the_first_rollout_actor():
 def test_curators_are_spread_over_the_gpus_that_play():
     def placed(num_gpus, **run):
         config = without_evaluator(recipe("sfl_s"))
-        placement = plan(dataclasses.replace(config, run=dataclasses.replace(config.run, **run)), num_gpus=num_gpus)
+        placement = plan_placement(
+            dataclasses.replace(config, run=dataclasses.replace(config.run, **run)), num_gpus=num_gpus
+        )
         return [(p.name, p.gpu) for p in placement.of("curator")]
 
     assert placed(4, num_curators=3) == [("curator 0", 0), ("curator 1", 1), ("curator 2", 2)]
@@ -146,7 +149,7 @@ def test_any_numbers_of_learners_and_actors_have_one_config_hash():
     config = tiny_config(num_updates=1, placement="split")
     for learners, actors in ((1, 3), (2, 1), (3, 4), (4, 4)):
         other = tiny_config(num_updates=1, placement="split", num_learners=learners, num_rollout_actors=actors)
-        placement = plan(other, num_gpus=0)
+        placement = plan_placement(other, num_gpus=0)
         assert (len(placement.of("learner")), len(placement.of("rollout"))) == (learners, actors)
         assert other.hash == config.hash
 
@@ -154,7 +157,7 @@ def test_any_numbers_of_learners_and_actors_have_one_config_hash():
 def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
     config = without_evaluator(recipe("sfl_s"))
     run = dataclasses.replace(config.run, placement="split", num_learners=2, num_rollout_actors=2)
-    placement = plan(dataclasses.replace(config, run=run), num_gpus=4)
+    placement = plan_placement(dataclasses.replace(config, run=run), num_gpus=4)
     assert [(p.name, p.gpu, p.memory.needs[0].num_in_group) for p in placement.processes] == [
         ("learner 0", 0, 2),
         ("learner 1", 1, 2),
@@ -163,9 +166,9 @@ def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
         ("curator 0", 2, 1),
     ]
     with pytest.raises(PlacementError, match="2 learners and 2 rollout actors, 0 of them on CPUs, needs 4 GPUs of 3"):
-        plan(dataclasses.replace(config, run=run), num_gpus=3)
+        plan_placement(dataclasses.replace(config, run=run), num_gpus=3)
     with pytest.raises(PlacementError, match=r"5 learners cannot share 4 blocks .* lower run.num_learners, or"):
-        plan(tiny_config(num_updates=1, placement="split", num_learners=5), num_gpus=0)
+        plan_placement(tiny_config(num_updates=1, placement="split", num_learners=5), num_gpus=0)
 
 
 def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
@@ -173,7 +176,7 @@ def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
 
     def placed(num_gpus, **run):
         run = dataclasses.replace(config.run, placement="split", **run)
-        return plan(dataclasses.replace(config, run=run), num_gpus=num_gpus)
+        return plan_placement(dataclasses.replace(config, run=run), num_gpus=num_gpus)
 
     mixed = placed(2, num_rollout_actors=3, num_cpu_rollout_actors=2)
     assert [(p.name, p.gpu) for p in mixed.processes] == [
@@ -197,7 +200,7 @@ def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
 
 
 def test_on_cpu_every_process_is_told_to_leave_gpus_alone():
-    placement = plan(tiny_config(num_updates=1, placement="split", num_rollout_actors=2), num_gpus=0)
+    placement = plan_placement(tiny_config(num_updates=1, placement="split", num_rollout_actors=2), num_gpus=0)
     assert [p.role for p in placement.processes] == ["learner", "rollout", "rollout", "curator"]
     assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} and p.memory is None for p in placement.processes)
 
@@ -207,7 +210,7 @@ def test_a_gpu_that_is_not_there_is_refused():
         resolve_device("gpu", num_gpus=0)
     with pytest.raises(PlacementError, match="needs 2 GPUs of 1"):
         config = without_evaluator(recipe("sfl_s"))
-        plan(dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split")), num_gpus=1)
+        plan_placement(dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split")), num_gpus=1)
 
 
 # Queues and weights

@@ -11,14 +11,14 @@ from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_chec
 from kinetix_dist.config import TrainConfig, differences, from_dict, to_dict
 from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.models.added_layers import GATE_BIAS
+from kinetix_dist.runtime.driver.checkpoints import lineage_from, starting_point
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
-from kinetix_dist.runtime.driver.starting import lineage_from, starting_point
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import ProcessPlan, plan
+from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
 from tests.runtime.runs import NotingReporter, assert_same_bits, final_arrays, tiny_config
 from tests.runtime.train_process import TINY, events, finish, start, wait_for
 
@@ -90,7 +90,7 @@ def _train(config, path, *, resume, reporter=None):
     reporter, backend = reporter or NotingReporter(), LocalBackend()
     curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])
     if config.run.placement == "split":
-        trainer = SplitTrainer(config, backend, plan(config, num_gpus=0))
+        trainer = SplitTrainer(config, backend, plan_placement(config, num_gpus=0))
     else:
         trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
     controller = Controller(config, run, trainer, curator, reporter)

@@ -16,9 +16,9 @@ from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.physics_watch import WARNINGS
-from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
+from kinetix_dist.runtime.driver.totals import WARNINGS
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.names import METRICS
 from tests.runtime.runs import QuietReporter, run_updates, tiny_config
@@ -88,7 +88,7 @@ class _PoisonedCurator(CuratorClient):
         refresh = super().take(patience_s=patience_s)
         assert refresh is not None
         if self.num_taken:
-            parts = [LocalTicket(_with_nan(part.fetch())) for part in refresh.parts]
+            parts = [LocalFuture(_with_nan(part.fetch())) for part in refresh.parts]
             refresh = dataclasses.replace(refresh, parts=parts)
         self.num_taken += 1
         return refresh

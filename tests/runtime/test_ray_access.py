@@ -14,8 +14,7 @@ from ray._private import utils
 from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.processes.failures import RayFailedError
 from kinetix_dist.runtime.processes.placement import PlacementError
-from kinetix_dist.runtime.processes.ray_access import secure_token, use_token
-from kinetix_dist.runtime.processes.ray_private import own_signals, without_services
+from kinetix_dist.runtime.processes.ray_setup import own_signals, secure_token, use_token, without_services
 from tests.helpers import REPOSITORY, python_path
 
 TINY_ON_RAY = ["train", "--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.placement", "colocated"]
@@ -92,7 +91,7 @@ def test_a_cluster_that_is_not_there_is_said_in_one_line(home, monkeypatch, caps
 
 HEAD = """
 import sys
-from kinetix_dist.runtime.processes.ray_access import secure_token
+from kinetix_dist.runtime.processes.ray_setup import secure_token
 secure_token()
 import ray
 options = {"include_dashboard": False, "log_to_driver": False, "_node_ip_address": "127.0.0.1"}

@@ -16,12 +16,10 @@ from kinetix_dist.config import from_dict, to_dict
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.registry import PluginError, import_plugins
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
-from kinetix_dist.runtime.driver.curation_by_workers import CurationByWorkers
-from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S
+from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.placement import plan_placement
 from tests.runtime.foreign_checkout import foreign_checkout
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 from tests.runtime.train_process import events
@@ -40,7 +38,7 @@ def ray_backend(tmp_path_factory):
 
 def _run(config, path, backend, reporter=None, at_update=None, resume=False):
     """Colocated or split as the config says; returns (controller, trainer, curator)."""
-    placement = plan(config, num_gpus=0)
+    placement = plan_placement(config, num_gpus=0)
     if config.run.placement == "split":
         trainer = SplitTrainer(config, backend, placement)
     else:
@@ -48,7 +46,7 @@ def _run(config, path, backend, reporter=None, at_update=None, resume=False):
     if config.run.num_curators:
         curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
     else:
-        curator = CurationByWorkers(trainer)
+        curator = WorkerCurator(trainer)
     reporter = reporter or QuietReporter(lambda number: at_update(number, trainer, curator) if at_update else None)
     try:
         return run_updates(config, path, trainer, curator, reporter=reporter, resume=resume), reporter

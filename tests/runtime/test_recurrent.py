@@ -18,7 +18,7 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.placement import plan_placement
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
 KICK = "s/kick"
@@ -37,7 +37,7 @@ def config_of(num_updates: int, curriculum: str = "fixed", **run: Any) -> TrainC
 
 def _run(config: TrainConfig, path: Path, backend: Any = None, *, resume: bool = False) -> list[dict[str, float]]:
     """Metrics of its updates."""
-    reporter, placement = QuietReporter(), plan(config, num_gpus=0)
+    reporter, placement = QuietReporter(), plan_placement(config, num_gpus=0)
     backend = backend or LocalBackend()
     if config.run.placement == "split":
         trainer = SplitTrainer(config, backend, placement)

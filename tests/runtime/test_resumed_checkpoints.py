@@ -9,8 +9,8 @@ import pytest
 from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, save_checkpoint
 from kinetix_dist.checkpoint.manifest import write_manifest
 from kinetix_dist.cli.main import main
+from kinetix_dist.runtime.driver.checkpoints import Saver
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.saving import Saver
 from kinetix_dist.telemetry.json_lines import read_lines
 from tests.runtime.conftest import NUM_UPDATES, STEPS
 from tests.runtime.runs import NotingReporter

@@ -13,13 +13,13 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.training_run import train
 from kinetix_dist.runtime.processes.local import LocalBackend
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.processes.placement import plan_placement
 from kinetix_dist.telemetry.curriculum_log import (
     BUFFER,
     REFRESH,
@@ -54,7 +54,11 @@ def _train(config, path, *, resume=False, backend=None, reporter=None):
     """Rows of metrics."""
     run = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
     run.write_json(run.config_path, {})
-    backend, placement, reporter = backend or LocalBackend(), plan(config, num_gpus=0), reporter or QuietReporter()
+    backend, placement, reporter = (
+        backend or LocalBackend(),
+        plan_placement(config, num_gpus=0),
+        reporter or QuietReporter(),
+    )
     split = config.run.placement == "split"
     trainer = SplitTrainer(config, backend, placement) if split else None
     trainer = trainer or ColocatedTrainer(config, backend, placement.of("worker"))

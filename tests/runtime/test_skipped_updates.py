@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from kinetix_dist.cli.main import main
+from kinetix_dist.runtime.driver.checkpoints import Saver
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.saving import Saver
-from kinetix_dist.runtime.driver.skipped_updates import NotFiniteError, SkippedUpdates
+from kinetix_dist.runtime.driver.totals import NotFiniteError, SkippedUpdates
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.json_lines import read_lines

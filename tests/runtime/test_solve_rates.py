@@ -17,14 +17,14 @@ import pytest
 from jax.sharding import PartitionSpec
 
 from kinetix_dist.actors.outcomes import PHYSICS_FIELDS, add_step, no_outcomes
-from kinetix_dist.dashboard.refreshes import Refreshes, describe_training, training_plays
 from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh, on_devices
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome
 from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, SIZES_PLAYED, attempts_by, sums_of
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
-from kinetix_dist.runtime.driver.outcome_window import OutcomeWindow
+from kinetix_dist.runtime.driver.run_data import OutcomeWindow
+from kinetix_dist.studio.runs.refreshes import Refreshes, describe_training, training_plays
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, OUTCOMES
 from kinetix_dist.telemetry.json_lines import append_line
 

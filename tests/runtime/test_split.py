@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import newest_good
-from kinetix_dist.runtime.driver.provenance import what_differs
 from kinetix_dist.runtime.driver.split import SplitTrainer
-from kinetix_dist.runtime.driver.stragglers import TIMES_THE_OTHERS
-from kinetix_dist.runtime.processes.placement import plan
+from kinetix_dist.runtime.driver.work_buffer import TIMES_THE_OTHERS
+from kinetix_dist.runtime.processes.placement import plan_placement
+from kinetix_dist.runtime.processes.provenance import what_differs
 from kinetix_dist.telemetry.names import COPIES
 from tests.helpers import PATIENCE_S, REPOSITORY, environment_of_cpus
 from tests.runtime.runs import NotingReporter, QuietReporter, assert_same_bits, final_arrays, run_updates
@@ -52,7 +52,7 @@ def ray_backend():
 
 def _train(config, path, backend, *, at_update=lambda number, trainer: None, resume=False, reporter=None):
     """Rows of metrics."""
-    trainer = SplitTrainer(config, backend, plan(config, num_gpus=0))
+    trainer = SplitTrainer(config, backend, plan_placement(config, num_gpus=0))
     reporter = reporter or QuietReporter(lambda number: at_update(number, trainer))
     try:
         run_updates(config, path, trainer, None, reporter=reporter, resume=resume)

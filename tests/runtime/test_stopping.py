@@ -17,12 +17,12 @@ from kinetix_dist.cli.train import parse
 from kinetix_dist.config import to_dict
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller
-from kinetix_dist.runtime.driver.curation import CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
-from kinetix_dist.runtime.processes.ray_private import SERVERS
+from kinetix_dist.runtime.processes.ray_setup import SERVERS
 from tests.helpers import PATIENCE_S, REPOSITORY
 from tests.runtime.conftest import NUM_UPDATES, STEPS
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config

@@ -20,8 +20,8 @@ from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level import sets
-from kinetix_dist.level.generator_config import LOCOMOTION_KINDS, GeneratorConfig, generator
-from kinetix_dist.recipes import TASK_WEIGHTS, recipe
+from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
+from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from tests.helpers import REPOSITORY, python_path
 
@@ -264,11 +264,11 @@ def test_phases_of_a_file_go_with_fields_of_the_command_line(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "share"), [("pretrain_l", 0.45), ("pretrain_all", 0.45), ("pretrain_m", 0.0)])
-def test_recipes_that_draw_kinds_of_levels(name, share):
+def test_recipes_that_draw_mechanisms(name, share):
     generator = recipe(name).curriculum.generator
-    assert generator.locomotion_share == share
-    assert (generator.varied_share > 0) == ("snake" in generator.locomotion_kinds) == (share > 0)
-    assert generator.weight_of_kind == (TASK_WEIGHTS if share else dict.fromkeys(LOCOMOTION_KINDS, 1.0))
+    assert generator.mechanism_share == share
+    assert (generator.varied_share > 0) == ("snake" in generator.mechanism_families) == (share > 0)
+    assert generator.weight_of_family == (FAMILY_WEIGHTS if share else dict.fromkeys(LOCOMOTION_FAMILIES, 1.0))
     assert parse(["--recipe", name, "--curriculum.generator", "default"]).config.curriculum.generator == (
         GeneratorConfig()
     )
@@ -425,16 +425,16 @@ def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "size", "kinds"),
+    ("options", "size", "families"),
     [
-        (("--curriculum.generator", "runner"), "s", "unicycle, arm, turner, pendulum, or"),
-        (("--env.size", "m", "--curriculum.generator", "runner"), "m", "snake, cartpole"),
+        (("--curriculum.generator", "runner"), "s", "arm, pendulum, unicycle, turner, or"),
+        (("--env.size", "m", "--curriculum.generator", "runner"), "m", "cartpole, beam"),
         (("--env.size", "l", "--curriculum.generator", "car", "--curriculum.sizes", "s", "1", "l", "1"), "s", "arm"),
     ],
 )
-def test_a_kind_of_levels_that_a_size_has_no_room_for(capsys, options, size, kinds):
+def test_a_family_of_mechanisms_that_a_size_has_no_room_for(capsys, options, size, families):
     said = _refusal(capsys, *options)
-    assert f"levels of size '{size}' have room for none; add one of " in said and kinds in said
+    assert f"levels of size '{size}' have room for none; add one of " in said and families in said
     # Where there is room, whatever comes first on the command line.
     parse(["--recipe", "tiny", "--curriculum.generator", "runner", "--env.size", "l"])
     assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from typing import Any
 
 import jax
@@ -18,6 +19,8 @@ from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.varied_sets import base_levels
+from kinetix_dist.models.policy import make_policy
+from kinetix_dist.runtime.cores.playing import make_environment
 
 EVALUATION_STREAM = 0x4556414C  # "EVAL": keys of evaluations; training folds its own constants into its own seed
 
@@ -109,3 +112,25 @@ class Evaluator:
 
 def _repeat(levels: Level, count: int) -> Level:
     return jax.tree.map(lambda x: np.repeat(np.asarray(x), count, axis=0), levels)
+
+
+class EvaluatorCore:
+    """No state between calls: the same parameters give the same answers, bit for bit."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        env = make_environment(config)
+        self._num_rollouts = config.recording.num_rollouts
+        self._evaluator = Evaluator(config, env, make_policy(config.policy, env.action_distribution.head_sizes))
+
+    def evaluate(self, params: Any, num_updates: int) -> tuple[dict[str, float], dict[str, dict[str, Any]]]:
+        """({"seconds": how long it took}, as `Evaluator.evaluate` gives it)."""
+        del num_updates
+        began = time.monotonic()
+        rates = self._evaluator.evaluate(params)
+        return {"seconds": time.monotonic() - began}, rates
+
+    def record(self, params: Any, num_updates: int) -> tuple[dict[str, float], list[Any]]:
+        """({"seconds": how long it took}, rollouts)."""
+        began = time.monotonic()
+        rollouts = self._evaluator.record(params, self._num_rollouts, num_updates)
+        return {"seconds": time.monotonic() - began}, rollouts

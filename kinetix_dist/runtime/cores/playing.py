@@ -1,10 +1,12 @@
-"""What a process plays with in a phase of a run: curriculum and rollout, made anew where a phase changes them.
+"""Objects that a process plays with in a phase of a run: environment, curriculum and rollout.
 
-What is made anew is compiled when it is first used.
+An object is made anew where a phase changes what it depends on, and compiled when it is first used.
 """
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -12,19 +14,57 @@ from jax.sharding import Mesh
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum
+from kinetix_dist.env.device_memory import check_fits
+from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.division import Division
-from kinetix_dist.models.policy import make_policy
+from kinetix_dist.models.policy import NETWORKS, make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.levels import make_environment
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore, rollout_core
+
+
+def make_environment(config: TrainConfig) -> Environment:
+    """The environment of a run."""
+    return _environment(config.env)
+
+
+@functools.cache
+def _environment(config: EnvConfig) -> Environment:
+    """One for all parts of a process: each uses what another has compiled."""
+    return Environment(config)
+
+
+def check_memory(config: TrainConfig, num_devices: int) -> None:
+    """Raises DeviceMemoryError for a batch or a minibatch of which a device's share is too large for it."""
+    observed, learned = OBSERVATIONS[config.env.observation].working_bytes, NETWORKS[config.policy.network].sample_bytes
+    if not observed:
+        return
+    what = f"observations {config.env.observation!r} of"
+    check_fits(
+        math.ceil(config.rollout.num_envs / num_devices),
+        observed,
+        what=f"{what} worlds of a device:",
+        advice="lower rollout.num_envs or use more devices",
+    )
+    samples = config.num_trained_envs * config.rollout.num_steps / config.ppo.minibatches
+    check_fits(
+        math.ceil(samples / num_devices),
+        observed + learned,
+        what=f"{what} samples of a minibatch on a device:",
+        advice="raise ppo.minibatches, lower rollout.num_steps or use more devices",
+    )
+
 
 T = TypeVar("T")
 
 
 class Playing:
-    """Of one process. groups, division: see `RolloutCore`. Methods take the configuration of a phase, and give the same
-    object until one differs in what that depends on."""
+    """Environment, curriculum and rollout of one process. groups, division: see `RolloutCore`.
+
+    Methods take the configuration of a phase, and give the same object until one differs in what the object depends on.
+
+    """
 
     def __init__(
         self, config: TrainConfig, mesh: Mesh, *, groups: range | None = None, division: Division | None = None
@@ -37,19 +77,19 @@ class Playing:
         self.policy = make_policy(config.policy, self.environment(config).action_distribution.head_sizes)
 
     def environment(self, config: TrainConfig) -> Environment:
-        return self._kept("environment", (config.env, config.curriculum), lambda: make_environment(config))
+        return self._cached("environment", (config.env, config.curriculum), lambda: make_environment(config))
 
     def curriculum(self, config: TrainConfig) -> Curriculum:
         # What learns in `observe` does so by the settings of the policy.
         learns_by = config.ppo if config.curriculum_class.observes else None
-        return self._kept(
+        return self._cached(
             "curriculum",
             (config.env, config.curriculum, config.rollout, learns_by),
             lambda: make_curriculum(config, self.environment(config), self.policy, self._mesh),
         )
 
     def rollout(self, config: TrainConfig) -> RolloutCore:
-        return self._kept(
+        return self._cached(
             "rollout",
             (config.env, config.curriculum, config.rollout),
             lambda: rollout_core(
@@ -63,7 +103,7 @@ class Playing:
             ),
         )
 
-    def _kept(self, name: str, made_for: Any, make: Callable[[], T]) -> T:
+    def _cached(self, name: str, made_for: Any, make: Callable[[], T]) -> T:
         found = self._made.get(name)
         if found is None or found[0] != made_for:
             found = self._made[name] = made_for, make()

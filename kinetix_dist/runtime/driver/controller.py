@@ -34,28 +34,31 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
-from kinetix_dist.runtime.driver.clock import RoleClock, is_over, seconds_left
+from kinetix_dist.runtime.driver.checkpoints import LINEAGE, Saver, newest_checkpoint, starting_point
 from kinetix_dist.runtime.driver.evaluations import (
     Evaluated,
     Evaluations,
-    EvaluationsHere,
+    InlineEvaluations,
     evaluation_metrics,
     summaries,
 )
-from kinetix_dist.runtime.driver.physics_watch import PhysicsWatch
-from kinetix_dist.runtime.driver.provenance import versions, what_differs
 from kinetix_dist.runtime.driver.refreshes import Refreshes
-from kinetix_dist.runtime.driver.resumable import newest_checkpoint
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
 from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY, RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.saving import Saver
-from kinetix_dist.runtime.driver.session_totals import DESCRIPTION, SessionTotals, totals_before
-from kinetix_dist.runtime.driver.skipped_updates import SkippedUpdates
-from kinetix_dist.runtime.driver.starting import LINEAGE, starting_point
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
-from kinetix_dist.runtime.processes.failures import WorkerLostError
-from kinetix_dist.runtime.processes.losses import Loss, Losses
+from kinetix_dist.runtime.driver.totals import (
+    DESCRIPTION,
+    PhysicsWatch,
+    RoleClock,
+    SessionTotals,
+    SkippedUpdates,
+    is_over,
+    seconds_left,
+    totals_before,
+)
+from kinetix_dist.runtime.processes.failures import Loss, Losses, WorkerLostError
+from kinetix_dist.runtime.processes.provenance import versions, what_differs
 
 if TYPE_CHECKING:
     from kinetix_dist.runtime.driver.resizing import Resizing
@@ -80,7 +83,7 @@ class Controller:
         resizing: Resizing | None = None,
         began: float | None = None,
     ) -> None:
-        """evaluations: those during training, beside it; None: the trainer makes them. began: the session, by
+        """evaluations: those during training, in the background; None: the trainer makes them. began: the session, by
         time.monotonic; None: now."""
         self._data = RunData(config, run, reporter)
         self.config = config
@@ -104,12 +107,12 @@ class Controller:
         )
         self._physics = PhysicsWatch()
         self._losses = Losses(
-            limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note, on_log=run.keep_log
+            limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note, on_log=run.try_write_log
         )
         self.backend.losses = self._losses
         self._section = self.backend.sections.section
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)
-        self._evaluations = evaluations or EvaluationsHere(config, self._evaluate, self._record)
+        self._evaluations = evaluations or InlineEvaluations(config, self._evaluate, self._record)
         self._resizing = resizing
         self._lost: list[Loss] = []  # since the last new result
         self._update_seconds = 0.0  # of the last update
@@ -142,7 +145,7 @@ class Controller:
     def train(self) -> None:
         """Updates until the configured end; saves a checkpoint there.
 
-        Raises StoppedError at the end of an update in which that was asked for, after a checkpoint is saved, and
+        Raises StoppedError at the end of an update in which a stop was requested, after a checkpoint is saved, and
         NotFiniteError where nothing can be learned.
         """
         self.reporter.phase("compiling")
@@ -163,11 +166,11 @@ class Controller:
         return summaries(rates)
 
     def record(self, num_rollouts: int) -> None:
-        """Hands rollouts of the current policy to whoever writes them."""
+        """Records rollouts of the current policy and hands them to `on_rollouts`."""
         self._repeated(lambda: self._record(num_rollouts))
 
     def facts(self) -> dict[str, Any]:
-        """What the processes say of themselves, for the report."""
+        """Facts of the processes, for the report."""
         return self._repeated(self._facts)
 
     @property
@@ -180,12 +183,12 @@ class Controller:
 
     @property
     def warmup_seconds(self) -> float:
-        """Of the training time: until the first update of each session was done, for which programs are compiled."""
+        """Part of the training time before the first update of each session was done: programs are compiled in it."""
         return self._warmup_before + (self.clock.elapsed if self._warmup is None else self._warmup)
 
     @property
     def wall_seconds(self) -> float:
-        """Of all sessions, from the start of each to its last checkpoint or report."""
+        """Wall time of all sessions, from the start of each to its last checkpoint or report."""
         return self._before.wall_seconds + time.monotonic() - self._began
 
     @property
@@ -267,10 +270,10 @@ class Controller:
             self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
             return
         seconds = self.training_seconds - self.warmup_seconds
-        told = self._evaluations.after_update(self.num_updates, seconds, self.clock, is_last=self._is_over())
-        for evaluated in told:
+        evaluations = self._evaluations.after_update(self.num_updates, seconds, self.clock, is_last=self._is_over())
+        for evaluated in evaluations:
             metrics |= evaluation_metrics(evaluated.rates, evaluated.update)
-            self._tell_of(evaluated)
+            self._report_evaluation(evaluated)
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
         # What the updates that are skipped began from is what to go back to.
         is_well = self._skipped.in_a_row == 0
@@ -285,13 +288,13 @@ class Controller:
             self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
 
     def _begin_phase(self) -> None:
-        """Where this update, or the batch that is played meanwhile, is the first of a phase: programs are compiled."""
+        """Begins a phase where this update, or the batch played meanwhile, is its first: programs are compiled."""
         if self._schedule.beginning(self.num_updates + self.trainer.policy_lag) is not None:
-            self.backend.sections.forget()
+            self.backend.sections.reset()
         phase = self._schedule.beginning(self.num_updates)
         if phase is None:
             return
-        self.backend.sections.forget()
+        self.backend.sections.reset()
         about = {"phase": phase.number, "update": self.num_updates, "env_steps": self.env_steps}
         self.run.event("phase_began", **about, changed=phase.changed)
         changes = ", ".join(f"{name} {value}" for name, value in phase.changed.items())
@@ -300,7 +303,7 @@ class Controller:
             "what it changes is compiled now (runtime/compile_seconds)"
         )
 
-    def _tell_of(self, evaluated: Evaluated) -> None:
+    def _report_evaluation(self, evaluated: Evaluated) -> None:
         update, rates = evaluated.update, evaluated.rates
         self._data.evaluated("training", update, rates, reported_at=self.num_updates)
         seconds = round(evaluated.seconds, 3)
@@ -347,7 +350,7 @@ class Controller:
                 self.reporter.note(f"update {self.num_updates} was skipped: no gradient was finite")
 
     def _go_back(self) -> None:
-        """To the last checkpoint, after too many updates were skipped in a row."""
+        """Goes back to the last checkpoint, after too many updates were skipped in a row."""
         left_at = self.num_updates
         try:
             with self._section("recover"):
@@ -438,7 +441,7 @@ class Controller:
             self._data.start({}, {}, num_updates=0)
             self._refreshes.start({}, {})
             self._evaluations.start({}, {})
-            self._refreshes.ask_for_first()
+            self._refreshes.request_first()
             return
         description = checkpoint.description
         self.num_updates = self._saver.saved_at = description["num_updates"]
@@ -470,9 +473,9 @@ class Controller:
                 error = again
 
     def _grow(self) -> None:
-        """Where nodes have come back and this update is saved: nothing has to be done again."""
+        """Gives the run more processes where nodes came back and this update is saved: nothing has to be done again."""
         is_saved = _is_due(self.config.run.checkpoint_every, self.num_updates)
-        if self._resizing is None or not is_saved or not self._resizing.has_room_to_grow():
+        if self._resizing is None or not is_saved or not self._resizing.can_grow():
             return
         self._saver.wait()
         if self._saver.saved_at != self.num_updates:
@@ -491,7 +494,7 @@ class Controller:
 
     def _restart(self) -> None:
         """Everything from the newest good checkpoint."""
-        self.backend.sections.forget()
+        self.backend.sections.reset()
         self._refreshes.cancel()
         self._saver.wait()
         self._start_from(newest_checkpoint(self.run, self.config, self.reporter))

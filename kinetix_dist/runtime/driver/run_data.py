@@ -1,8 +1,14 @@
-"""What training writes for dashboards, see docs/run_data.md: written by threads, read by nobody here.
+"""Files that training writes for dashboards, see docs/run_data.md: written by threads, and read by no process here.
 
     controller --rows--> [queue, bounded] --> a thread a file --> curriculum/*.npz, outcomes, evaluations, processes
 
-No call waits for a disk. What a disk does not take is dropped and counted (`telemetry/dropped_writes`), with an event.
+No call waits for a disk. A row that a disk does not take is dropped and counted (`telemetry/dropped_writes`), with an
+event.
+
+`OutcomeWindow` adds up attempts by where their levels come from: a line of outcomes.jsonl a window. A window ends after
+every `every` updates of the run, before a batch whose levels are drawn from another buffer, and at the end of training.
+Its counts are part of checkpoints, so that a resumed run writes the same lines. A checkpoint of an earlier version has
+counts of all episodes in its window: that ends there, as a line of its own format.
 """
 
 from __future__ import annotations
@@ -18,15 +24,19 @@ import numpy as np
 from kinetix_dist.checkpoint import select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum
-from kinetix_dist.runtime.cores.stored import CURRICULUM
-from kinetix_dist.runtime.driver.line_file import LineFile
-from kinetix_dist.runtime.driver.outcome_window import OutcomeWindow
+from kinetix_dist.runtime.cores.run_names import CURRICULUM
 from kinetix_dist.runtime.driver.reporting import DROPPED_WRITES
 from kinetix_dist.runtime.driver.roles import Refresh, Reporter
 from kinetix_dist.runtime.driver.run_directory import EVALUATIONS, PROCESSES, RunDirectory
-from kinetix_dist.runtime.driver.sink_news import SinkNews
-from kinetix_dist.runtime.driver.snapshots import SnapshotSink, UnfinishedSnapshot
-from kinetix_dist.telemetry.curriculum_log import BUFFER, OUTCOMES, REFRESH, is_outcomes
+from kinetix_dist.runtime.driver.run_files import LineFile, SinkEvents, SnapshotSink, UnfinishedSnapshot
+from kinetix_dist.telemetry.curriculum_log import (
+    ALL_EPISODES_FORMAT,
+    BUFFER,
+    OUTCOMES,
+    OUTCOMES_FORMAT,
+    REFRESH,
+    is_outcomes,
+)
 from kinetix_dist.telemetry.json_lines import Row
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, close_sinks
 from kinetix_dist.telemetry.sinks.jsonl import LinesSink
@@ -49,7 +59,7 @@ _FILES: dict[str, tuple[Callable[[Row], bool], Callable[[Row, int], bool]]] = {
 
 
 class RunData:
-    """Of one run. All methods are for the thread that drives it."""
+    """Files of one run for dashboards. All methods are for the thread that drives it."""
 
     def __init__(self, config: TrainConfig, run: RunDirectory, reporter: Reporter) -> None:
         self._config = config
@@ -58,7 +68,7 @@ class RunData:
         log = config.curriculum_log
         self._has_snapshots = log.max_snapshots > 0
         self._window = OutcomeWindow(self._curriculum.sources, log.outcomes_every) if log.outcomes_every else None
-        self._news = SinkNews(run, reporter.note)
+        self._sink_events = SinkEvents(run, reporter.note)
         self._sinks: dict[Path, BackgroundSink[Any]] = {}
         self._num_dropped = 0  # by sinks that are closed
         # Updates done when this session, or the part of it since the last loss, began; -1: with nothing, evaluations
@@ -70,19 +80,19 @@ class RunData:
         self._pids: set[tuple[str, int]] = set()  # in the last line
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
-        """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
-        is removed."""
+        """Starts as a checkpoint says, taken after so many updates; afresh where both are empty. Later rows are
+        removed."""
         self._close_sinks()
         self._resume_at = num_updates if num_updates or self._has_evaluated else -1
         self._is_curated = description.get("curated_for") == num_updates
         for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
-            if os.path.exists(path):  # what cannot be looked at fails, and is told, with the first row
+            if os.path.exists(path):  # an unreadable one fails, and is reported, with the first row
                 self._sink(path, opens_at_once=True)
         if self._window is not None:
             self._window.start(description, arrays, num_updates=num_updates)
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {} if self._window is None else self._window.description()
 
     def in_flight(self) -> dict[str, np.ndarray]:
@@ -121,7 +131,7 @@ class RunData:
         if (counted := int(attempts["attempts"].sum())) != num_attempts:
             raise ValueError(
                 f"curriculum {self._config.curriculum.name!r}: of {num_attempts:.0f} worlds {counted} have a source; "
-                "Proposal.source must be 0 or more, and less than the number of its sources and places"
+                "Proposal.source must be 0 or more, and less than the number of its sources and slots"
             )
         self._write_outcomes(self._window.add(num_updates, attempts, buffer))
 
@@ -154,15 +164,15 @@ class RunData:
         self._sink(self._run.processes).write(num_updates, row)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
-        """Also says what the threads have to say."""
-        self._news.tell(num_updates)
+        """Metrics of dropped writes. Also reports the events of the threads."""
+        self._sink_events.report(num_updates)
         dropped = self._num_dropped + sum(sink.num_dropped for sink in self._sinks.values())
         return {DROPPED_WRITES: float(dropped)}
 
     def close(self, num_updates: int) -> None:
         """Writes what is queued, as `BackgroundSink.close` does."""
         self._close_sinks()
-        self._news.tell(num_updates)
+        self._sink_events.report(num_updates)
 
     def _write_outcomes(self, lines: Sequence[Row]) -> None:
         for line in lines:
@@ -172,13 +182,13 @@ class RunData:
         self._sink(self._run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
 
     def _sink(self, path: Path, *, opens_at_once: bool = False) -> BackgroundSink[Any]:
-        """That of a file, or of the directory of snapshots."""
+        """Sink of a file, or of the directory of snapshots."""
         if path not in self._sinks:
             bound = {"max_queued": MAX_QUEUED_SNAPSHOTS} if path == self._run.curriculum else {}
             self._sinks[path] = BackgroundSink(
                 str(path.relative_to(self._run.path)),
                 self._snapshots() if path == self._run.curriculum else self._lines(path),
-                self._news.put,
+                self._sink_events.put,
                 patience_s=0.0,
                 opens_at_once=opens_at_once,
                 **bound,
@@ -193,7 +203,7 @@ class RunData:
             keep = (lambda row: is_earlier(row, resume_at)) if is_first else None
             return LinesSink(path, is_row=is_row, keep=keep)
 
-        return LineFile(self._run.path, open_sink, self._news.put, path).open
+        return LineFile(self._run.path, open_sink, self._sink_events.put, path).open
 
     def _snapshots(self) -> Callable[[], SnapshotSink]:
         sink = SnapshotSink(
@@ -203,7 +213,7 @@ class RunData:
             max_snapshots=self._config.curriculum_log.max_snapshots,
             resume_at=self._resume_at,
             is_curated=self._is_curated,
-            tell=self._news.put,
+            on_event=self._sink_events.put,
         )
         return sink.open
 
@@ -211,3 +221,63 @@ class RunData:
         close_sinks(list(self._sinks.values()))
         self._num_dropped += sum(sink.num_dropped for sink in self._sinks.values())
         self._sinks = {}
+
+
+WINDOW = "outcomes"  # arrays of a checkpoint: what is in the window
+Counts = Mapping[str, np.ndarray]
+
+
+class OutcomeWindow:
+    """The window of one run. Lines are plain JSON types, by the names of docs/run_data.md."""
+
+    def __init__(self, sources: tuple[str, ...], every: int) -> None:
+        """sources: of the curriculum, what the first counts are of; every: updates, above 0."""
+        self._sources = sources
+        self._every = every
+        self.start({}, {}, num_updates=0)
+
+    def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
+        """Starts as a checkpoint says, taken after so many updates; empty where both are."""
+        self._from_update: int = description.get("outcomes_from", num_updates)
+        self._buffer: int | None = description.get("outcomes_buffer")
+        self._counts = {name: array.astype(np.int64) for name, array in select_arrays(arrays, WINDOW).items()}
+
+    def add(self, num_updates: int, attempts: Counts, buffer: int | None) -> list[dict[str, Any]]:
+        """Takes the counts of the update that led to `num_updates`; lines of windows that are over.
+
+        attempts: "solved" and "attempts", [sources + slots]; buffer: whose levels the slots hold, or None.
+        """
+        lines = []
+        if self._counts and (buffer != self._buffer or self._counts.keys() != attempts.keys()):
+            lines += self.end(num_updates - 1)
+        self._buffer = buffer
+        self._counts = {name: self._counts.get(name, 0) + counts.astype(np.int64) for name, counts in attempts.items()}
+        if num_updates % self._every == 0:
+            lines += self.end(num_updates)
+        return lines
+
+    def end(self, num_updates: int) -> list[dict[str, Any]]:
+        """The line of what is there after so many updates, if there is any; the next window begins."""
+        if not self._counts:
+            return []
+        line_format = ALL_EPISODES_FORMAT if "finished" in self._counts else OUTCOMES_FORMAT
+        line = {"format": line_format, "update": num_updates, "from_update": self._from_update}
+        if self._buffer is not None:
+            line["buffer"] = self._buffer
+        num_sources = len(self._sources)
+        if len(self._counts["solved"]) > num_sources:
+            line |= {name: counts[num_sources:].tolist() for name, counts in self._counts.items()}
+        line["sources"] = {
+            source: {name: int(counts[index]) for name, counts in self._counts.items()}
+            for index, source in enumerate(self._sources)
+        }
+        self._from_update, self._counts = num_updates, {}
+        return [line]
+
+    def description(self) -> dict[str, Any]:
+        """Description for a checkpoint."""
+        return {"outcomes_from": self._from_update, "outcomes_buffer": self._buffer}
+
+    def in_flight(self) -> dict[str, np.ndarray]:
+        """Arrays of a checkpoint."""
+        return {f"{WINDOW}/{name}": counts for name, counts in self._counts.items()}

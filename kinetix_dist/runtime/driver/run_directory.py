@@ -1,4 +1,4 @@
-"""A run directory: everything a run is, on disk, and the lock that keeps a second driver out.
+"""Run directory: everything a run is, on disk, and the lock that keeps a second driver out.
 
     runs/quickstart/
         config.json          the configuration that runs, and its hash
@@ -13,6 +13,8 @@
         report.json          written when the run is complete
 
 The driver keeps no state of its own: from this directory a run can be resumed by any process.
+
+A disk that is full delays events (`EventLog`) and ends nothing.
 """
 
 from __future__ import annotations
@@ -23,14 +25,16 @@ import glob
 import json
 import os
 import re
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
 from kinetix_dist.errors import one_line
-from kinetix_dist.runtime.driver.event_log import EventLog
 from kinetix_dist.telemetry import curriculum_log
+from kinetix_dist.telemetry.event_names import check_event
 from kinetix_dist.telemetry.json_lines import (
+    append_line,
     damaged_path,
     mend_lines,
     replace_file,
@@ -50,7 +54,7 @@ class RunDirectoryError(Exception):
 
 
 def no_run_in(path: Path) -> str:
-    """What is wrong with a directory without config.json, and what to do."""
+    """Message for a directory without config.json, and what to do."""
     if not _has_checkpoints(path):
         return f"{path} holds no run (no config.json); start one without --resume"
     return (
@@ -201,7 +205,7 @@ class RunDirectory:
         self._event_log.write_pending()
 
     def set_aside(self, path: Path, num_lines: int) -> None:
-        """Notes that damaged lines of a file of this run were moved to the file beside it."""
+        """Notes that damaged lines of a file of this run were moved to another file next to it."""
         if num_lines:
             names = [str(file.relative_to(self.path)) for file in (path, damaged_path(path))]
             self.event("lines_set_aside", file=names[0], lines=num_lines, to=names[1])
@@ -214,7 +218,7 @@ class RunDirectory:
             file.write(f"{utc_text()}\n{text.rstrip()}\n")
         return path
 
-    def keep_log(self, name: str, text: str) -> Path | None:
+    def try_write_log(self, name: str, text: str) -> Path | None:
         """`write_log` where training goes on: None, with an event, where it cannot be written."""
         try:
             return self.write_log(name, text)
@@ -227,8 +231,11 @@ class RunDirectory:
         replace_file(path, (json.dumps(content, indent=2) + "\n").encode())
 
     def read_json(self, path: Path, *, is_whole: Callable[[Any], bool]) -> Any:
-        """What `write_json` wrote; None where there is no such file. One that cannot be read, or is not `is_whole`, is
-        renamed, with an event."""
+        """Reads what `write_json` wrote; None where there is no such file.
+
+        A file that cannot be read, or is not `is_whole`, is renamed, with an event.
+
+        """
         try:
             content = json.loads(path.read_text())
             if is_whole(content):
@@ -242,9 +249,11 @@ class RunDirectory:
         return None
 
     def restore_config(self) -> bool:
-        """Whether config.json was gone, without which nothing goes on from a checkpoint, and is written again.
+        """Writes config.json again where it is gone, without which no run goes on from a checkpoint; says whether it
+        was.
 
         For any thread. Raises OSError, also where the whole directory is gone.
+
         """
         if not self.path.is_dir():
             raise FileNotFoundError(f"run directory {self.path} is gone; put it back, nothing is saved until then")
@@ -263,7 +272,7 @@ class RunInUseError(RunDirectoryError):
 
 
 def newest_run(parent: Path, name: str) -> Path | None:
-    """Of `name`, `name-2`, `name-3` ... below `parent`, the run with the highest number; None if there is none."""
+    """The run with the highest number among `name`, `name-2`, `name-3` ... below `parent`; None if there is none."""
     numbered = {}
     for path in parent.glob(f"{glob.escape(name)}*") if parent.is_dir() else []:
         match = re.fullmatch(re.escape(name) + r"(?:-(\d+))?", path.name)
@@ -299,3 +308,42 @@ def lock_directory(path: Path, option: str = "--run") -> IO[str]:
         file.close()
         raise RunDirectoryError(f"cannot write to run directory {path}: {error.strerror}") from error
     return file
+
+
+MAX_PENDING = 1000  # events held in memory until they can be written; about 200 kB
+
+
+class EventLog:
+    """Appends events in order, each with the time at which it happened. May be called from any thread."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._pending: list[dict[str, Any]] = []  # could not be written so far
+        self._num_dropped = 0
+
+    def add(self, kind: str, **details: Any) -> None:
+        """Writes an event now, or as soon as the disk takes it. Raises UnknownEventError for a kind without a name."""
+        row = {"time": utc_text(), "event": check_event(kind), **details}
+        with self._lock:
+            if len(self._pending) < MAX_PENDING:
+                self._pending.append(row)
+            else:
+                self._num_dropped += 1
+            self._write()
+
+    def write_pending(self) -> None:
+        """Tries again to write what could not be written."""
+        with self._lock:
+            self._write()
+
+    def _write(self) -> None:
+        try:
+            while self._pending:
+                append_line(self._path, self._pending[0])
+                del self._pending[0]
+            if self._num_dropped:
+                append_line(self._path, {"time": utc_text(), "event": "events_dropped", "events": self._num_dropped})
+                self._num_dropped = 0
+        except OSError:
+            return  # still pending: nothing is lost while there is memory, and `sink_failing` says what the disk does

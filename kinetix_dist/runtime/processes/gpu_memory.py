@@ -1,21 +1,26 @@
-"""Who gets how much of a GPU's memory. XLA takes its pool in advance, so what others need has to be left out of it.
+"""Memory of a GPU: the budget of each process on it, and how much is in use.
+
+XLA takes its pool in advance, so the needs of others have to be left out of it.
 
     budget    of a process: the curator what its scoring needs, a worker (learner, rollout actor) the rest of its GPU
     reserve   of a budget, outside of XLA's pool: CUDA context, loaded programs, local memory of the engine's threads,
               NCCL where several processes form one JAX world
-    pool      budget - reserve; XLA is told its share of the GPU before JAX starts
+    pool      budget - reserve; XLA gets its share of the GPU before JAX starts
 
 Budgets follow from the run's configuration (`MemoryNeeds`) and from the GPU that a process finds itself on (`Gpu`), so
 processes that share a GPU come to the same table without asking each other. Measured on one H200, jax 0.11: a context
 takes 528 to 560 MiB, loaded programs about 250 MiB more, XLA exactly its share, the engine's threads exactly
 `local_memory_bytes` of their `thread_bytes`. What NCCL takes is an estimate.
+
 """
 
 from __future__ import annotations
 
 import ctypes
 import dataclasses
+import functools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from jax2d.scene import Capacity
 from kinetix_dist.config import TrainConfig
@@ -27,7 +32,7 @@ GIB = 1 << 30
 CONTEXT_BYTES = 640 * MIB  # a JAX process: 560 measured
 PROGRAMS_BYTES = 512 * MIB  # loaded programs: 250 measured
 NCCL_BYTES = 1536 * MIB  # channels and buffers of a rank: an estimate, a few hundred for two GPUs
-UNUSED_SHARE = 0.02  # of a GPU, to nobody: rounding, fragments, what else runs on it
+UNUSED_SHARE = 0.02  # of a GPU, left free: rounding, fragments, what else runs on it
 MIN_POOL_BYTES = 256 * MIB  # less is taken for a mistake
 
 # Local memory that CUDA sets aside for a thread comes on top of what the context has already.
@@ -42,7 +47,7 @@ THREAD_MARGIN = 1.15
 # were measured at 309 MiB with all else. Hence a margin of four.
 SCORING_TENSORS = 8  # of tokens
 SCORING_MARGIN = 4
-CANDIDATE_BYTES = 16 * 1024  # a level twice, while the best are kept
+CANDIDATE_BYTES = 16 * 1024  # a level twice, while the best are selected
 MIN_CURATOR_POOL_BYTES = GIB
 
 
@@ -62,7 +67,7 @@ class Gpu:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MemoryNeeds:
-    """What one process needs on a GPU, known before there is one."""
+    """Needs of one process on a GPU, known before there is one."""
 
     process: str  # "worker 0"
     thread_bytes: int  # local memory of a thread of its largest engine
@@ -81,7 +86,7 @@ class GpuShare:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Of one process on its GPU."""
+    """Budget of one process on its GPU."""
 
     process: str
     gpu: Gpu
@@ -94,7 +99,7 @@ class Budget:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What XLA has to be told before JAX starts."""
+        """Environment variables that XLA reads before JAX starts."""
         return {
             "XLA_PYTHON_CLIENT_PREALLOCATE": "true",
             "XLA_CLIENT_MEM_FRACTION": f"{self.pool_bytes / self.gpu.total_bytes:.6f}",
@@ -157,13 +162,13 @@ def budget_of(process: str, share: GpuShare, gpu: Gpu) -> Budget:
 
 
 def reserve_bytes(needs: MemoryNeeds, gpu: Gpu) -> int:
-    """What a process takes outside of XLA's pool."""
+    """Bytes that a process takes outside of XLA's pool."""
     nccl = NCCL_BYTES if needs.num_in_group > 1 else 0
     return CONTEXT_BYTES + PROGRAMS_BYTES + local_memory_bytes(needs.thread_bytes, gpu) + nccl
 
 
 def local_memory_bytes(thread_bytes: int, gpu: Gpu) -> int:
-    """What CUDA sets aside for every thread that can be resident, once a process, for its most demanding kernel."""
+    """Bytes that CUDA sets aside for all resident threads, once a process, for its most demanding kernel."""
     return max(0, thread_bytes - CONTEXT_THREAD_BYTES) * gpu.num_sms * gpu.threads_per_sm
 
 
@@ -177,17 +182,17 @@ def thread_bytes(capacity: Capacity) -> int:
 
 
 def curator_pool_bytes(config: TrainConfig) -> int:
-    """What scoring a batch of levels needs of XLA, and the candidates of a refresh."""
+    """Bytes of XLA's pool for scoring a batch of levels, and the candidates of a refresh."""
     curriculum = config.curriculum
-    return playing_bytes(config, curriculum.scoring_batch, beside=CANDIDATE_BYTES * curriculum.num_candidates)
+    return playing_bytes(config, curriculum.scoring_batch, extra=CANDIDATE_BYTES * curriculum.num_candidates)
 
 
-def playing_bytes(config: TrainConfig, num_worlds: int, *, beside: int = 0) -> int:
-    """What playing so many worlds at once without learning needs of XLA, with a margin of four, and what is beside."""
+def playing_bytes(config: TrainConfig, num_worlds: int, *, extra: int = 0) -> int:
+    """Bytes of XLA's pool for playing so many worlds at once without learning, with a margin of four, plus `extra`."""
     capacity, policy = config.env.capacity, config.policy
     rows = capacity.shapes + 1 + 2 * capacity.joints + capacity.thrusters
     numbers = SCORING_TENSORS * rows * policy.encoder_size + 2 * policy.num_heads * capacity.shapes**2
-    return max(MIN_CURATOR_POOL_BYTES, SCORING_MARGIN * 4 * numbers * num_worlds + beside)
+    return max(MIN_CURATOR_POOL_BYTES, SCORING_MARGIN * 4 * numbers * num_worlds + extra)
 
 
 def this_gpu() -> Gpu:
@@ -228,3 +233,67 @@ _MAX_THREADS_PER_MULTIPROCESSOR = 39
 
 def gib(num_bytes: int) -> str:
     return f"{num_bytes / GIB:.1f} GiB"
+
+
+class _Memory(ctypes.Structure):
+    """nvmlMemory_t, bytes."""
+
+    _fields_ = [("total", ctypes.c_ulonglong), ("free", ctypes.c_ulonglong), ("used", ctypes.c_ulonglong)]
+
+
+_PCI_ID_LENGTH = 32  # more than NVML_DEVICE_PCI_BUS_ID_BUFFER_SIZE asks for
+
+
+@functools.cache
+def _device() -> tuple[ctypes.CDLL, ctypes.c_void_p] | None:
+    """NVML and its handle of the first GPU that CUDA shows to this process; None where there is none.
+
+    By PCI address, since NVML counts GPUs as they are built in, whatever CUDA_VISIBLE_DEVICES says.
+    """
+    try:
+        cuda, nvml = ctypes.CDLL("libcuda.so.1"), ctypes.CDLL("libnvidia-ml.so.1")
+    except OSError:
+        return None
+    gpu, handle, address = ctypes.c_int(), ctypes.c_void_p(), ctypes.create_string_buffer(_PCI_ID_LENGTH)
+    status = (
+        cuda.cuInit(0)
+        or cuda.cuDeviceGet(ctypes.byref(gpu), 0)
+        or cuda.cuDeviceGetPCIBusId(address, len(address), gpu)
+        or nvml.nvmlInit_v2()
+        or nvml.nvmlDeviceGetHandleByPciBusId_v2(address, ctypes.byref(handle))
+    )
+    return None if status else (nvml, handle)
+
+
+def gpu_used_share() -> float | None:
+    """Share of this process's GPU that all programs together use; None on a CPU, or where the driver does not say."""
+    import jax
+
+    if jax.default_backend() != "gpu" or (found := _device()) is None:
+        return None
+    nvml, handle = found
+    memory = _Memory()
+    if nvml.nvmlDeviceGetMemoryInfo(handle, ctypes.byref(memory)):
+        return None
+    return memory.used / memory.total
+
+
+class Pool(NamedTuple):
+    """XLA's pool of GPU memory, bytes."""
+
+    used: int
+    peak: int  # the most that was in use so far
+    limit: int
+
+    @property
+    def peak_share(self) -> float:
+        return self.peak / self.limit
+
+
+def pool_use() -> Pool | None:
+    """XLA's pool on this process's GPU; None on a CPU, or where JAX does not say."""
+    import jax
+
+    statistics = (jax.local_devices()[0].memory_stats() if jax.default_backend() == "gpu" else None) or {}
+    used, peak, limit = (statistics.get(name) for name in ("bytes_in_use", "peak_bytes_in_use", "bytes_limit"))
+    return Pool(used, peak, limit) if limit and used is not None and peak is not None else None

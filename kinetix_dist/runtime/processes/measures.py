@@ -1,6 +1,6 @@
-"""What every process of a run measures of itself: how busy it is, what it compiled, its memory, what it moved.
+"""Measurements of a process: where it runs, how busy it is, what it compiled, its memory, what it moved.
 
-    process:  Meter --Reading-->  backend (asks after every update, and never waits)  --summary()-->  metrics
+    process:  Meter --Reading-->  backend (requests one after every update, never waits)  --summary()-->  metrics
 
 A reading is taken in a thread of its own while a call runs, so it costs the call nothing.
 """
@@ -14,19 +14,21 @@ import time
 from collections import defaultdict
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
-from kinetix_dist.runtime.processes.gpu_use import Pool, gpu_used_share, pool_use
+from kinetix_dist.child_python import difference_of_imports
+from kinetix_dist.runtime.processes.gpu_memory import GIB, MIB, Budget, Pool, gpu_used_share, pool_use
+from kinetix_dist.runtime.processes.placement import PlacementError
 from kinetix_dist.telemetry.compile_time import compile_seconds
 from kinetix_dist.telemetry.sizes import bytes_of
 
-GIB, MIB = 1 << 30, 1 << 20
 _POOL = (("", "used"), ("peak_", "peak"), ("limit_", "limit"))  # parts of names in processes.jsonl, fields of Pool
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Reading:
-    """Of one process, at one time."""
+    """Measurements of one process at one time."""
 
     name: str  # of the process
     role: str
@@ -137,3 +139,41 @@ def description(before: Reading | None, last: Reading, *, age_seconds: float) ->
 def _idle(before: Reading, last: Reading) -> float:
     """Share of the time between two readings that was spent in no call."""
     return 1.0 - (last.busy_seconds - before.busy_seconds) / (last.at - before.at)
+
+
+def whereabouts(budget: Budget | None) -> dict[str, Any]:
+    """Location of the process that calls this: process id, host, and the file that it writes its errors to; with a
+    `budget` also its GPU and how much of it."""
+    where: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "log": _log_of_this_process()}
+    if budget is not None:
+        where["gpu"] = os.environ.get("CUDA_VISIBLE_DEVICES", "0")
+        where["memory_mib"] = {"budget": budget.total_bytes // MIB, "reserve": budget.reserve_bytes // MIB}
+    return where
+
+
+def refuse_other_imports(process: str, where: dict[str, Any]) -> None:
+    """Raises PlacementError where a process on this host imports packages from elsewhere than this one does. where:
+    what it said of itself. Nodes of a cluster are compared by their versions (`runtime/processes/provenance.py`)."""
+    if where["host"] == socket.gethostname() and (differ := difference_of_imports(where["imports"])):
+        raise PlacementError(f"{process} imports {differ}; start the command in another directory, or unset PYTHONPATH")
+
+
+def _log_of_this_process() -> str | None:
+    """The file that standard error goes to; None where it is none, and on systems without /proc."""
+    try:
+        path = Path(os.readlink("/proc/self/fd/2"))
+    except OSError:
+        return None
+    return str(path) if path.is_file() else None
+
+
+def facts_of(process: str, budget: Budget | None) -> dict[str, Any]:
+    """The same after it has computed, with the device and the most that it used of XLA's pool."""
+    import jax
+
+    device = jax.local_devices()[0]
+    facts = {"process": process, "device": device.device_kind, **whereabouts(budget)}
+    statistics = (device.memory_stats() if device.platform == "gpu" else None) or {}
+    measured = {"pool": statistics.get("bytes_limit"), "pool_peak": statistics.get("peak_bytes_in_use")}
+    memory = {name: value // MIB for name, value in measured.items() if value is not None}
+    return facts | ({"memory_mib": facts.get("memory_mib", {}) | memory} if memory else {})

@@ -1,10 +1,12 @@
-"""Who runs where: processes, their devices and their environment variables. Pure: no process is started here.
+"""Placement of roles: processes, their devices and environment variables. Pure: no process is started here.
 
-colocated   N workers, one a GPU (on CPU one, or as many as asked for), each with worlds and a learner shard; lag 0
+colocated   N workers, one a GPU (on CPU one, or as many as requested), each with worlds and a learner shard; lag 0
 split       N learners that form one JAX world, and rollout actors on devices of their own; lag 1
-both        curators, at most one a GPU, and an evaluator where evaluations or recordings are asked for during training,
-            on the GPUs of the first workers (or rollout actors; where these play on CPUs: learners), whose memory they
+both        curators, at most one a GPU, and an evaluator where evaluations or recordings are due during training, on
+            the GPUs of the first workers (or rollout actors; where these play on CPUs: learners), whose memory they
             share
+
+`Resources` are those of a Ray cluster, which a placement needs: CPU slots and GPUs.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.processes.gpu_memory import GpuShare, share_of_gpu
@@ -42,7 +44,7 @@ class ProcessPlan:
 
     @property
     def joins_group(self) -> bool:
-        """Whether it forms one JAX world with the others of its role."""
+        """Says whether it forms one JAX world with the others of its role."""
         return self.role in ROLES_OF_GROUPS
 
 
@@ -56,7 +58,7 @@ class Placement:
         return tuple(process for process in self.processes if process.role == role)
 
 
-def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
+def plan_placement(config: TrainConfig, *, num_gpus: int) -> Placement:
     """The processes of a run on a machine with `num_gpus` GPUs; raises PlacementError where they do not fit."""
     on_gpus = resolve_device(config.run.device, num_gpus=num_gpus) == "gpu"
     is_split = config.run.placement == "split"
@@ -65,14 +67,14 @@ def plan(config: TrainConfig, *, num_gpus: int) -> Placement:
     devices, on_cpu = devices[: len(devices) - num_on_cpu], devices[len(devices) - num_on_cpu :]
     if on_gpus and len(devices) > num_gpus:
         raise PlacementError(_too_few_gpus(config, len(devices), num_gpus))
-    # Beside those that play, which have least to do of all that have a GPU; where none of these has, beside learners.
+    # Next to those that play, which have least to do of all on a GPU; where none of these has one, next to learners.
     first = config.run.num_learners if is_split else 0
-    beside = devices[first:] or devices
+    hosts = devices[first:] or devices
     if config.has_curator:
-        for index in range(min(config.run.num_curators, len(beside)) if on_gpus else config.run.num_curators):
-            beside[index % len(beside)].append(("curator", index))
+        for index in range(min(config.run.num_curators, len(hosts)) if on_gpus else config.run.num_curators):
+            hosts[index % len(hosts)].append(("curator", index))
     if config.evaluates_in_background:
-        beside[0].append(("evaluator", 0))
+        hosts[0].append(("evaluator", 0))
     if not on_gpus:
         devices, on_cpu = [], devices
     return Placement(
@@ -139,9 +141,9 @@ def counted(number: int, role: str) -> str:
 
 
 def resolve_device(device: str, *, num_gpus: int) -> str:
-    """Which of "cpu" and "gpu"; raises PlacementError when a GPU is asked for and none is there."""
+    """Resolves "auto" to "cpu" or "gpu"; raises PlacementError when a GPU is requested and none is there."""
     if device == "gpu" and num_gpus == 0:
-        raise PlacementError("run.device is gpu, but no GPU is visible here; use --run.device cpu, or ask `doctor` why")
+        raise PlacementError("run.device is gpu, but no GPU is visible here; use --run.device cpu, or see `doctor`")
     if device == "auto":
         return "gpu" if num_gpus else "cpu"
     return device
@@ -182,3 +184,58 @@ def _on_gpu(config: TrainConfig, gpu: int, roles: _Roles, devices: Sequence[_Rol
 def _in_order(processes: Iterable[ProcessPlan]) -> tuple[ProcessPlan, ...]:
     """Curator and evaluator last: they are started when they are first needed."""
     return tuple(sorted(processes, key=lambda process: process.role in ("curator", "evaluator")))
+
+
+@dataclasses.dataclass(frozen=True)
+class Resources:
+    """Resources for processes: one CPU slot each, and GPUs."""
+
+    cpus: int
+    gpus: int
+
+    def __add__(self, other: Resources) -> Resources:
+        return Resources(self.cpus + other.cpus, self.gpus + other.gpus)
+
+    def at_most(self, other: Resources) -> Resources:
+        return Resources(min(self.cpus, other.cpus), min(self.gpus, other.gpus))
+
+    def holds(self, needed: Resources) -> bool:
+        return self.cpus >= needed.cpus and self.gpus >= needed.gpus
+
+
+def needed_by(placement: Placement) -> Resources:
+    gpus = {process.gpu for process in placement.processes if process.gpu is not None}
+    return Resources(len(placement.processes), len(gpus))
+
+
+def total_resources() -> Resources:
+    """Resources of all nodes that live."""
+    import ray
+
+    return _resources(ray.cluster_resources())
+
+
+def free_resources() -> Resources:
+    """Resources that no process holds."""
+    import ray
+
+    return _resources(ray.available_resources())
+
+
+def nodes_in_words() -> str:
+    """ "node-1 (8 CPU slots, 4 GPUs), node-2 (8 CPU slots, 4 GPUs), 1 lost" """
+    import ray
+
+    nodes = ray.nodes()
+    living = [f"{node['NodeManagerHostname']} ({_in_words(node['Resources'])})" for node in nodes if node["Alive"]]
+    num_lost = len(nodes) - len(living)
+    return ", ".join([*living, *([f"{num_lost} lost"] if num_lost else [])])
+
+
+def _in_words(resources: Mapping[str, float]) -> str:
+    resources = _resources(resources)
+    return f"{resources.cpus} CPU slots, {resources.gpus} GPUs"
+
+
+def _resources(resources: Mapping[str, float]) -> Resources:
+    return Resources(int(resources.get("CPU", 0)), int(resources.get("GPU", 0)))

@@ -1,0 +1,363 @@
+"""What each refresh of a curriculum kept, what became of it in training, and what was learned: numbers with counts.
+
+    curriculum/refresh_*.npz, buffer_*.npz --Refreshes--> one summary a file (kept while the file is the same)
+    curriculum/outcomes.jsonl              --training_plays--> plays of each level while its buffer was in use
+
+The curator **claims** the plug-in learnability of the few episodes by which it chose a level. Chosen by their largest
+values, these are too high. What training played is of other episodes: there the estimate is unbiased for levels played
+twice or more often (`evaluation/learnability.py`).
+
+Training counts attempts, the first episode of each world in an update: independent, each solved with the chance p of
+its level. Episodes that scored a level are all that one world finished: of one level solved / finished has the mean p,
+of many levels the sums have not, since levels of short episodes count more often. So rates of scored levels are means
+over levels. Lines of outcomes.jsonl of earlier versions count all episodes; `of_all_episodes` says so.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinetix_dist.studio.runs import run_files
+from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
+from kinetix_dist.telemetry.curriculum_log import (
+    ALL_EPISODES_FORMAT,
+    BUFFER,
+    REFRESH,
+    Snapshot,
+    SnapshotError,
+    is_outcomes,
+    list_snapshots,
+    read_snapshot,
+)
+from kinetix_dist.telemetry.json_lines import read_lines
+
+# Curricula that try some candidates again because of how they fared: solved / finished of these is no estimate of p.
+CHOOSES_WHILE_SCORING = ("sfl_slices",)
+BINS = 10  # of histograms of p, besides those of p = 0 and p = 1
+
+
+@dataclasses.dataclass
+class Plays:
+    """[n] each: attempts at the levels of a buffer while it was in use, over windows `from_update` to `update`."""
+
+    solved: np.ndarray
+    attempts: np.ndarray
+    from_update: int
+    update: int
+    of_all_episodes: bool  # counts of an earlier version: all episodes that ended
+
+
+def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
+    """By buffer (policy version): the windows of each added up. Windows of another length than before are left out,
+    and those that count all episodes where others count attempts."""
+    plays: dict[int, Plays] = {}
+    for row in outcomes:
+        if not isinstance(row.get("buffer"), int) or "solved" not in row:
+            continue
+        solved, attempts = (np.asarray(counts, np.int64) for counts in (row["solved"], row[tries_of(row)]))
+        window = Plays(solved, attempts, row["from_update"], row["update"], is_of_all_episodes(row))
+        found = plays.get(row["buffer"])
+        if found is None or (found.of_all_episodes and not window.of_all_episodes):
+            plays[row["buffer"]] = window
+        elif found.solved.shape == solved.shape and found.of_all_episodes == window.of_all_episodes:
+            found.solved, found.attempts = found.solved + solved, found.attempts + attempts
+            found.update = row["update"]
+    return plays
+
+
+def is_of_all_episodes(row: Mapping[str, Any]) -> bool:
+    """Whether a line of outcomes.jsonl counts all episodes that ended, as earlier versions did."""
+    return row["format"] == ALL_EPISODES_FORMAT
+
+
+def tries_of(row: Mapping[str, Any]) -> str:
+    """The name of what solved ones are counted of in a line of outcomes.jsonl."""
+    return "finished" if is_of_all_episodes(row) else "attempts"
+
+
+def counts_table(solved: np.ndarray, finished: np.ndarray) -> list[list[int]]:
+    """[[solved, finished, levels], ...] of the pairs that occur."""
+    pairs, levels = np.unique(np.stack([solved, finished], 1), axis=0, return_counts=True)
+    return np.concatenate([pairs, levels[:, None]], 1).astype(int).tolist()
+
+
+def histogram_of_p(solved: np.ndarray, finished: np.ndarray) -> list[int]:
+    """Levels with p = 0, those in BINS bins between, and those with p = 1. Levels without an episode do not count."""
+    is_played = finished > 0
+    s, f = solved[is_played], finished[is_played]
+    between = (s > 0) & (s < f)
+    bins = np.minimum((BINS * s[between]) // f[between], BINS - 1)
+    return [int((s == 0).sum()), *np.bincount(bins, minlength=BINS).astype(int).tolist(), int((s == f).sum())]
+
+
+def rate(solved: Any, episodes: Any) -> dict[str, Any]:
+    """{solved, episodes, rate, low, high}: of independent episodes, with its 95 % Wilson interval."""
+    solved, episodes = int(solved), int(episodes)
+    low, high = wilson_interval(solved, episodes)
+    return {
+        "solved": solved,
+        "episodes": episodes,
+        "rate": solved / episodes if episodes else None,
+        "low": low,
+        "high": high,
+    }
+
+
+def rate_over_levels(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]:
+    """{levels, solved, episodes, rate, low, high} of counts [n] of scored levels: the mean of their solve rates.
+
+    The interval counts a level as one episode: levels are independent, and means of its episodes vary no more. Levels
+    that finished none are left out.
+    """
+    is_played = finished > 0
+    rates = solved[is_played] / finished[is_played]
+    low, high = wilson_interval(float(rates.sum()), len(rates))
+    return {
+        "levels": len(rates),
+        "solved": int(solved.sum()),
+        "episodes": int(finished.sum()),
+        "rate": float(rates.mean()) if len(rates) else None,
+        "low": low,
+        "high": high,
+    }
+
+
+def rates_by_feature(
+    names: Iterable[str], features: np.ndarray, solved: np.ndarray, finished: np.ndarray
+) -> dict[str, list[dict[str, Any]]]:
+    """features [N, F], counts [N]. {feature: [{value} and `rate_over_levels` of the levels with it]} by its values."""
+    return {
+        str(name): [
+            {"value": int(value)} | rate_over_levels(solved[values == value], finished[values == value])
+            for value in np.unique(values)
+        ]
+        for name, values in zip(names, features.T, strict=True)
+    }
+
+
+def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
+    """What one file says, without its levels. Fields that it lacks are left out."""
+    arrays = snapshot.arrays
+    described: dict[str, Any] = {
+        "kind": snapshot.kind,
+        "number": snapshot.number,
+        "curriculum": str(arrays["curriculum"]),
+        "size": str(arrays["size"]),
+        "written_after": int(arrays["written_after"]),
+        "num_levels": len(arrays["level_id"]),
+        "has_levels": snapshot.has_levels,
+        "mean_score": mean_and_error(arrays["score"])[0],
+        "scores": _histogram(arrays["score"]),
+    }
+    if snapshot.kind == BUFFER:
+        return described
+    solved, finished = (arrays[name].astype(np.int64) for name in ("solved", "finished"))
+    all_solved = arrays["candidates/solved"].astype(np.int64)
+    all_finished = arrays["candidates/finished"].astype(np.int64)
+    is_sample = described["curriculum"] not in CHOOSES_WHILE_SCORING
+    described |= {
+        "first_batch": int(arrays["first_batch"]),
+        "scoring_seconds": mean_and_error(np.atleast_1d(arrays["scoring_seconds"]))[0],
+        "is_sample": is_sample,
+        "buffer": _group(solved, finished),
+        "candidates": _group(all_solved, all_finished) | _fresh_learnability(all_solved, all_finished, is_sample),
+        "by_feature": rates_by_feature(
+            arrays["feature_names"], arrays["candidates/features"], all_solved, all_finished
+        ),
+    }
+    return described
+
+
+def _group(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]:
+    return rate_over_levels(solved, finished) | {
+        "levels": len(solved),
+        "claimed": mean_and_error(plug_in_learnability(solved, finished))[0],
+        "histogram": histogram_of_p(solved, finished),
+        "counts": counts_table(solved, finished),
+    }
+
+
+def _fresh_learnability(solved: np.ndarray, finished: np.ndarray, is_sample: bool) -> dict[str, Any]:
+    """What fresh levels offer, the control of what a buffer does: {learnability, learnability_error}, unbiased.
+
+    None where some finished fewer than two episodes (those that did are the ones of short episodes), or where
+    candidates are no sample of fresh levels.
+    """
+    learnability, error = None, None
+    if is_sample and (finished > 1).all():
+        learnability, error = mean_and_error(unbiased_learnability(solved, finished))
+    return {"learnability": learnability, "learnability_error": error}
+
+
+def describe_training(plays: Plays) -> dict[str, Any]:
+    """What training made of a buffer while it was in use. `learnability`: the unbiased estimate, over how many levels.
+
+    Worlds draw levels of a buffer at random: attempts at all of them are independent, given the policy.
+    """
+    values = unbiased_learnability(plays.solved, plays.attempts)
+    learnability, error = mean_and_error(values)
+    return rate(plays.solved.sum(), plays.attempts.sum()) | {
+        "learnability": learnability,
+        "learnability_error": error,
+        "learnability_levels": int((~np.isnan(values)).sum()),
+        "histogram": histogram_of_p(plays.solved, plays.attempts),
+        "from_update": plays.from_update,
+        "update": plays.update,
+        "of_all_episodes": plays.of_all_episodes,
+    }
+
+
+def describe_probe(before: Snapshot, after: Snapshot) -> dict[str, Any] | None:
+    """What one refresh cycle taught: levels of `before`, played again by the policy that scored `after`, each once
+    also where it was played twice.
+
+    None: that file has no such plays. `moves`: [[p before, p after, levels]] with p as 0 never, 1 sometimes, 2 always.
+    """
+    if "probe/index" not in after.arrays:
+        return None
+    index, first = np.unique(after.arrays["probe/index"], return_index=True)
+    then = [before.arrays[name][index].astype(np.int64) for name in ("solved", "finished")]
+    now = [after.arrays[f"probe/{name}"][first].astype(np.int64) for name in ("solved", "finished")]
+    both = (then[1] > 0) & (now[1] > 0)
+    classes = np.stack([_class_of_p(*then), _class_of_p(*now)], 1)[both]
+    moves, levels = np.unique(classes, axis=0, return_counts=True) if both.any() else (np.zeros((0, 2)), np.zeros(0))
+    return {
+        "levels": len(index),
+        "policy_version": after.number,
+        "before": rate_over_levels(*then),
+        "after": rate_over_levels(*now),
+        "after_learnability": mean_and_error(unbiased_learnability(*now))[0],
+        "moves": np.concatenate([moves, levels[:, None]], 1).astype(int).tolist(),
+    }
+
+
+def _class_of_p(solved: np.ndarray, finished: np.ndarray) -> np.ndarray:
+    return np.where(solved == 0, 0, np.where(solved == finished, 2, 1))
+
+
+class Refreshes:
+    """Summaries of all snapshots of a run; each file is read once, and again where it changed."""
+
+    def __init__(self, path: Path) -> None:
+        """path: the run directory."""
+        self._path = path
+        self._lock = threading.Lock()
+        self._read: dict[Path, tuple[tuple[int, int], Snapshot]] = {}
+
+    def read(self) -> tuple[list[Snapshot], list[dict[str, Any]], list[str]]:
+        """All snapshots without levels, oldest first, the windows of outcomes, and a line for each damaged file."""
+        with self._lock:
+            problems: list[str] = []
+            return self._snapshots(problems), self._windows(problems), problems
+
+    def summaries(self) -> dict[str, Any]:
+        """{snapshots, windows, problems}; snapshots oldest first, each as `describe_snapshot`, with `training`, `probe`
+        and `kept` (levels that the snapshot before it had too) where there is such a thing. windows: of outcomes."""
+        snapshots, windows, problems = self.read()
+        plays = training_plays(windows)
+        described = []
+        for place, snapshot in enumerate(snapshots):
+            try:
+                entry = describe_snapshot(snapshot)
+            except KeyError as error:
+                problems.append(f"{snapshot.kind} {snapshot.number} lacks {error}; it is left out")
+                continue
+            following = next((other for other in snapshots[place + 1 :] if other.kind == snapshot.kind), None)
+            before = next((other for other in reversed(snapshots[:place]) if other.kind == snapshot.kind), None)
+            if snapshot.kind == REFRESH and snapshot.number in plays:
+                entry["training"] = describe_training(plays[snapshot.number])
+            if snapshot.kind == REFRESH and following is not None:
+                if following.arrays.get("probe/policy_version") == snapshot.number:
+                    entry["probe"] = describe_probe(snapshot, following)
+            if before is not None:
+                entry["kept"] = len(np.intersect1d(before.arrays["level_id"], snapshot.arrays["level_id"]))
+            described.append(entry)
+        return {"snapshots": described, "windows": [_describe_window(row) for row in windows], "problems": problems}
+
+    def snapshot(self, kind: str, number: int) -> Snapshot:
+        """Without levels. Raises KeyError where there is none, SnapshotError, OSError."""
+        for found_kind, found_number, path in list_snapshots(self._path / run_files.CURRICULUM):
+            if (found_kind, found_number) == (kind, number):
+                with self._lock:
+                    return self._snapshot(path)
+        raise KeyError(f"there is no {kind} {number} in this run")
+
+    def plays(self, number: int) -> Plays | None:
+        """Of the buffer of a refresh, in training."""
+        with self._lock:
+            return training_plays(self._windows([])).get(number)
+
+    def _snapshots(self, problems: list[str]) -> list[Snapshot]:
+        found = []
+        for _, _, path in list_snapshots(self._path / run_files.CURRICULUM):
+            try:
+                found.append(self._snapshot(path))
+            except SnapshotError as error:
+                problems.append(str(error).replace(f"{path}", path.name))
+            except OSError as error:
+                problems.append(f"{path.name} cannot be read ({error.strerror})")
+        return found
+
+    def _snapshot(self, path: Path) -> Snapshot:
+        status = path.stat()
+        key = (status.st_mtime_ns, status.st_size)
+        if path not in self._read or self._read[path][0] != key:
+            self._read[path] = (key, read_snapshot(path, with_levels=False))
+        return self._read[path][1]
+
+    def _windows(self, problems: list[str]) -> list[dict[str, Any]]:
+        file = self._path / run_files.OUTCOMES
+        try:
+            lines = read_lines(file, _is_window)
+        except OSError as error:
+            problems.append(f"{run_files.OUTCOMES} cannot be read ({error.strerror})")
+            return []
+        if lines.damaged:
+            problems.append(f"{len(lines.damaged)} lines of {run_files.OUTCOMES} are damaged and left out")
+        return lines.rows
+
+
+def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
+    """{from_update, update, sources: {name: rate}, of_all_episodes}; `buffer` is the source of levels that the window
+    lists."""
+    tries = tries_of(row)
+    sources = {name: rate(counts["solved"], counts[tries]) for name, counts in row["sources"].items()}
+    if "solved" in row:
+        sources = {"buffer": rate(sum(row["solved"]), sum(row[tries]))} | sources
+    return {
+        "from_update": row["from_update"],
+        "update": row["update"],
+        "sources": sources,
+        "of_all_episodes": is_of_all_episodes(row),
+    }
+
+
+def _is_window(row: dict[str, Any]) -> bool:
+    """Whether all that is read of a line is there; other lines count as damaged."""
+    if not is_outcomes(row) or not isinstance(row.get("from_update"), int):
+        return False
+    tries = tries_of(row)
+    counts = [row.get("solved", []), row.get(tries, [])]
+    if not all(isinstance(values, list) and all(isinstance(v, int) for v in values) for values in counts):
+        return False
+    sources = row["sources"].values()
+    if not all(isinstance(source, dict) for source in sources):
+        return False
+    pairs = [*zip(*counts, strict=False), *((source.get("solved"), source.get(tries)) for source in sources)]
+    return len(counts[0]) == len(counts[1]) and all(
+        isinstance(solved, int) and isinstance(tried, int) and 0 <= solved <= tried for solved, tried in pairs
+    )
+
+
+def _histogram(values: np.ndarray) -> dict[str, Any]:
+    """{edges, counts, unknown} with 20 bins over what is finite."""
+    finite = values[np.isfinite(values)]
+    counts, edges = np.histogram(finite, bins=20) if len(finite) else (np.zeros(0, int), np.zeros(0))
+    return {"edges": edges.tolist(), "counts": counts.tolist(), "unknown": int(len(values) - len(finite))}

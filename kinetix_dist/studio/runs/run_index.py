@@ -1,0 +1,230 @@
+"""Which runs there are below the paths that a person named, and how each of them is.
+
+A path is a run or a directory of runs (two levels deep). Runs that appear later are found; one that is gone is left
+out. The name of a run in addresses is that of its directory, made unique where two have the same.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.studio.runs import run_files
+from kinetix_dist.studio.runs.evaluations import newest_rates
+from kinetix_dist.studio.runs.run_files import RunFileError, last_row, read_object
+from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
+from kinetix_dist.telemetry.status import (
+    FAILED,
+    FINISHED,
+    RUNNING,
+    SILENT,
+    SILENT_AFTER_S,
+    STOPPED,
+    StatusError,
+    judged,
+    read_status,
+)
+from kinetix_dist.telemetry.utc import utc_seconds
+
+DEPTH = 2  # levels of directories below a path in which runs are looked for
+MAX_RUNS = 5000
+
+SETTINGS_OF_CONFIG = {  # by their names in the table of runs: section, field, type
+    "name": ("run", "name", str),
+    "size": ("env", "size", str),
+    "curriculum": ("curriculum", "name", str),
+    "placement": ("run", "placement", str),
+    "total_env_steps": ("run", "total_env_steps", int),
+}
+SETTINGS = ("hash", *SETTINGS_OF_CONFIG)
+
+NO_RUN = "is no run (it has no config.json) and holds none; name a run directory, or a directory of runs"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunStatus:
+    """How a run is, one line of why, and where that was read. What status.json does not say is None."""
+
+    state: str  # "running", "silent", "finished", "stopped", "failed" or "not started"
+    text: str
+    source: str  # the file that says so; "files" where it follows from their times
+    phase: str | None = None
+    update: int | None = None
+    env_steps: int | None = None
+    seconds_left: float | None = None
+    problem: str | None = None  # of the file that should say it
+
+
+class RunIndex:
+    """Finds runs. `scan` looks again; ids stay with their directories."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        """Raises UserError for a path that is not there, is no directory, or holds neither run nor directory."""
+        self._roots = [_checked(path) for path in paths]
+        self._ids: dict[Path, str] = {}
+        self.runs: dict[str, Path] = {}
+        self.problems: list[str] = []
+        self.scan()
+        for root in self._roots:
+            if not any(run.is_relative_to(root) for run in self.runs.values()) and not _may_come(root):
+                raise UserError(f"{root} {NO_RUN}")
+
+    def scan(self) -> dict[str, Path]:
+        """Ids and directories of the runs that are there now."""
+        self.problems = []
+        found: dict[str, Path] = {}
+        for root in self._roots:
+            for path in self._runs_below(root, DEPTH):
+                if len(found) >= MAX_RUNS:
+                    self.problems.append(f"more than {MAX_RUNS} runs; name fewer directories")
+                    break
+                found[self._id_of(path)] = path
+        self.runs = found
+        return found
+
+    def _runs_below(self, path: Path, depth: int) -> list[Path]:
+        if run_files.is_run(path):
+            return [path]
+        if not depth:
+            return []
+        try:
+            with os.scandir(path) as entries:
+                below = sorted(entry.name for entry in entries if entry.is_dir() and not entry.name.startswith("."))
+        except OSError as error:
+            self.problems.append(f"{path} cannot be read ({error.strerror})")
+            return []
+        return [run for name in below for run in self._runs_below(path / name, depth - 1)]
+
+    def _id_of(self, path: Path) -> str:
+        if path not in self._ids:
+            name, number, taken = path.name, 1, set(self._ids.values())
+            while name in taken:
+                number += 1
+                name = f"{path.name}~{number}"
+            self._ids[path] = name
+        return self._ids[path]
+
+
+def summary(run_id: str, path: Path) -> dict[str, Any]:
+    """One row of the table of runs: what its small files say. `problems` has a line for each that cannot be read, or is
+    damaged at its end."""
+    problems: list[str | None] = []
+
+    def read(of_run: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
+        try:
+            return of_run(path)
+        except RunFileError as error:
+            problems.append(str(error))
+            return {}
+
+    settings = read(_settings)
+    last = last_row(path / run_files.METRICS, is_row=is_metrics_row)
+    status = status_of(path)
+    problems += [last.problem, status.problem]
+    return {
+        "id": run_id,
+        "path": str(path),
+        **{name: settings.get(name) for name in SETTINGS},
+        "status": dataclasses.asdict(status),
+        "modified": run_files.modified_at(path / run_files.METRICS) or run_files.modified_at(path / run_files.CONFIG),
+        "last": None if last.row is None else {k: v for k, v in last.row.items() if isinstance(v, int | float)},
+        "evaluated": read(newest_rates),
+        "problems": [*dict.fromkeys(problem for problem in problems if problem is not None)],
+    }
+
+
+def _settings(path: Path) -> dict[str, Any]:
+    """What the table shows of config.json. Raises RunFileError."""
+    content = read_object(path / run_files.CONFIG) or {}
+    config = run_files.member(content, "config", dict, file=run_files.CONFIG) or {}
+    found: dict[str, Any] = {"hash": run_files.member(content, "hash", str, file=run_files.CONFIG)}
+    for name, (section, field, kind) in SETTINGS_OF_CONFIG.items():
+        values = run_files.member(config, section, dict, file=run_files.CONFIG) or {}
+        found[name] = run_files.member(values, field, kind, file=run_files.CONFIG)
+    return found
+
+
+def status_of(path: Path) -> RunStatus:
+    """How a run is, by its status.json; by other files and their times where there is none (an older run)."""
+    try:
+        status = read_status(path / run_files.STATUS)
+    except (StatusError, OSError) as error:
+        problem = one_line(error).replace(f"{path / run_files.STATUS}", run_files.STATUS)
+        return dataclasses.replace(_status_by_files(path), text=problem, problem=problem)
+    if status is None:
+        return _status_by_files(path)
+    state = judged(status)
+    age = _age(time.time() - utc_seconds(status.time))
+    text = {
+        RUNNING: f"{status.phase}, written {age} ago by process {status.pid} on {status.host}",
+        SILENT: f"says {status.phase}, but was last heard of {age} ago (process {status.pid} on {status.host})",
+    }.get(state, status.error or f"ended {age} ago")
+    return RunStatus(
+        state=state,
+        text=text,
+        source=run_files.STATUS,
+        phase=status.phase,
+        update=status.update,
+        env_steps=status.env_steps,
+        seconds_left=status.seconds_left if state == RUNNING else None,
+    )
+
+
+def _status_by_files(path: Path) -> RunStatus:
+    metrics = run_files.modified_at(path / run_files.METRICS)
+    last_event = last_row(path / run_files.EVENTS, is_row=run_files.is_event).row or {}
+    if last_event.get("event") in ("run_failed", "stopped"):
+        state = FAILED if last_event["event"] == "run_failed" else STOPPED
+        return RunStatus(state=state, text=_text_of(last_event), source=run_files.EVENTS)
+    if _is_reported(path):
+        return RunStatus(state=FINISHED, text="report.json is of the last update", source=run_files.REPORT)
+    changed = max(filter(None, (metrics, run_files.modified_at(path / run_files.EVENTS))), default=None)
+    if changed is None:
+        return RunStatus(state="not started", text="no metrics and no events so far", source="files")
+    age = time.time() - changed
+    state = RUNNING if age < SILENT_AFTER_S else SILENT
+    return RunStatus(state=state, text=f"metrics or events written {_age(age)} ago", source="files")
+
+
+def _is_reported(path: Path) -> bool:
+    """Whether report.json is there, and no later row: a run that was resumed after its report goes on."""
+    try:
+        report = read_object(path / run_files.REPORT)
+    except RunFileError:
+        return False
+    last = last_row(path / run_files.METRICS, is_row=is_metrics_row).row or {}
+    return report is not None and report.get("policy_updates") == last.get("update")
+
+
+def _checked(path: Path) -> Path:
+    try:
+        resolved = path.resolve(strict=True)
+        if not resolved.is_dir():
+            raise UserError(f"{path} is no directory; name a run directory, or a directory of runs")
+        os.listdir(resolved)
+    except FileNotFoundError:
+        raise UserError(f"{path} does not exist; name a run directory, or a directory of runs") from None
+    except OSError as error:
+        raise UserError(f"{path} cannot be read ({error.strerror})") from error
+    return resolved
+
+
+def _may_come(root: Path) -> bool:
+    """An empty directory may get its first run; one that holds other things is a mistake."""
+    return not any(root.iterdir())
+
+
+def _text_of(event: dict[str, Any]) -> str:
+    return ", ".join(f"{k} {v}" for k, v in event.items() if k not in ("event", "time"))
+
+
+def _age(seconds: float) -> str:
+    for unit, size in (("days", 86400), ("h", 3600), ("min", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{max(seconds, 0):.0f} s"

@@ -1,0 +1,138 @@
+"""What pages ask of levels and rollouts: answered by the engine worker, which reads files of runs that are served.
+
+Files are named by run and name; a name that is no plain file name, or leads out of its run, is not there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+from aiohttp import web
+
+from kinetix_dist.studio.runs import run_files
+from kinetix_dist.studio.server.answers import COMPRESS_FROM_BYTES, BadRequestError, error_response, json_response
+from kinetix_dist.studio.server.run_service import RunService, UnknownRunError
+from kinetix_dist.studio.server.worker_client import OFF, WorkerClient, WorkerError
+from kinetix_dist.studio.worker.wire import BAD_REQUEST, BUSY, NOT_FOUND, TOO_LARGE
+
+MAX_THUMBNAILS = 1024  # of one request
+STATUS_OF_CODE = {BAD_REQUEST: 400, NOT_FOUND: 404, TOO_LARGE: 413, BUSY: 503, OFF: 503}
+
+
+class LevelPages:
+    """Handlers of `api/runs/{run}/recordings...` and of pictures and documents of levels."""
+
+    def __init__(self, service: RunService, worker: WorkerClient) -> None:
+        self._service = service
+        self._worker = worker
+
+    def routes(self) -> list[web.RouteDef]:
+        snapshot = "/api/runs/{run}/curriculum/{kind:refresh|buffer}/{number:[0-9]{1,8}}"
+        return [
+            web.get("/api/palette", self.palette),
+            web.get(f"{snapshot}/thumbnails", self.thumbnails),
+            web.get(f"{snapshot}/levels/{{index:[0-9]{{1,8}}}}/document", self.document),
+            web.get("/api/runs/{run}/recordings", self.recordings),
+            web.get("/api/runs/{run}/recordings/{file}/{index:[0-9]{1,8}}", self.recording),
+        ]
+
+    async def palette(self, request: web.Request) -> web.Response:
+        """Colours and lengths of pictures, see jax2d/palette.py."""
+        return json_response((await self._worker.hello())["palette"])
+
+    async def thumbnails(self, request: web.Request) -> web.Response:
+        """?indices=0,1,2: [{index, display, poses}]"""
+        indices = _indices(request.query.get("indices", ""))
+        kind = request.match_info["kind"]
+        fields = {
+            "run": str(self._service.path_of(request.match_info["run"])),
+            kind: int(request.match_info["number"]),
+            "indices": indices,
+        }
+        reply = await self._worker.request("thumbnails", fields)
+        response = web.Response(body=reply.body, content_type="application/json", charset="utf-8")
+        if len(reply.body) >= COMPRESS_FROM_BYTES:
+            response.enable_compression()
+        return response
+
+    async def document(self, request: web.Request) -> web.Response:
+        """A level as a file in our format."""
+        info = request.match_info
+        level = {"run": str(self._service.path_of(info["run"])), info["kind"]: int(info["number"])}
+        reply = await self._worker.request("document", {"level": {**level, "index": int(info["index"])}})
+        name = f"{info['run']}_{info['kind']}_{int(info['number'])}_{int(info['index'])}.json"
+        response = web.Response(text=json.dumps(reply.content["document"], indent=2), content_type="application/json")
+        response.headers["Content-Disposition"] = f'attachment; filename="{name.encode("ascii", "replace").decode()}"'
+        return response
+
+    async def recordings(self, request: web.Request) -> web.Response:
+        """{files: [{file, path, bytes, modified, rollouts, problems}]}, newest first."""
+        run = self._service.path_of(request.match_info["run"])
+        files = await asyncio.to_thread(recording_files, run)
+        listed = []
+        for path in files:
+            entry: dict[str, Any] = {"file": path.name, "path": str(path)}
+            try:
+                status = path.stat()
+                entry |= {"bytes": status.st_size, "modified": status.st_mtime}
+                reply = await self._worker.request("recordings", {"file": str(path)})
+                entry |= {"rollouts": reply.content["rollouts"], "problems": reply.content["problems"]}
+            except (WorkerError, OSError) as error:
+                if isinstance(error, WorkerError) and error.code == OFF:
+                    raise
+                entry |= {"rollouts": [], "problems": [str(error)]}
+            listed.append(entry)
+        return json_response({"files": listed})
+
+    async def recording(self, request: web.Request) -> web.Response:
+        """u32 size of the JSON | JSON as docs/play_protocol.md has it | arrays, float32; all little-endian."""
+        path = recording_path(self._service.path_of(request.match_info["run"]), request.match_info["file"])
+        fields = {"file": str(path), "index": int(request.match_info["index"])}
+        reply = await self._worker.request("recording", fields)
+        about = {name: value for name, value in reply.content.items() if name not in ("type", "id")}
+        text = json.dumps(about, allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)  # so that the arrays lie at multiples of four bytes
+        body = struct.pack("<I", len(text)) + text + reply.body
+        response = web.Response(body=body, content_type="application/octet-stream")
+        response.enable_compression()
+        return response
+
+
+def recording_files(run: Path) -> list[Path]:
+    """The recordings of a run that lie in it, newest first."""
+    folder = run / run_files.RECORDINGS
+    try:
+        found = [path for path in folder.iterdir() if path.suffix == ".mcap" and not path.name.startswith(".")]
+        inside = [path for path in found if is_inside(path, run) and path.is_file()]
+        return sorted(inside, key=lambda path: path.stat().st_mtime_ns, reverse=True)
+    except OSError:  # there is no such folder, or a file went meanwhile: asked for again, they are as they are
+        return []
+
+
+def recording_path(run: Path, name: str) -> Path:
+    """Of a file that a page names. Raises UnknownRunError where there is none in the run."""
+    path = run / run_files.RECORDINGS / name
+    if Path(name).name != name or path.suffix != ".mcap" or not is_inside(path, run) or not path.is_file():
+        raise UnknownRunError(f"there is no recording {name!r} in this run (any more)")
+    return path
+
+
+def is_inside(path: Path, run: Path) -> bool:
+    """Whether a path, links followed, lies in a run directory."""
+    return path.resolve().is_relative_to(run.resolve())
+
+
+def worker_error_response(error: WorkerError) -> web.Response:
+    """One line, with a status that fits."""
+    return error_response(STATUS_OF_CODE.get(error.code, 502), str(error))
+
+
+def _indices(text: str) -> list[int]:
+    parts = text.split(",") if text else []
+    if not all(part.isascii() and part.isdigit() and len(part) < 9 for part in parts) or len(parts) > MAX_THUMBNAILS:
+        raise BadRequestError(f"indices is {text[:40]!r}; give up to {MAX_THUMBNAILS} numbers, as 0,1,2")
+    return [int(part) for part in parts]

@@ -1,0 +1,173 @@
+"""The levels that requests speak of: documents, arrays of a snapshot of a run's buffer, states of recordings."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jax2d.fields import tree_like
+from kinetix_dist.checkpoint import ArrayMismatchError, unflatten_arrays
+from kinetix_dist.errors import one_line
+from kinetix_dist.evaluation.recordings import read_rollouts
+from kinetix_dist.level.document import level_to_json
+from kinetix_dist.level.fit import capacity_of, fit_level, smallest_size
+from kinetix_dist.level.kinetix_format import is_kinetix_document, read_kinetix
+from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.schema import LevelInfo, document_info, level_from_json
+from kinetix_dist.studio.worker.wire import BAD_REQUEST, NOT_FOUND, RequestError
+from kinetix_dist.telemetry.curriculum_log import DIRECTORY, KINDS, SnapshotError, read_snapshot, snapshot_name
+from kinetix_dist.telemetry.recording import Recording, RecordingError, Rollout
+
+
+class LevelsLeftOutError(RequestError):
+    """A snapshot that keeps its counts only (`curriculum_log.max_snapshots`)."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GivenLevel:
+    """A level of a request."""
+
+    level: Level  # numpy, in arrays of `info.size`
+    info: LevelInfo
+    document: dict[str, Any] | None = None  # where it came as one of ours
+    is_exact: bool = True  # False: a state in the middle of a rollout, without its memory of contacts
+
+
+def level_of(given: Any) -> GivenLevel:
+    """The level of a request's `level`. Raises RequestError."""
+    if not isinstance(given, Mapping):
+        raise RequestError(BAD_REQUEST, f"level is {type(given).__name__}; give an object, see docs/play_protocol.md")
+    if "document" in given:
+        return level_of_document(given["document"])
+    if "recording" in given:
+        return _of_recording(Path(_text(given, "recording")), _number(given, "index"), _number(given, "step", 0))
+    for kind in KINDS:
+        if kind in given:
+            path = snapshot_path(Path(_text(given, "run")), kind, _number(given, kind))
+            return _of_snapshot(path, _number(given, "index"))
+    raise RequestError(BAD_REQUEST, 'level has neither "document", "recording", "refresh" nor "buffer"; give one')
+
+
+def level_of_document(document: Any) -> GivenLevel:
+    """A document of either format. Raises RequestError with the first thing that is wrong with it."""
+    try:
+        if is_kinetix_document(document):
+            public = read_kinetix(document)
+            size = smallest_size(public.level)
+            info = LevelInfo(name="public", size=size, source="public Kinetix level file", public_walls=public.walls)
+            return GivenLevel(level=fit_level(public.level, SIZES[size]), info=info)
+        return GivenLevel(level=level_from_json(document), info=document_info(document), document=document)
+    except ValueError as error:  # LevelFormatError, LevelSizeError
+        raise RequestError(BAD_REQUEST, one_line(error)) from error
+
+
+def document_of(given: GivenLevel) -> dict[str, Any]:
+    """As a document of our format."""
+    return given.document if given.document is not None else level_to_json(given.level, given.info)
+
+
+def snapshot_path(run: Path, kind: str, number: int) -> Path:
+    return run / DIRECTORY / snapshot_name(kind, number)
+
+
+def snapshot_levels(path: Path) -> Level:
+    """[n, ...] the levels of a snapshot, bit for bit as training had them. Raises RequestError, and as one
+    LevelsLeftOutError."""
+    try:
+        about = os.stat(path)
+        return _read_snapshot(path, about.st_mtime_ns, about.st_size)
+    except OSError as error:
+        raise RequestError(NOT_FOUND, f"the snapshot {path} cannot be read ({error.strerror})") from error
+    except (SnapshotError, ArrayMismatchError) as error:
+        raise RequestError(BAD_REQUEST, one_line(error)) from error
+
+
+@functools.lru_cache(maxsize=4)
+def _read_snapshot(path: Path, modified_ns: int, size: int) -> Level:
+    """The numbers name a version of the file."""
+    snapshot = read_snapshot(path)
+    if snapshot.levels is None:
+        raise LevelsLeftOutError(NOT_FOUND, f"{path} holds no levels: old snapshots keep their counts only")
+    size_name = str(snapshot.arrays.get("size"))
+    if size_name not in SIZES or "angle" not in snapshot.levels:
+        raise RequestError(BAD_REQUEST, f"{path} has levels of size {size_name!r}; sizes are {', '.join(SIZES)}")
+    template = tree_like(Level, SIZES[size_name].sizes, np.float32, (len(snapshot.levels["angle"]),))
+    return unflatten_arrays(template, snapshot.levels)
+
+
+def _of_snapshot(path: Path, index: int) -> GivenLevel:
+    levels = snapshot_levels(path)
+    check_index(index, len(levels.angle), f"{path} has levels")
+    level = jax.tree.map(lambda x: x[index], levels)
+    return GivenLevel(level=level, info=LevelInfo(name=f"{path.stem}_{index}", size=size_of(level)))
+
+
+def size_of(levels: Level) -> str:
+    """The name of the size whose arrays these are. Raises RequestError for arrays of none."""
+    capacity = capacity_of(levels)
+    for name, known in SIZES.items():
+        if known == capacity:
+            return name
+    raise RequestError(BAD_REQUEST, f"the level has arrays of no known size: {capacity}")
+
+
+def recording_of(path: Path) -> Recording:
+    """The rollouts of an MCAP file. Raises RequestError."""
+    try:
+        about = os.stat(path)
+        return _read_recording(path, about.st_mtime_ns, about.st_size)
+    except RecordingError as error:
+        raise RequestError(BAD_REQUEST, one_line(error)) from error
+    except OSError as error:
+        raise RequestError(NOT_FOUND, f"the recording {path} cannot be read ({one_line(error)})") from error
+
+
+@functools.lru_cache(maxsize=2)
+def _read_recording(path: Path, modified_ns: int, size: int) -> Recording:
+    return read_rollouts(path)
+
+
+def rollout_of(path: Path, index: int) -> Rollout:
+    rollouts = recording_of(path).rollouts
+    check_index(index, len(rollouts), f"{path} has rollouts")
+    return rollouts[index]
+
+
+def _of_recording(path: Path, index: int, step: int) -> GivenLevel:
+    """The level as it stood after `step` steps, with what moved then."""
+    rollout = rollout_of(path, index)
+    check_index(step, rollout.num_steps + 1, f"rollout {index} of {path} has states")
+    level = rollout.level
+    assert isinstance(level, Level)  # read_rollouts decodes levels
+    if step:
+        names = ("position", "angle", "velocity", "angular_velocity")
+        level = dataclasses.replace(level, **{name: getattr(rollout, name)[step] for name in names})
+    info = LevelInfo(name=rollout.level_name, size=size_of(level))
+    return GivenLevel(level=level, info=info, is_exact=step == 0)
+
+
+def check_index(index: int, count: int, what: str) -> None:
+    if not 0 <= index < count:
+        found = f"{what} 0 to {count - 1}" if count else f"{what}: none"
+        raise RequestError(NOT_FOUND, f"{found}; there is no {index}")
+
+
+def _text(given: Mapping[str, Any], name: str) -> str:
+    value = given.get(name)
+    if not isinstance(value, str) or not os.path.isabs(value):
+        raise RequestError(BAD_REQUEST, f"level.{name} is {value!r}; give an absolute path")
+    return value
+
+
+def _number(given: Mapping[str, Any], name: str, default: int | None = None) -> int:
+    value = given.get(name, default)
+    if type(value) is not int or value < 0:
+        raise RequestError(BAD_REQUEST, f"level.{name} is {value!r}; give a whole number, 0 or more")
+    return value
