@@ -13,8 +13,7 @@ from typing import Any
 from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.last_words import say
 from kinetix_dist.studio.server.access import is_loopback
-from kinetix_dist.studio.server.app import DEFAULT_PORT, ServerConfig
-from kinetix_dist.studio.server.serving import serve
+from kinetix_dist.studio.server.app import DEFAULT_PORT, ServerConfig, serve
 
 
 @dataclasses.dataclass

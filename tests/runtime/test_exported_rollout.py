@@ -50,7 +50,7 @@ class OfAUser(EntityObservation):
 
 @pytest.fixture
 def told(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """What the program of a configuration is told to depend on; None: it is traced in every process."""
+    """Key of the program of a configuration; None: it is traced in every process."""
 
     def made_from(config: TrainConfig) -> str | None:
         found: list[str | None] = []

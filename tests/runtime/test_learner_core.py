@@ -1,5 +1,5 @@
-"""Which update a learner makes: an exported one of what is of this project, another one for other settings of PPO; and
-what it restores a checkpoint into."""
+"""Programs of a learner: an exported update where all code is of this project, another one for other settings of PPO;
+and the state that it restores a checkpoint into."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def test_a_run_directory_that_cannot_be_written(capsys, tmp_path):
 
 
 def test_a_run_directory_without_a_name(capsys):
-    """As an unset variable gives."""
+    """An unset variable gives an empty name."""
     for name in ("", "."):
         assert "--run is empty or the current directory" in _refusal(capsys, "--recipe", "tiny", "--run", name)
 

@@ -10,7 +10,7 @@ import pytest
 from kinetix_dist.checkpoint import list_checkpoints
 from kinetix_dist.config import RecordingConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.evaluations import MAX_WAITING, Evaluations
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -47,7 +47,9 @@ def _train(config, path, backend, *, is_beside=True, resume=False):
     evaluations = Evaluations(config, trainer, placement.of("evaluator")[0], **told) if is_beside else None
     reporter = QuietReporter()
     try:
-        controller = Controller(config, run, trainer, curator, reporter, on_rollouts=record, evaluations=evaluations)
+        controller = Controller(
+            config, run, Roles(trainer=trainer, curator=curator, evaluations=evaluations), reporter, on_rollouts=record
+        )
         controller.restore(resume=resume)
         controller.train()
         return reporter.rows, recorded
@@ -58,7 +60,7 @@ def _train(config, path, backend, *, is_beside=True, resume=False):
 
 
 def _rates(rows):
-    """By the update whose weights were evaluated."""
+    """Solve rates by the update whose weights were evaluated."""
     found = [row for row in rows if "evaluation/update" in row]
     return {
         row["evaluation/update"]: {name: row[name] for name in row if name.startswith("evaluation/s")} for row in found
