@@ -34,7 +34,7 @@ from kinetix_dist.level.frontier import (
     stream_levels,
 )
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.noop import noop_solved
+from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 from kinetix_dist.telemetry.json_lines import replace_file
 from kinetix_dist.trained_policy import Trained
@@ -92,7 +92,7 @@ def choose(size: str, policies: dict[str, Trained], arguments: argparse.Namespac
 
 
 def policies_of(names: list[str]) -> dict[str, Trained]:
-    """By the names given: pretrained ones, checkpoints, or run directories."""
+    """Policies by the names given: pretrained ones, checkpoints, or run directories."""
     return {name: policy_at(Path(name)) for name in names}
 
 

@@ -24,8 +24,7 @@ from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.errors import one_line
-from kinetix_dist.level.filters import OVERSAMPLING
-from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.generator import OVERSAMPLING, generate_levels
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.level import SIZES, Level
 

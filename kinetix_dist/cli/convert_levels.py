@@ -60,8 +60,8 @@ def run_import(args: Import) -> int:
         return 0
     if args.name is not None:
         raise UserError("--name is for one file; levels of a directory are named after their files")
-    from kinetix_dist.level.foreign_files import foreign_files
     from kinetix_dist.level.sets import level_files
+    from kinetix_dist.level.structure import foreign_files
 
     with user_errors(*_EXPECTED):
         files = level_files(args.source, "**/*.json")

@@ -20,8 +20,7 @@ import tyro
 from kinetix_dist.cli.dashboard import RUNS
 from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
-from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.set_files import designed_files, designed_names
+from kinetix_dist.level.level_data import designed_files, designed_names, levels_root
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.studio.server.editor_pages import EditorConfig
 from kinetix_dist.studio.server.level_files import SUFFIX, LevelFiles

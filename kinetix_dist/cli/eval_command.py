@@ -76,8 +76,8 @@ def run(args: Args) -> int:
     checkpoint = None if trained is None else trained.checkpoint
     from kinetix_dist.cli.computing import start_computing
     from kinetix_dist.env.physics import describe
+    from kinetix_dist.level.level_data import base_levels
     from kinetix_dist.level.sets import load_level_set
-    from kinetix_dist.level.varied_sets import base_levels
 
     start_computing("" if trained is None else trained.config.run.compile_cache)
     with user_errors(ValueError, OSError):

@@ -136,7 +136,7 @@ def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int
     import numpy as np
 
     from jax2d.scene import index_worlds
-    from kinetix_dist.level.noop import NOOP_STEPS, noop_solved
+    from kinetix_dist.level.simulation import NOOP_STEPS, noop_solved
 
     kept: list[Level] = []
     num_drawn = num_solved = 0

@@ -45,7 +45,7 @@ def run_stats(args: Stats) -> int:
     from kinetix_dist.level.fit import capacity_of_size
     from kinetix_dist.level.generator import generate_levels
     from kinetix_dist.level.generator_config import generator
-    from kinetix_dist.level.noop import NOOP_STEPS, noop_solved
+    from kinetix_dist.level.simulation import NOOP_STEPS, noop_solved
     from kinetix_dist.level.statistics import Share, describe, statistics
 
     if args.levels < 1:

@@ -169,8 +169,8 @@ def _text(value: Any) -> str:
 
 
 def _validate(args: Validate) -> int:
-    from kinetix_dist.level.foreign_files import foreign_files
     from kinetix_dist.level.sets import data_files
+    from kinetix_dist.level.structure import foreign_files
 
     files: list[Path] = []
     foreign = ""

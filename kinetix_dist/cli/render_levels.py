@@ -151,7 +151,7 @@ def _draw_starts(args: Render) -> None:
     from jax2d.draw import draw
     from jax2d.images import film_strip, write_png
     from jax2d.scene import index_worlds
-    from kinetix_dist.level.start import start_state
+    from kinetix_dist.level.simulation import start_state
 
     levels, names = _levels(args)
     scale = _pixels_per_metre(args, len(names), of_one=100.0)

@@ -33,9 +33,8 @@ from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
-from kinetix_dist.level.effects import level_effects
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.select import select_first
+from kinetix_dist.level.level import Level, select_first
+from kinetix_dist.level.simulation import level_effects
 from kinetix_dist.level.walls import empty_level
 
 

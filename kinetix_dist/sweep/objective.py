@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.set_files import designed_files, designed_sets
+from kinetix_dist.level.level_data import designed_files, designed_sets
 from kinetix_dist.level.sets import RANDOM_SETS, development_sets, files_of_set, is_public_level, size_of_drawn_set
 from kinetix_dist.studio.runs.evaluations import evaluations
 from kinetix_dist.studio.runs.run_files import METRICS, last_row

@@ -88,7 +88,7 @@ def test_another_generator_and_other_modules_are_another_program(cache: Path, mo
 
 
 def test_another_setting_of_jax_is_another_program_that_draws_the_same_levels(cache: Path) -> None:
-    """Also where a context manager sets it: the program is traced in a thread, which does not inherit that."""
+    """A context manager may set it, too: the program is traced in a thread, which does not inherit that."""
     keys, config = level_keys(KEY, 4), GeneratorConfig()
     with jax.threefry_partitionable(False):
         other = draw_levels(keys, CAPACITY, config)

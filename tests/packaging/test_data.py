@@ -9,7 +9,7 @@ import pytest
 from kinetix_dist import installation
 from kinetix_dist.checkpoint import CheckpointError, load_checkpoint
 from kinetix_dist.checkpoint.pretrained import find_checkpoint, pretrained_names
-from kinetix_dist.level.paths import LEVELS_VARIABLE, levels_root
+from kinetix_dist.level.level_data import LEVELS_VARIABLE, levels_root
 from tests.helpers import REPOSITORY
 
 

@@ -21,7 +21,7 @@ from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import load_level, turned_colours_of
 from kinetix_dist.studio.worker import frames, programs

@@ -10,7 +10,7 @@ import pytest
 from kinetix_dist.cli import sweep as command
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import PUBLIC_SOURCE
 from kinetix_dist.sweep.arms import SET_BY_SWEEP, hash_of, runs_of, train_arguments

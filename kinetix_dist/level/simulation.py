@@ -1,7 +1,8 @@
-"""What becomes of a level when nobody acts: a level that solves itself teaches nothing.
+"""Levels on an engine: the effects that they need, their state at the start, and levels that solve themselves.
 
-One rule for all who ask, the environment's: green touches blue, and not red in the same step or before. Levels know
-no environment, so they are played on an engine; `env/noop.py` asks the same with the environment's engines.
+A level that is solved without actions teaches nothing. Solved means the environment's rule: green touches blue, and not
+red in the same step or before. Levels know no environment, so they are played on an engine; `env/noop.py` applies the
+same rule with the environment's engines.
 """
 
 from __future__ import annotations
@@ -14,13 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d import Capacity, Effects
 from jax2d.engine import Engine
-from jax2d.scene import Array, Controls, Touching, touch_matrix
+from jax2d.scene import Array, Controls, State, Touching, touch_matrix
 from jax2d.settings import Settings, preset
-from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.fit import capacity_of
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Level, Role
 
 NOOP_STEPS = 64  # environment steps looked ahead, about two seconds; the published generator looks as far
 FRAME_SKIP = 2  # physics steps in one
@@ -58,8 +58,8 @@ def is_solved_without_actions(
         is_solved = is_solved | (touched_blue & ~touched_red & ~is_over)
         return (state, is_solved, is_over | touched_blue | touched_red), None
 
-    nobody = jnp.zeros(np.shape(levels.shape_role)[0], bool)
-    (_, is_solved, _), _ = jax.lax.scan(advance, (packed_state, nobody, nobody), None, length=num_steps)
+    none = jnp.zeros(np.shape(levels.shape_role)[0], bool)
+    (_, is_solved, _), _ = jax.lax.scan(advance, (packed_state, none, none), None, length=num_steps)
     return is_solved
 
 
@@ -78,3 +78,27 @@ def _noop_solved(levels: Level, settings: Settings, num_steps: int) -> Array:
         return engine.step_packed(scene, state, controls, num_steps=FRAME_SKIP)
 
     return is_solved_without_actions(levels, pack, step, num_steps)
+
+
+BEYOND_LEVELS = ("kinematic_bodies", "brakes_and_servos", "springs")  # no level format has them
+
+
+def level_effects(capacity: Capacity, settings: Settings) -> Effects:
+    """Effects that levels can call for. Engines made for them have none of the code of the rest."""
+    return Effects.full(capacity).without(*BEYOND_LEVELS).known_to(settings.solver)
+
+
+def start_state(level: Level) -> State:
+    """The state of one level before its first step (numpy, without warm-start impulses): to draw or to measure."""
+    num_joints = np.shape(level.scene.joints.active)[0]
+    return State(
+        position=level.position,
+        angle=level.angle,
+        velocity=level.velocity,
+        angular_velocity=level.angular_velocity,
+        joint_impulse=np.zeros((num_joints, 5), np.float32),
+        spring_impulse=np.zeros((0, 3), np.float32),
+        contact_key=np.zeros(0, np.int32),
+        contact_impulse=np.zeros((0, 2), np.float32),
+        rolling_impulse=np.zeros(0, np.float32),
+    )
