@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-slow test-gpu test-newer-jax drills drills-long check check-web browser vendor format lock bench-engine bench-engine-peers bundle clean
+.PHONY: help install train test test-slow test-gpu test-newer-jax test-faults test-faults-long check check-web browser vendor format lock bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.12, 3.13, 3.11, python3
@@ -26,8 +26,8 @@ help:
 	@echo "make train         install, then the main job: a small pretraining run on CPU, minutes"
 	@echo "make test          install, then lint, types and tests        (test-slow, test-gpu: the rest)"
 	@echo "make test-newer-jax  tests that lean on JAX most, under Python 3.12 and its newer JAX, on two virtual devices"
-	@echo "make drills        install, then the slow tests of runs: losses at random times, stops, kills; all on the CPU"
-	@echo "make drills-long   install, then 50 kills, and a fault every 30 s for ten minutes; an hour, runs/drills/*.json"
+	@echo "make test-faults   install, then the slow tests of runs: losses at random times, stops, kills; all on the CPU"
+	@echo "make test-faults-long  install, then 50 kills, and a fault every 30 s for ten minutes; an hour, runs/faults/*.json"
 	@echo "make check-web     the pages' scripts through the type checker of TypeScript  (from the npm registry)"
 	@echo "make browser       a headless Chromium for tests of the pages                (from the npm registry)"
 	@echo "make vendor        renew the libraries that the pages use"
@@ -83,13 +83,13 @@ test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
 
 # One after another, each with its figures: times of recovery are measured.
-drills: $(STAMP)
+test-faults: $(STAMP)
 	$(BIN)/python -m pytest tests/runtime -m "slow and not gpu" -s $(PYTEST_ARGS)
 
 # Both placements, compared bit for bit with runs without a fault.
-drills-long: $(STAMP)
-	$(BIN)/python -m bench.fault_drill --placement colocated split --kills 50 --json runs/drills/kills.json
-	$(BIN)/python -m bench.fault_drill --placement colocated split --every 30 --seconds 600 --json runs/drills/every_30_s.json
+test-faults-long: $(STAMP)
+	$(BIN)/python -m bench.fault_tests --placement colocated split --kills 50 --json runs/faults/kills.json
+	$(BIN)/python -m bench.fault_tests --placement colocated split --every 30 --seconds 600 --json runs/faults/every_30_s.json
 
 test-gpu: $(STAMP)
 	$(BIN)/python -m pytest -m gpu -n $(GPU_TEST_WORKERS) --dist loadfile $(PYTEST_ARGS)

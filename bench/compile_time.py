@@ -34,7 +34,7 @@ CHECKOUT = str(Path(__file__).resolve().parent.parent)
 
 
 def capacity_named(size: str) -> Capacity:
-    """Of s, m, l or a number of shapes; raises UserError for anything else."""
+    """Capacity of size s, m, l or of a number of shapes; raises UserError for anything else."""
     if size in SIZES:
         return SIZES[size]
     if not size.isdigit():
@@ -44,7 +44,7 @@ def capacity_named(size: str) -> Capacity:
 
 
 def first_step(size: str) -> dict:
-    """In the process measured: one world of one resting ball, stepped once."""
+    """Runs in the measured process: one world of one resting ball, stepped once."""
     capacity = capacity_named(size)
     builder = SceneBuilder(capacity)
     builder.add_circle(radius=0.5)
@@ -64,7 +64,7 @@ def first_step(size: str) -> dict:
 
 
 def compile_for_gpu(size: str, compute_capability: str) -> dict:
-    """In the process measured. Warp keeps nothing of it."""
+    """Runs in the measured process. Warp's cache is left empty."""
     capacity = capacity_named(size)
     wall, processor = time.perf_counter(), time.process_time()
     local = thread_bytes(capacity, preset("standard"), Effects.full(capacity), compute_capability)

@@ -81,12 +81,12 @@ class CompiledText:
         self._tables = tables
 
     def source(self, instruction: Instruction) -> Instruction:
-        """What says where an instruction comes from: itself, or if it does not, the last that it calls."""
+        """Source line of an instruction: its own, or that of the last instruction that it calls."""
         if "stack_frame_id=" in instruction.attributes:
             return instruction
         called = self.computations.get(_attribute(instruction, "calls"), {})
         working = [x for x in called.values() if x.opcode not in VIEWS and "stack_frame_id=" in x.attributes]
-        # A slice that is fused into a product is the business of whoever stored what it is a slice of.
+        # A slice that is fused into a product is counted where what it is a slice of was stored.
         working = [x for x in working if x.opcode not in TAKES_A_PART] or working
         return working[-1] if working else instruction
 
@@ -223,7 +223,7 @@ def _written(inside: Computation, result: Instruction) -> float:
 
 
 def _result_bytes(instruction: Instruction) -> float:
-    """Without the work space that a library's call has as its last result."""
+    """Bytes of a result, without the work space that a library's call has as its last one."""
     arrays = _ARRAY.findall(instruction.result)
     if instruction.opcode == "custom-call" and "__cu" in instruction.attributes and arrays[-1][0] == "s8":
         arrays = arrays[:-1]

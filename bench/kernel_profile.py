@@ -1,11 +1,11 @@
-"""What the step kernel of levels asks of a GPU, from its machine code, and what a GPU makes of it.
+"""Profile of the levels' step kernel: its machine code, and its speed on a GPU.
 
     python bench/kernel_profile.py                      # no GPU needed: compiles for sm_90 and reads the machine code
     python bench/kernel_profile.py --worlds 131072      # on a GPU also: speed by block size, bytes of tables a second
 
 Four parts, each a list of records in `--json`:
 
-    code        registers, stack, spills, instructions; how many warps of 32 worlds the registers leave room for
+    code        registers, stack, spills, instructions; how many warps of 32 worlds the registers allow
     phases      instructions by what `World::soft_step` calls, by kind: what is executed once, or once a contact
     divergence  lanes of a warp run in lockstep, so a loop over contacts takes as long as the fullest world of the warp:
                 from states that the levels reach under random actions, contacts of a world and of the fullest of 32
@@ -44,13 +44,13 @@ from jax2d.scene import stack_worlds
 from jax2d.settings import PRESETS
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.variant import CompileOptions, KernelVariant
-from kinetix_dist.benchmarks.random_play import FRAME_SKIP, Play, random_play
+from kinetix_dist.benchmarks.engine_worlds import FRAME_SKIP, Play, random_play
 from kinetix_dist.errors import UserError
-from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import load_kinetix
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.simulation import level_effects
 
 BLOCK = CompileOptions().block_dim
 ARCH = 90  # H100 and H200

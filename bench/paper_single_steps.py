@@ -6,7 +6,7 @@ The published engine (in its own environment) plays each level with random actio
 MOMENTS, and from these states stirred so that shapes overlap in every way, both engines take one step with the same
 masses, coefficients and actions. Compared are `paper` as it is, and
 with every detail of jax2d/published_details.py and the package's batches of 16; then each detail is left out in turn,
-which says in how many states it matters. "cold" steps start without remembered contact impulses, "warm" ones with those
+which says in how many states it matters. "cold" steps start without warm-start contact impulses, "warm" ones with those
 of the published engine. States that differ with all details on are listed by name.
 """
 
@@ -139,7 +139,7 @@ def step(steps: Steps, settings: Settings, dtype: str, start: str) -> State:
 
 
 def agreement(after: State, steps: Steps, dtype: str, start: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Whether each state agrees, [S], and by how much its fields differ."""
+    """Returns which states agree, [S] bool, and by how much their fields differ."""
     apart = differences(after, steps.after[dtype, start], steps.scene.shapes.active)
     return np.all([apart[field] <= most for field, most in TOLERANCE[dtype].items()], axis=0), apart
 

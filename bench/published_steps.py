@@ -36,7 +36,7 @@ class Steps:
     scene: Scene
     controls: Controls
     state: State  # without contact impulses
-    contact_key: np.ndarray  # [S, C] int32 with the order in the pair as the feature, -1 where nothing is remembered
+    contact_key: np.ndarray  # [S, C] int32 with the order in the pair as the feature, -1 where no impulse is stored
     contact_impulse: np.ndarray  # [S, C, 2] N s
     after: dict[tuple[str, str], np.ndarray]  # (precision, "warm" or "cold") -> [S, n, 6]
 
@@ -146,12 +146,12 @@ def counter_clockwise(vertices: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def warm(steps: Steps) -> State:
-    """The states with the impulses that the published engine remembers of its contacts."""
+    """The states with the impulses that the published engine caches of its contacts."""
     keys, impulses = np.array(steps.state.contact_key), np.array(steps.state.contact_impulse)
     for i, key in enumerate(steps.contact_key):
         used = np.flatnonzero(key >= 0)
         if len(used) > keys.shape[1]:
-            raise ValueError(f"state {i} remembers {len(used)} contacts; {steps.capacity} has {keys.shape[1]} slots")
+            raise ValueError(f"state {i} caches {len(used)} contacts; {steps.capacity} has {keys.shape[1]} slots")
         keys[i, : len(used)], impulses[i, : len(used)] = key[used], steps.contact_impulse[i, used]
     return dataclasses.replace(steps.state, contact_key=keys, contact_impulse=impulses)
 
@@ -182,12 +182,12 @@ def write_excerpt(file: Path, to: Path, moments: int = 8) -> None:
         d = {name: archive[name] for name in archive.files}
     contacts = d["contact_active"].sum(axis=1).reshape(-1, moments)
     chosen = np.arange(len(contacts)) * moments + contacts.argmax(axis=1)
-    kept = {
+    arrays = {
         name: value if name in OF_ALL_STATES else value[chosen]
         for name, value in d.items()
         if name.split(".")[-1] not in NOT_NEEDED and (not name.startswith("after.") or name == "after.float64.warm")
     }
-    np.savez_compressed(to, **kept)
+    np.savez_compressed(to, **arrays)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

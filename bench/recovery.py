@@ -30,19 +30,19 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-from bench.drill_run import (
+from bench.fault_run import (
     FOR_EVER,
     GONE_S,
-    DrillError,
-    DrillRun,
+    FaultError,
+    FaultRun,
     gpu_memory_mib,
     machine,
     shared_memory,
 )
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
+from kinetix_dist.program_cache import default_directory
 from kinetix_dist.recipes import recipe
-from kinetix_dist.telemetry.compile_cache import default_directory
 from kinetix_dist.telemetry.json_lines import read_lines
 
 PLACEMENTS = {"curator": "colocated", "worker": "colocated", "driver": "colocated", "rollout": "split"}
@@ -58,7 +58,7 @@ def measure(options: argparse.Namespace) -> Generator[dict[str, Any]]:
     for placement, losses in itertools.groupby(sorted(options.losses, key=_order), key=PLACEMENTS.__getitem__):
         folder = Path(tempfile.mkdtemp(prefix="kinetix-recovery-"))
         settings = (*OPTIONS, "--curriculum.refresh_every", str(refresh_every(options.recipe)), *options_of_run)
-        run = DrillRun(folder / "run", placement, settings, options.device, options.recipe, ends_at)
+        run = FaultRun(folder / "run", placement, settings, options.device, options.recipe, ends_at)
         for record in _losses_of(run, list(losses), options):
             if is_kept := bool(record.get("wrong")):
                 record["kept"] = str(folder)
@@ -67,7 +67,7 @@ def measure(options: argparse.Namespace) -> Generator[dict[str, Any]]:
             shutil.rmtree(folder)
 
 
-def _losses_of(run: DrillRun, losses: list[str], options: argparse.Namespace) -> Generator[dict[str, Any]]:
+def _losses_of(run: FaultRun, losses: list[str], options: argparse.Namespace) -> Generator[dict[str, Any]]:
     about = {"benchmark": "recovery", "placement": run.placement, "recipe": run.recipe, "device": run.device}
     memory, shared = {"before": gpu_memory_mib()}, shared_memory()
     after_start, killed, wrong = _cache_files(), [], []
@@ -83,7 +83,7 @@ def _losses_of(run: DrillRun, losses: list[str], options: argparse.Namespace) ->
             killed += [lost] if lost != "driver" else []
             yield about | _recovery(run, lost)
         _settle(run, options.settled)
-    except DrillError as error:
+    except FaultError as error:
         wrong.append(str(error))
     finally:
         run.end(signal.SIGKILL)
@@ -112,17 +112,17 @@ def refresh_every(name: str) -> int:
 
 
 def _order(lost: str) -> tuple[str, int]:
-    """By placement. The curator first: what a process says comes when another was started again."""
+    """Order by placement, the curator first: a process reports when another was started again."""
     return PLACEMENTS[lost], list(PLACEMENTS).index(lost)
 
 
-def _settle(run: DrillRun, num_updates: int) -> None:
+def _settle(run: FaultRun, num_updates: int) -> None:
     """Until what compiles has compiled."""
     last = max(run.updates(), default=0)
     run.wait(lambda: max(run.updates(), default=0) >= last + num_updates, f"{num_updates} updates")
 
 
-def _recovery(run: DrillRun, lost: str) -> dict[str, Any]:
+def _recovery(run: FaultRun, lost: str) -> dict[str, Any]:
     before, reached = machine(), max(run.updates())
     num_started, num_recovered = len(run.events("process_started")), len(run.events("recovered", role=lost))
     cpu, began = run.cpu_now(), time.monotonic()
@@ -147,8 +147,8 @@ def _recovery(run: DrillRun, lost: str) -> dict[str, Any]:
     }
 
 
-def _compile_seconds(run: DrillRun) -> dict[str, list[float]]:
-    """Of every start of each process, in order."""
+def _compile_seconds(run: FaultRun) -> dict[str, list[float]]:
+    """Compile seconds of every start of each process, in order."""
     found: dict[str, dict[int, float]] = defaultdict(dict)
     for line in read_lines(run.path / "processes.jsonl").rows:
         for process in line["processes"]:
@@ -163,7 +163,7 @@ def _cache_files() -> set[str]:
 
 
 def _memory_once_given_back(before: list[int]) -> list[int]:
-    """What GPUs have in use when they are back at that, or GONE_S later."""
+    """Memory of GPUs when they are back at that, or GONE_S later."""
     deadline = time.monotonic() + GONE_S
     while True:
         found = gpu_memory_mib()
@@ -198,7 +198,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def table(records: list[dict[str, Any]]) -> str:
-    """Of all losses, and what each run left."""
+    """Table of all losses, and what each run left."""
     lines = [f"{'placement':10} {'lost':26} {'wall s':>8} {'told s':>8} {'CPU s':>8}"]
     for record in records:
         if "seconds" in record:

@@ -42,7 +42,7 @@ SUMMARY = re.compile(r"(?:ERROR|RACECHECK) SUMMARY: (\d+)")
 
 
 def compute(size: str) -> None:
-    """In the process that is watched. Batches and parameters are made on the CPU, which is not."""
+    """Runs in the watched process. Batches and parameters are made on the CPU, which is not."""
     gpu, cpu = jax.devices()[0], jax.devices("cpu")[0]
     policy = make_policy(PolicyConfig(kernels="fused", dtype="bfloat16", read_out="colour"), ACTIONS.head_sizes)
 

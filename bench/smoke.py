@@ -31,7 +31,7 @@ from typing import Any
 
 import psutil
 
-from bench.drill_run import python_path
+from bench.fault_run import python_path
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.child_python import command_of
 from kinetix_dist.config import ConfigError

@@ -1,4 +1,4 @@
-"""The soak: random levels of every size under random actions for as many physics steps as asked; what fails is counted.
+"""The soak: random levels of every size under random actions, and counts of what failed.
 
     python bench/soak.py --steps 1e10 --json soak.json        # a GPU: 131,072 worlds of each size in turn
     python bench/soak.py --steps 1e7 --worlds 512             # two CPU cores: minutes
@@ -57,7 +57,7 @@ WORLDS_MEASURED = 4096  # of an episode, for overlaps: all pairs of shapes of a 
 
 
 class Episode(NamedTuple):
-    """What an episode of W worlds and T actions came to."""
+    """Result of an episode of W worlds and T actions."""
 
     failed_at: Array  # [W] int32, the first action after which the world was not finite; T: none
     fastest: Array  # [T] m/s
@@ -148,7 +148,7 @@ class Soak:
         )
 
     def _controls(self, keys: Array, index: Array, levels: Level) -> Controls:
-        """Of a uniform multi-discrete action a world."""
+        """Controls of a uniform multi-discrete action per world."""
         bits = jax.vmap(lambda key: jax.random.bits(jax.random.fold_in(key, index)))(keys)
         motors = [bits // 3**i % 3 for i in range(4)]
         thrusters = [bits // 81 // 2**i % 2 for i in range(2)]
@@ -163,7 +163,7 @@ def _movable_mass(scene: Scene) -> jax.Array:
 
 
 def _in_box(state: State) -> jax.Array:
-    """[W, n] bool: a shape's centre is where levels leave room."""
+    """[W, n] bool: a shape's centre is where levels allow one."""
     x, y = state.position[..., 0], state.position[..., 1]
     return (x > 0) & (x < WORLD_SIZE_M) & (y > FLOOR_TOP_M) & (y < WORLD_SIZE_M)
 
@@ -176,7 +176,7 @@ def _is_finite(state: State) -> jax.Array:
 
 @dataclasses.dataclass
 class Tally:
-    """What all episodes of one size came to."""
+    """Results of all episodes of one size."""
 
     size: str
     worlds: int

@@ -1,4 +1,4 @@
-"""What an engine needs of whatever steps its worlds. Backends: `warp/ffi.py`, the kernel, and `xla/backend.py`."""
+"""Interface between an engine and what steps its worlds. Backends: `warp/ffi.py`, the kernel, and `xla/backend.py`."""
 
 from __future__ import annotations
 

@@ -16,18 +16,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import jax
 import numpy as np
 
 from jax2d import terrain
-from jax2d.body_options import PLACE_AND_MOTION, Body, BodyOptions, Filter, body_of
-from jax2d.checks import check_type
-from jax2d.distances import SpringOptions
-from jax2d.drives import MotorOptions
-from jax2d.fields import empty
-from jax2d.given import (
+from jax2d.builder_checks import (
     LARGEST,
     SMALLEST_RADIUS_M,
     Point,
@@ -40,6 +35,24 @@ from jax2d.given import (
     one_of,
     positive,
 )
+from jax2d.builder_options import (
+    POSE_AND_MOTION,
+    Body,
+    BodyKeywords,
+    BodyOptions,
+    Filter,
+    MaterialKeywords,
+    MotorOptions,
+    PrismaticKeywords,
+    PrismaticMotor,
+    RevoluteKeywords,
+    RevoluteMotor,
+    SpringKeywords,
+    SpringOptions,
+    body_of,
+)
+from jax2d.checks import check_type
+from jax2d.fields import empty
 from jax2d.scene import Capacity, JointKind, Scene
 from jax2d.settings import Settings, checked_settings
 from jax2d.shapes import polygon_integrals
@@ -78,7 +91,7 @@ class SceneBuilder:
 
     # Shapes
 
-    def add_polygon(self, vertices: Sequence[Point], **options: Any) -> int:
+    def add_polygon(self, vertices: Sequence[Point], **options: Unpack[BodyKeywords]) -> int:
         """A convex polygon; options are the fields of `BodyOptions`. `vertices` run counter-clockwise about any origin,
         which comes to `position`; the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
@@ -92,12 +105,12 @@ class SceneBuilder:
         self._set_shape(index, body, centroid)  # the given velocity is that of the centre of mass
         return index
 
-    def add_box(self, *, width: float, height: float, **options: Any) -> int:
+    def add_box(self, *, width: float, height: float, **options: Unpack[BodyKeywords]) -> int:
         """A rectangle centred on `position`; options as for add_polygon."""
         x, y = positive("width", width) / 2, positive("height", height) / 2
         return self.add_polygon([(-x, -y), (x, -y), (x, y), (-x, y)], **options)
 
-    def add_circle(self, *, radius: float, **options: Any) -> int:
+    def add_circle(self, *, radius: float, **options: Unpack[BodyKeywords]) -> int:
         """A disc; options as for add_polygon."""
         radius = positive("radius", radius)
         if radius < SMALLEST_RADIUS_M:
@@ -111,12 +124,14 @@ class SceneBuilder:
         self._set_shape(index, body, np.zeros(2))
         return index
 
-    def add_terrain(self, points: Sequence[Point], *, thickness: float = 0.5, **options: Any) -> list[int]:
+    def add_terrain(
+        self, points: Sequence[Point], *, thickness: float = 0.5, **options: Unpack[MaterialKeywords]
+    ) -> list[int]:
         """Ground along a line of points, which lies to the right of its direction: below a line that runs to the right.
         A fixed polygon from each point to the next, `thickness` m deep; what slides or rolls over the joints does not
         feel them (`terrain.py` says why). Tiles between two crests have 6 vertices. Options as for add_polygon, but for
         where a shape is and how it moves. Returns the shapes."""
-        if wrong := [name for name in PLACE_AND_MOTION if name in options]:
+        if wrong := [name for name in options if name in POSE_AND_MOTION]:
             raise SceneError(f"{wrong[0]} of terrain, which is where its points are and stays there; leave it out")
         try:
             line = np.asarray(points, np.float64)
@@ -153,27 +168,14 @@ class SceneBuilder:
         b: int,
         *,
         at: Point,
-        motor_speed: float | None = None,
-        motor_power: float | None = None,
-        speed: float | None = None,
-        max_torque: float | None = None,
-        drive: str = "velocity",
-        limits: tuple[float, float] | None = None,
+        **motor: Unpack[RevoluteKeywords],
     ) -> int:
         """Holds a and b together at the world point `at`. `limits` bound angle_b - angle_a, counted from how they stand
         now, in rad. With a speed a control drives b relative to a: `speed` in rad/s, or `motor_speed` in units of
-        settings.base_motor_speed; `max_torque` in N m, or `motor_power` (1 by default) as in drives.py. `drive`:
-        "velocity", "brake" (control 0 holds still) or "servo" (control -1 to 1 is a position between the limits)."""
-        motor = MotorOptions(
-            motor_speed=motor_speed,
-            motor_power=motor_power,
-            speed=speed,
-            strength=max_torque,
-            strength_name="max_torque",
-            drive=drive,
-            limits=limits,
-        )
-        return self._add_joint(a, b, at, JointKind.REVOLUTE, motor)
+        settings.base_motor_speed; `max_torque` in N m, or `motor_power` (1 by default), see builder_options.py.
+        `drive`: "velocity", "brake" (control 0 holds still) or "servo" (control -1 to 1 is a position between the
+        limits)."""
+        return self._add_joint(a, b, at, JointKind.REVOLUTE, RevoluteMotor(**motor))
 
     def add_prismatic_joint(
         self,
@@ -182,27 +184,13 @@ class SceneBuilder:
         *,
         at: Point,
         axis_angle: float,
-        motor_speed: float | None = None,
-        motor_power: float | None = None,
-        speed: float | None = None,
-        max_force: float | None = None,
-        drive: str = "velocity",
-        limits: tuple[float, float] | None = None,
+        **motor: Unpack[PrismaticKeywords],
     ) -> int:
         """Lets b slide along the world angle `axis_angle` (rad), which turns with a, not turning against a. `limits`
         bound how far it has slid from where it stands now, in m. With a speed a control drives b along the axis:
         `speed` in m/s, or `motor_speed` in units of settings.base_slider_speed; `max_force` in N, with the bodies as
         they stand now, or `motor_power` (1 by default). `drive` as in add_revolute_joint."""
-        motor = MotorOptions(
-            motor_speed=motor_speed,
-            motor_power=motor_power,
-            speed=speed,
-            strength=max_force,
-            strength_name="max_force",
-            drive=drive,
-            limits=limits,
-        )
-        return self._add_joint(a, b, at, JointKind.PRISMATIC, motor, number("axis_angle", axis_angle))
+        return self._add_joint(a, b, at, JointKind.PRISMATIC, PrismaticMotor(**motor), number("axis_angle", axis_angle))
 
     def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
         """Welds a and b together as they stand."""
@@ -215,22 +203,11 @@ class SceneBuilder:
         *,
         at_a: Point,
         at_b: Point,
-        rest_length: float | None = None,
-        stiffness: float = 0.0,
-        damping: float = 0.0,
-        min_length: float = 0.0,
-        max_length: float | None = None,
+        **spring: Unpack[SpringKeywords],
     ) -> int:
         """A spring and damper from the world point `at_a` on a to `at_b` on b: `stiffness` in N/m about `rest_length`
         (m, as now by default), `damping` in N s/m, limits of the length in m. The two shapes may still touch."""
-        options = SpringOptions(
-            rest_length=rest_length,
-            stiffness=stiffness,
-            damping=damping,
-            min_length=min_length,
-            max_length=max_length,
-        )
-        return self._add_spring(a, b, at_a, at_b, options)
+        return self._add_spring(a, b, at_a, at_b, SpringOptions(**spring))
 
     def add_rope(self, a: int, b: int, *, at_a: Point, at_b: Point, length: float | None = None) -> int:
         """Keeps two points at most `length` m apart, by default as far as now."""
@@ -286,9 +263,9 @@ class SceneBuilder:
     # Inside
 
     def _take(self, kind: str, used: int) -> int:
-        room = getattr(self.capacity, kind)
-        if used == room:
-            raise SceneFullError(f"{used} of {room} {kind} used; build with Capacity({kind}={room + 1}) or more")
+        slots = getattr(self.capacity, kind)
+        if used == slots:
+            raise SceneFullError(f"{used} of {slots} {kind} used; build with Capacity({kind}={slots + 1}) or more")
         return used
 
     def _set_shape(self, index: int, body: Body, centre: np.ndarray) -> None:
@@ -347,7 +324,7 @@ class SceneBuilder:
         return a, b
 
     def _inverse_moved(self, body: int, at: Point, kind: JointKind, world_axis: float) -> float:
-        """What a unit of a motor's impulse gives to one of its bodies: 1/(kg m^2), of a slider 1/kg."""
+        """Inverse mass of one body along a motor's axis: 1/(kg m^2), of a slider 1/kg."""
         shapes = self._scene.shapes
         mass, inertia = float(shapes.inverse_mass[body]), float(shapes.inverse_inertia[body])
         if kind != JointKind.PRISMATIC:

@@ -1,4 +1,4 @@
-"""What an engine takes: shapes, types and values of scenes, states and controls. One line an error.
+"""Checks of scenes, states and controls: shapes, types, values. One line per error.
 
 Shapes and types are checked always; values only where they are known, that is outside of jit. What is checked follows
 from the declarations of the fields (`scene.py`, `scene_rules.py`).
@@ -122,7 +122,7 @@ def clamped_controls(controls: Controls) -> tuple[Controls, jax.Array]:
 
 
 def check_real(name: str, values: Any) -> None:
-    """Before numbers are cast, which would drop the imaginary parts of complex ones."""
+    """Raises ValueError for complex numbers, whose imaginary parts a cast would drop."""
     leaves = jax.tree.leaves(values)
     if any(isinstance(leaf, str | bytes) for leaf in leaves):
         raise ValueError(f"{name} has text; give numbers")

@@ -34,7 +34,7 @@ class Constants:
     max_share_of_welds: float = _constant(
         1.6,
         "1",
-        "the shares of a body in its joints, above which they yield (yielding_joints.py)",
+        "the shares of a body in its joints, above which they are softened (softened_joints.py)",
         "1.5: a beam gives way at the wall; 1.7: some trees of welds gain energy",
     )
     light_share: float = _constant(
@@ -46,7 +46,7 @@ class Constants:
     max_lever: float = _constant(
         6.0,
         "1",
-        "radii of gyration from a body's centre to an anchor, above which a joint yields: farther than a shape reaches",
+        "radii of gyration from a body's centre to an anchor, above which a joint is softened: beyond any shape",
         "3: a load welded beside a cart is meant; no anchor inside a convex shape is at more than 2.8",
     )
     # Geometry
@@ -76,7 +76,7 @@ class Constants:
         0.02,
         "share of their distance",
         "discs that bounce and pass by so much in a step do so in the sub-step in which they meet",
-        "larger: they get spin from the place where the step ends",
+        "larger: they get spin from where the step ends",
     )
     grazing_distance: float = _constant(
         0.005,
@@ -102,43 +102,43 @@ class Constants:
         "slower than this, what overlaps or is about to meet rests where it is",
         "0: resting shapes slide off",
     )
-    blow_speed: float = _constant(
+    min_impact_speed: float = _constant(
         0.6,
         "m/s",
         "what meets faster than this gets normal impulse and friction together",
         "0.3: a house of cards falls; larger: boxes that land on a corner rebound",
     )
     point_rounds: int = _constant(
-        8, "a pass", "both points of a blow are solved in turn", "0: a box that lands flat tips"
+        8, "a pass", "both points of an impact are solved in turn", "0: a box that lands flat tips"
     )
     shared_speed: float = _constant(
         0.12,
         "m/s",
-        "a contact that a blow changes by more hands it on to what else its bodies touch",
+        "a contact that an impact changes by more hands it on to what else its bodies touch",
         "0.03: time only",
     )
     settled_speed: float = _constant(
-        0.03, "m/s", "a blow is shared out when no contact changes by more", "0: time only"
+        0.03, "m/s", "an impact is shared out when no contact changes by more", "0: time only"
     )
-    leaving_speed: float = _constant(
+    min_separating_speed: float = _constant(
         0.2,
         "m/s",
         "what comes apart faster is not warm-started",
-        "0.1: a house of cards falls; 0.4: what a blow left behind throws piles apart",
+        "0.1: a house of cards falls; 0.4: what an impact left behind throws piles apart",
     )
     energy_passes: int = _constant(
         12,
         "a sub-step",
         "relax passes are repeated so often where a world has gained energy",
-        "0: what is jammed in its place and slips free is thrown, at 5 m/s mostly and at 25 at worst",
+        "0: what is jammed and slips free is thrown, at 5 m/s mostly and at 25 at worst",
     )
-    remembered_energy_passes: int = _constant(
+    energy_passes_before_reset: int = _constant(
         8,
         "a sub-step",
-        "from this one on nothing is remembered, and velocities are those that the sub-step began with",
-        "1: piles forget what they bear; more: time only",
+        "at this one warm-start impulses are reset, and velocities are those at the start of the sub-step",
+        "1: piles lose the impulses that bear them; more: time only",
     )
-    forgetting_gain: float = _constant(
+    reset_gain: float = _constant(
         0.1, "J/kg", "what gains less has no such pass", "0.02: a press lets go; 0.5: jams leave at 4 m/s, not 2"
     )
     slack_rate: float = _constant(
@@ -198,7 +198,7 @@ class Constants:
     )
     joint_passes_of_bounce: int = _constant(2, "a round", "along a chain a bounce goes joint by joint")
     bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")
-    min_kept_share: float = _constant(
+    min_gained_share: float = _constant(
         0.001,
         "of a push",
         "a push that leaves less than this changes nothing any more",

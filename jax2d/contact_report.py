@@ -1,4 +1,5 @@
-"""What contacts did in a physics step: where, how hard, between whom. `Engine(report_contacts=True)` gives it."""
+"""Report of contacts in a physics step: where, how hard, between which shapes. `Engine(report_contacts=True)` gives
+it."""
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ class ContactReport:
 def contact_report(
     key: Array, *, point: Array, normal: Array, separation: Array, impulse: Array, dropped: Array
 ) -> ContactReport:
-    """From the keys of contacts, [..., K], -1 where free."""
+    """Report from the keys of contacts, [..., K], -1 where free."""
     in_use = key >= 0
     return ContactReport(
         count=jnp.sum(in_use, axis=-1, dtype=jnp.int32),

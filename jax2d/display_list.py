@@ -1,11 +1,11 @@
-"""What a world looks like, as a list of primitives in the order of painting: numpy only, no pixels.
+"""Picture of a world as a list of primitives in the order of painting: numpy only, no pixels.
 
     display = display_list(scene, roles)                    once a scene
     points = world_points(primitive, position, angle)       where a primitive is in one picture
 
 A primitive is given in the frame of a body, so that the list is constant; a picture takes the pose of every body and
 how much every thruster fires besides. Nothing here knows the task: a shape has the colour `palette[roles[shape]]`,
-fixed shapes darker, and a world without roles is grey. Whoever draws worlds (the rasteriser, rerun, pages) draws this.
+fixed shapes darker, and a world without roles is grey. The rasteriser, rerun and the pages all draw this list.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class Primitive:
     coils: int = 0  # of a spring; 0: a straight line
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON types, without what a primitive of its kind does not have."""
+        """Returns JSON types, without fields that a primitive of its kind does not have."""
         document: dict[str, Any] = {
             "kind": self.kind,
             "part": list(self.part),
@@ -111,6 +111,14 @@ class DisplayList:
         return {"num_shapes": self.num_shapes, "primitives": [primitive.to_json() for primitive in self.primitives]}
 
 
+class ColourKeywords(TypedDict, total=False):
+    """Keywords of `display_list`, which says what they mean."""
+
+    palette: Sequence[Colour]
+    motor_colours: Any
+    thruster_colours: Any
+
+
 def display_list(
     scene: Scene,
     roles: Any = None,
@@ -119,7 +127,7 @@ def display_list(
     motor_colours: Any = None,
     thruster_colours: Any = None,
 ) -> DisplayList:
-    """What one scene (no leading axis) looks like.
+    """Display list of one scene (no leading axis).
 
     Args:
       roles: [n] index into `palette`; None paints all shapes as role 0.
@@ -138,7 +146,7 @@ def display_list(
 
 
 def _as_numpy(scene: Scene) -> Scene:
-    """With all arrays on the host: they are read one number at a time."""
+    """Scene with all arrays on the host: they are read one number at a time."""
     parts = {name: getattr(scene, name) for name in ("shapes", "joints", "springs", "thrusters")}
     on_host = {
         name: type(part)(**{field: np.asarray(values) for field, values in vars(part).items()})

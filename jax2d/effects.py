@@ -1,6 +1,6 @@
-"""What scenes call for, and engines compiled for that alone.
+"""Effects that scenes call for, and engines compiled for those alone.
 
-    effects = effects_of(scenes)                   # which effects, and how many slots of each thing, these scenes use
+    effects = effects_of(scenes)                   # which effects, and how many slots of each kind, these scenes use
     engine = Engine(capacity, effects=effects)     # the code and the local memory of everything else are left out
 
 Within its effects such an engine gives bitwise the results of the full one, and its tables are laid out the same:
@@ -86,7 +86,7 @@ class Effects:
 
     @classmethod
     def full(cls, capacity: Capacity) -> Effects:
-        """Everything that a scene of this capacity can call for."""
+        """All effects that a scene of this capacity can call for."""
         return cls(
             **{name: capacity.extended_shapes or name not in EXTENDED for name in EFFECTS},
             polygon_slots=capacity.polygons,
@@ -97,7 +97,7 @@ class Effects:
         )
 
     def known_to(self, solver: str) -> Effects:
-        """These effects as far as a solver has them."""
+        """Returns these effects as far as a solver has them."""
         return self if solver == "soft_step" else self.without(*NOT_IN_PAPER)
 
     def missing(self, other: Effects) -> tuple[str, ...]:
@@ -108,11 +108,11 @@ class Effects:
         return not self.missing(other)
 
     def __or__(self, other: Effects) -> Effects:
-        """What covers both."""
+        """Returns the effects of both."""
         return Effects(**{name: max(getattr(self, name), getattr(other, name)) for name in EFFECTS + SLOTS})
 
     def without(self, *names: str) -> Effects:
-        """These effects less some, to see what they cost or do."""
+        """Returns these effects less some, to see what they cost or do."""
         for name in names:
             if name not in EFFECTS:
                 raise ValueError(f"unknown effect {name!r}; effects are {', '.join(EFFECTS)}")
@@ -134,27 +134,28 @@ class Effects:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EffectTable:
-    """What each of a batch of scenes calls for."""
+    """Effects of each of a batch of scenes."""
 
     flags: Array  # [..., len(EFFECTS)] bool
     slots: Array  # [..., len(SLOTS)] int32
 
     def union(self) -> Effects:
-        """What covers every world of the table (concrete arrays only)."""
+        """Effects that any world of the table calls for (concrete arrays only)."""
         flags = np.asarray(self.flags).reshape(-1, len(EFFECTS)).any(axis=0)
         slots = np.asarray(self.slots).reshape(-1, len(SLOTS)).max(axis=0, initial=0)
         return Effects(**dict(zip(EFFECTS, map(bool, flags))), **dict(zip(SLOTS, map(int, slots))))
 
 
 def effects_of(scenes: Scene) -> Effects:
-    """What a scene or a batch of scenes calls for. Works on concrete arrays; `called_for` also works inside jit."""
+    """Effects that a scene or a batch of scenes calls for. Works on concrete arrays; `called_for` also works inside
+    jit."""
     return called_for(scenes).union()
 
 
 @jax.jit  # one program, not one for each operation, outside of jit too
 def called_for(scenes: Scene) -> EffectTable:
-    """What each scene calls for; batched as the scenes are. May say too much (friction of a shape that is never
-    touched), never too little."""
+    """Effects that each scene calls for; batched as the scenes are. May name too many (friction of a shape that is
+    never touched), never too few."""
     scenes = only_what_acts(scenes)
     capacity = capacity_of(scenes)
     polygons = capacity.polygons
@@ -203,13 +204,13 @@ def _called_for_by_extended_shapes(shapes: Shapes, meets: jax.Array, polygons: i
     if shapes.surface_speed.shape[-1] == 0:
         return dict.fromkeys(EXTENDED, jnp.zeros(meets.shape[:-2], bool))
     has_circle = meets & (np.arange(meets.shape[-1]) >= polygons)  # pairs stand at [lower, higher]
-    yields, turns = jnp.asarray(shapes.inverse_mass) > 0, jnp.asarray(shapes.inverse_inertia) > 0
-    damped = (yields & (shapes.linear_damping > 0)) | (turns & (shapes.angular_damping > 0))
+    can_move, can_turn = jnp.asarray(shapes.inverse_mass) > 0, jnp.asarray(shapes.inverse_inertia) > 0
+    damped = (can_move & (shapes.linear_damping > 0)) | (can_turn & (shapes.angular_damping > 0))
     return {
         "surface_speed": (meets & _of_pair(jnp.logical_or, jnp.abs(shapes.surface_speed))).any((-2, -1)),
         "damping": damped.any(-1),
         "rolling_resistance": (has_circle & _of_pair(jnp.logical_or, shapes.rolling_resistance)).any((-2, -1)),
-        "external_forces": (yields | turns).any(-1),
+        "external_forces": (can_move | can_turn).any(-1),
     }
 
 

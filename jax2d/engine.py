@@ -122,13 +122,13 @@ class Engine:
         velocity: Array | None = None,
         angular_velocity: Array | None = None,
     ) -> State:
-        """A state without remembered impulses, for one world or a batch. Omitted parts are zero. Numbers of any kind
+        """A state with zero warm-start impulses, for one world or a batch. Omitted parts are zero. Numbers of any kind
         come out in the engine's dtype. Raises ValueError for complex ones and for shapes that are not the scene's."""
         check_type("scene", scene, Scene)
         batch = np.shape(scene.gravity)[:-1]
         check_layout("scene", scene, self.capacity, self.dtype, batch)
         if position is None:
-            raise ValueError("position is None; give one place for each shape (only what follows it may be left out)")
+            raise ValueError("position is None; give one point for each shape (only what follows it may be left out)")
 
         given = {"position": position, "angle": angle, "velocity": velocity, "angular_velocity": angular_velocity}
         state = broadcast(empty(State, self.capacity.sizes), batch)

@@ -44,7 +44,7 @@ class FixedEngine:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What is compiled in."""
+    """Choices that are compiled in."""
 
     capacity: Capacity
     backend: str  # of `jax2d.engine.BACKENDS`

@@ -1,4 +1,4 @@
-"""How arrays of worlds are declared: dimensions, type, unit, meaning and limits of each field, stated once.
+"""Declarations of the arrays of worlds: dimensions, type, unit, meaning and limits of each field, stated once.
 
     class Joints:
         active: Array = array("J", bool, "a joint of an inactive shape does nothing")
@@ -9,7 +9,7 @@ builders, moving slots and empty worlds are derived from the declarations (`fiel
 
 Dimensions are letters of `Capacity.sizes` (n shapes, P polygons, V vertices, C circles, J joints, T thrusters,
 S springs, K contact slots; E shapes and R contact slots of a capacity with extended shapes, else none) or digits. The
-first one says what the slots of a field are.
+first one names the slots of a field.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def part(kind: type) -> Any:
 
 @functools.cache
 def fields_of(kind: type) -> tuple[Field, ...]:
-    """All arrays of a record and its parts, in the order declared."""
+    """Returns all arrays of a record and its parts, in the order declared."""
     found: list[Field] = []
     for declared in dataclasses.fields(kind):
         if _PART in declared.metadata:

@@ -1,4 +1,4 @@
-"""What a state amounts to: energy, work, momentum, joint error. Functions of one world; vmap for batches."""
+"""Measures of a state: energy, work, momentum, joint error. Functions of one world; vmap for batches."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ def max_work(
         spin = jnp.asarray(state.angular_velocity)
         return jnp.linalg.norm(state.velocity, axis=-1)[body] + arm * jnp.abs(spin[body])
 
-    yields = inverse_mass[body] + arm**2 * inverse_inertia[body]
-    speed = jnp.maximum(speed_there(before), speed_there(after)) + force * yields * seconds
+    compliance = inverse_mass[body] + arm**2 * inverse_inertia[body]
+    speed = jnp.maximum(speed_there(before), speed_there(after)) + force * compliance * seconds
     thrusters = jnp.where(scene.thrusters.active, force * speed * seconds, 0.0)
     return jnp.sum(motors) + jnp.sum(thrusters)
 

@@ -46,7 +46,7 @@ NUM_COILS = 6
 
 
 def as_json() -> dict[str, Any]:
-    """All of the above by name in lower case, as JSON types; colours are [r, g, b] 0..255."""
+    """Returns all palettes by name in lower case, as JSON types; colours are [r, g, b] 0..255."""
     values = {name.lower(): value for name, value in globals().items() if name.isupper()}
     return {name: _listed(value) for name, value in values.items()}
 

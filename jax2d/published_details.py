@@ -1,4 +1,4 @@
-"""What the published package (jax2d 1.0.2) does where the paper's appendix prescribes something else or nothing.
+"""Details of the published package (jax2d 1.0.2) that differ from the paper's appendix, or that it leaves open.
 
 Names for `Settings.published_details`, for comparison with it; what each means in the solver is in jax2d/xla. What the
 appendix does prescribe is always on in preset `paper`; docs/engine_solver.md lists both.
@@ -13,9 +13,9 @@ PUBLISHED_DETAILS: dict[str, str] = {
     "coincident_circles": "circles with the same centre have no normal and never separate",
     "fixed_slots": "polygons in slots 0 to 3, meant for floor and walls, never collide with each other",
     # Solving
-    "warm_start_by_depth": "impulses are remembered by pair and order of depth",
+    "warm_start_by_depth": "impulses are matched by pair and order of depth",
     "solve_order": "by kind of pair, deepest points first, over batches that start where the number in contact says",
     "arms_follow_joints": "contact arms lead from centres of mass as the joints' positional correction has moved them",
-    "last_pair": "impulses of the last pair of a kind are forgotten in every iteration unless its batches are full",
+    "last_pair": "impulses of the last pair of a kind are dropped in every iteration unless its batches are full",
     "state_clips": "after a step coordinates are clipped to 15 m and velocities to max_speed a component",
 }

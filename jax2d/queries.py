@@ -31,7 +31,7 @@ from jax2d.xla import vec2
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RayHits:
-    """What each of R rays meets first; [W, R, ...] for a batch of worlds."""
+    """First hit of each of R rays; [W, R, ...] for a batch of worlds."""
 
     hit: Array  # [R] bool
     fraction: Array  # [R] share of the ray up to there, 0 to 1; 1 where it meets nothing
@@ -75,7 +75,7 @@ def cast_rays(scene: Scene, state: Any, origins: Array, translations: Array, *, 
 
 
 def point_in_shapes(scene: Scene, state: Any, points: Array) -> jax.Array:
-    """Which shapes hold each of `points` [R, 2] m ([W, R, 2] for a batch): [R, n] bool. Surfaces belong to shapes; what
+    """Shapes that hold each of `points` [R, 2] m ([W, R, 2] for a batch): [R, n] bool. Surfaces belong to shapes; what
     is not active holds nothing, and a point that is not finite is in no shape. Raises ValueError for shapes that do
     not fit."""
     batch, dtype = _check_worlds(scene, state)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,13 @@ MAX_BYTES_PER_CALL = 2**28  # samples that the device holds at a time, before th
 Policy = Callable[[State, jax.Array], Controls]  # (state, time in s since the start) -> controls until the next sample
 
 
+class ExtraRecords(TypedDict, total=False):
+    """Keywords of `record`, which says what they mean."""
+
+    joint_force: bool
+    contacts: bool
+
+
 def record(
     engine: Engine,
     scene: Scene,
@@ -38,8 +45,7 @@ def record(
     *,
     num_samples: int,
     every: int = 1,
-    joint_force: bool = False,
-    contacts: bool = False,
+    **extras: Unpack[ExtraRecords],
 ) -> tuple[Trajectory, State]:
     """The trajectory of a world, or of a batch of worlds, and the state that it ends in.
 
@@ -63,6 +69,7 @@ def record(
     for name, count in (("num_samples", num_samples), ("every", every)):
         if whole_number(name, count) < 1:
             raise ValueError(f"{name} is {count}; give 1 or more")
+    joint_force, contacts = _requested(**extras)
     if contacts and not engine.report_contacts:
         raise ValueError("this engine does not report contacts; build it with report_contacts=True")
     check_batches(scene, state)
@@ -90,7 +97,7 @@ def record(
 
 
 def trajectory_of(samples: Samples, scene: Scene, settings: Settings, every: int = 1) -> Trajectory:
-    """Of a batch. `settings` are those that it was stepped with."""
+    """Trajectory of a batch. `settings` are those that it was stepped with."""
     impulse = samples.joint_impulse
     return Trajectory(
         scene=scene,
@@ -151,6 +158,10 @@ def _of_one_world(policy: Policy) -> Policy:
         return jax.tree.map(lambda x: x[None], controls)
 
     return of_batch
+
+
+def _requested(*, joint_force: bool = False, contacts: bool = False) -> tuple[bool, bool]:
+    return joint_force, contacts
 
 
 def _bytes_per_sample(engine: Engine, batch: tuple[int, ...], *, joint_force: bool, contacts: bool) -> int:

@@ -30,7 +30,7 @@ class Run:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """Which samples are taken."""
+    """Choice of the samples that are taken."""
 
     num_samples: int  # after the start
     every: int = 1  # physics steps from sample to sample

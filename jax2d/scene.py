@@ -1,7 +1,7 @@
-"""What exists in a world and how it moves: Capacity, Scene, State, Controls, Touching.
+"""Records of a world: Capacity, Scene (what exists), State (how it moves), Controls, Touching.
 
-Kept apart on purpose. A `Scene` holds what cannot change during a step (shapes, masses, joints, thrusters, who may
-touch whom) and is replaced only at a reset. A `State` holds what a step changes.
+Scene and State are apart on purpose. A `Scene` holds what cannot change during a step (shapes, masses, joints,
+thrusters, who may touch whom) and is replaced only at a reset. A `State` holds what a step changes.
 
 Shapes are indexed polygons first, then circles: shape `i < capacity.polygons` is polygon `i`, shape
 `capacity.polygons + j` is circle `j`. Every field below is declared for one world (`fields.py` says how); a batch of
@@ -34,7 +34,7 @@ EMPTY_POLYGON_M = ((0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1))  # corners of unused s
 
 
 class JointKind(enum.IntEnum):
-    """What a joint leaves free."""
+    """Freedom that a joint leaves."""
 
     REVOLUTE = 0  # turning about the common point; may have a motor and limits
     FIXED = 1  # nothing: a weld
@@ -42,7 +42,7 @@ class JointKind(enum.IntEnum):
 
 
 class JointDrive(enum.IntEnum):
-    """What a motor makes of its control, -1 to 1."""
+    """Meaning of a motor's control, -1 to 1."""
 
     VELOCITY = 0  # a share of its speed; 0: it exerts nothing
     BRAKE = 1  # a share of its speed; 0: it holds still with its whole strength
@@ -51,7 +51,7 @@ class JointDrive(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Capacity:
-    """How many of each thing a world has room for. Compile-time: engines are built for one capacity."""
+    """Numbers of slots of a world. Compile-time: engines are built for one capacity."""
 
     polygons: int
     circles: int
@@ -222,7 +222,7 @@ class Springs:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What exists."""
+    """Everything in a world that a step does not change."""
 
     shapes: Shapes = part(Shapes)
     joints: Joints = part(Joints)
@@ -238,7 +238,7 @@ class Scene:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class State:
-    """How it moves. `K` is the number of contact slots an engine keeps for warm starting."""
+    """Everything in a world that a step changes. `K` is the number of contact slots for warm starting."""
 
     position: Array = array("n 2", float, "world frame, centre of mass", unit="m")
     angle: Array = array(
@@ -261,7 +261,7 @@ class State:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Controls:
-    """What an agent does in one step."""
+    """Actions of one step."""
 
     motor: Array = array(
         "J", float, "share of the motor's target speed, or a servo's position: see JointDrive", at_least=-1, at_most=1
@@ -291,7 +291,7 @@ class Controls:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Touching:
-    """Who touches whom, as bits: bit `j % 32` of word `j // 32` in row `i` says that i touches j."""
+    """Touching pairs, as bits: bit `j % 32` of word `j // 32` in row `i` says that i touches j."""
 
     at_end: Array  # [n, words] uint32, after the last physics step of the call
     during: Array  # [n, words] uint32, in any physics step of the call
@@ -300,11 +300,11 @@ class Touching:
     invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
     invalid_scene: Array  # [] int32, what `num_invalid` counts: it is off, or clamped
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without
-    contacts: ContactReport | None = None  # of the last physics step; engines that are asked for it: report_contacts
+    contacts: ContactReport | None = None  # of the last physics step; None unless the engine has report_contacts
 
 
 class BackendReport(NamedTuple):
-    """What a backend says of a call; fields as in `Touching`."""
+    """Report of a backend on a call; fields as in `Touching`."""
 
     at_end: Array
     during: Array

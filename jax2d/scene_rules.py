@@ -1,4 +1,4 @@
-"""What holds for the values of every scene, beyond shapes, types and being finite.
+"""Rules for the values of every scene, beyond shapes, types and being finite.
 
 Limits of single numbers follow from the declarations of the fields; rules about several fields stand here. Rules speak
 of what is active; slots that are not may hold anything finite. Plain numpy over whole batches.
@@ -124,18 +124,18 @@ def _centred(
     inverse_mass: np.ndarray,
     inverse_inertia: np.ndarray,
 ) -> np.ndarray:
-    """Of those that can move: walls of the published engine are not."""
+    """Returns True where a polygon that can move is centred; walls of the published engine are not."""
     moves = shape_active & ((inverse_mass > 0) | (inverse_inertia > 0))
     return _of_each(_is_centred, vertices, num_vertices, _polygons(moves, num_vertices))
 
 
 def _of_each(
-    is_fine: Callable[[np.ndarray], np.ndarray], vertices: np.ndarray, num_vertices: np.ndarray, asked: np.ndarray
+    is_fine: Callable[[np.ndarray], np.ndarray], vertices: np.ndarray, num_vertices: np.ndarray, is_checked: np.ndarray
 ) -> np.ndarray:
     """[..., P] bool; `is_fine` takes the corners of all polygons of one number of vertices, [how many, number, 2]."""
     fine = np.ones(num_vertices.shape, bool)
     for number in range(3, vertices.shape[-2] + 1):
-        chosen = asked & (num_vertices == number)
+        chosen = is_checked & (num_vertices == number)
         if chosen.any():
             fine[chosen] = is_fine(vertices[chosen][:, :number].astype(np.float64))
     return fine

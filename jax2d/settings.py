@@ -44,7 +44,7 @@ POSITIVE = {  # fields that cannot be 0, as others can
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a step is solved. Numbers are run-time parameters of a compiled engine, `solver`,
+    """Settings of the solver. Numbers are run-time parameters of a compiled engine, `solver`,
     `friction_mixing`, `solver_batch_size` and `published_details` are compiled in."""
 
     solver: Solver = "soft_step"
@@ -75,15 +75,15 @@ class Settings:
     joint_hertz: float = 88.0
     joint_hertz_share: float = 0.367
     joint_damping_ratio: float = 10.0  # at 2 stretched chains and welded beams ring for seconds
-    yielding_hertz_share: float = 0.105  # of joints that hold what is light between heavy bodies (yielding_joints.py)
-    yielding_damping_ratio: float = 2.0  # at 10 some trees of welds gain energy
+    softened_hertz_share: float = 0.105  # of joints that hold what is light between heavy bodies (softened_joints.py)
+    softened_damping_ratio: float = 2.0  # at 10 some trees of welds gain energy
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
     joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed
     joint_turn_speed: float = 4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld
     speculative_distance: float = 0.02  # m, contacts are prepared from here on (4 x Box2D's linear slop)
     restitution_threshold: float = 1.0  # m/s, slower impacts do not bounce, so that stacks come to rest
     bounce_rounds: int = 16  # at most, in which joints and other contacts share in a bounce
-    blow_passes: int = 0  # at most, in which they share in a blow with friction; 0: what hits is stopped alone
+    impact_passes: int = 0  # at most, in which they share in an impact with friction; 0: only what hits is stopped
 
     # sequential_impulses (published constants)
     slop: float = 0.01  # m, penetration left alone
@@ -113,8 +113,8 @@ class Settings:
                 raise ValueError(f"Settings.{name} is {getattr(self, name)}; {what}")
         if self.substeps < 1:
             raise ValueError(f"Settings.substeps is {self.substeps}; at least 1 is needed")
-        if self.blow_passes < 0:
-            raise ValueError(f"Settings.blow_passes is {self.blow_passes}; it must be 0 or more")
+        if self.impact_passes < 0:
+            raise ValueError(f"Settings.impact_passes is {self.impact_passes}; it must be 0 or more")
         if self.bounce_rounds < 1:
             raise ValueError(f"Settings.bounce_rounds is {self.bounce_rounds}; at least 1 is needed")
         if self.solver_batch_size < 1:
@@ -189,7 +189,7 @@ PRESETS: dict[str, Settings] = {
     "standard": Settings(),
     # Four times the sub-steps, and stiffness that rises with them: otherwise its sag would stay that of `standard`.
     # Overlap is undone more slowly, since stiffer contacts pass that speed on from body to body.
-    "fine": Settings(substeps=16, contact_hertz=1000.0, joint_hertz=1000.0, push_out_speed=2.0, blow_passes=16),
+    "fine": Settings(substeps=16, contact_hertz=1000.0, joint_hertz=1000.0, push_out_speed=2.0, impact_passes=16),
     "paper": Settings(solver="sequential_impulses", substeps=10, base_friction=0.4, friction_mixing="root_sum_square"),
     # For measuring, in float64 (`Engine(..., backend="xla", dtype=jnp.float64)`): in float32 so short a step moves
     # nothing slow. Error of first order in dt, so that half and a quarter of it can be extrapolated from.
@@ -205,7 +205,7 @@ def preset(name: str) -> Settings:
 
 
 def checked_settings(given: Settings | None) -> Settings:
-    """What callers give as settings; None is preset standard. Raises TypeError for the name of a preset."""
+    """Returns the settings of a caller; None is preset standard. Raises TypeError for the name of a preset."""
     if given is None:
         return preset("standard")
     if not isinstance(given, Settings):

@@ -1,4 +1,4 @@
-"""What a solver computes with at run time: the numbers of `Settings`, and those that follow from them.
+"""Run-time numbers of a solver: those of `Settings`, and those that follow from them.
 
 Both backends take them from here: the reference as the tuple, the kernel as one float32 table (`flat`).
 """
@@ -39,14 +39,14 @@ class SolverNumbers(NamedTuple):
     contact: Softness
     fixed: Softness  # contacts with fixed bodies, which do not yield: twice as stiff
     joint: Softness
-    yielding: Softness  # joints that hold what is light between heavy bodies
+    softened: Softness  # joints that hold what is light between heavy bodies
     push_out_speed: Scalar
     joint_pull_speed: Scalar
     joint_turn_speed: Scalar
     speculative_distance: Scalar
     restitution_threshold: Scalar
     bounce_rounds: Scalar
-    blow_passes: Scalar
+    impact_passes: Scalar
     slop: Scalar
     collision_correction: Scalar
     joint_velocity_correction: Scalar
@@ -67,14 +67,14 @@ def solver_numbers(settings: Settings) -> SolverNumbers:
         "contact": softness(contact_hertz, settings.contact_damping_ratio, h),
         "fixed": softness(2 * contact_hertz, settings.contact_damping_ratio, h),
         "joint": softness(joint_hertz, settings.joint_damping_ratio, h),
-        "yielding": softness(min(joint_hertz, settings.yielding_hertz_share / h), settings.yielding_damping_ratio, h),
+        "softened": softness(min(joint_hertz, settings.softened_hertz_share / h), settings.softened_damping_ratio, h),
     }
     given = {name: getattr(settings, name) for name in SolverNumbers._fields if name not in derived}
     return SolverNumbers(**given, **derived)
 
 
 def softness(hertz: float, damping_ratio: float, h: float) -> Softness:
-    """Of a constraint of this frequency (Hz), solved over h seconds.
+    """Softness of a constraint of this frequency (Hz), solved over h seconds.
 
     omega = 2 pi f, a1 = 2 zeta + h omega, a2 = h omega a1: omega / a1, a2 / (1 + a2), 1 / (1 + a2).
     """
@@ -87,7 +87,7 @@ def softness(hertz: float, damping_ratio: float, h: float) -> Softness:
 
 
 def flat(numbers: SolverNumbers) -> dict[str, float]:
-    """All numbers by name; those of a softness by its name first: contact_bias_rate."""
+    """Returns all numbers by name; those of a softness by its name first: contact_bias_rate."""
     values: dict[str, float] = {}
     for name, value in zip(numbers._fields, numbers):
         if isinstance(value, Softness):

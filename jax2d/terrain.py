@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from jax2d.given import SAME_POINT, SMALLEST_AREA_M2, SceneError, check_polygon
+from jax2d.builder_checks import SAME_POINT, SMALLEST_AREA_M2, SceneError, check_polygon
 from jax2d.xla.vec2 import cross
 
 ROOT_SHARE = 0.5  # of the thickness, or of the neighbour's length: how far tiles reach over their joints
@@ -40,7 +40,7 @@ def tiles(points: np.ndarray, thickness: float) -> Iterator[np.ndarray]:
 
 
 def wrong_with(points: np.ndarray, thickness: float) -> str | None:
-    """What is wrong with a line [N, 2] m of terrain and what to do, in one line; None for a good one."""
+    """Returns the fault of a line [N, 2] m of terrain and its remedy, in one line; None for a good one."""
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
         return f"terrain has points of shape {points.shape}; give a list of two or more (x, y) points"
     steps = np.diff(points, axis=0)
@@ -70,7 +70,7 @@ def wrong_with(points: np.ndarray, thickness: float) -> str | None:
 
 
 def _no_polygon(points: np.ndarray, thickness: float) -> str | None:
-    """Of the first tile that a builder would refuse."""
+    """Fault of the first tile that a builder would refuse; None without one."""
     for i, (tile, at) in enumerate(zip(tiles(points, thickness), points)):
         try:
             check_polygon(tile - at, len(tile))

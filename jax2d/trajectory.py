@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -21,8 +22,15 @@ import numpy as np
 
 from jax2d import trajectory_files
 from jax2d.contact_report import ContactReport
+from jax2d.draw import draw as draw_world
+from jax2d.images import write_gif, write_png
 from jax2d.measure import overlaps
+from jax2d.rasteriser import Box, check_view
 from jax2d.scene import JointKind, Joints, Scene, Springs, index_worlds
+
+MARGIN = 0.1  # of the view, around what moves
+WIDTH_PX = 640
+FRAMES_PER_SECOND = 25.0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -138,7 +146,7 @@ class Trajectory:
         return np.sum(orbital + inertia * self.angular_velocity, -1)
 
     def anchors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where each joint is on its body a and on its body b, [T, J, 2] m each, world frame."""
+        """Anchors of each joint on its body a and on its body b, [T, J, 2] m each, world frame."""
         (centre_a, arm_a), (centre_b, arm_b) = self._arms(self.scene.joints)
         return centre_a + arm_a, centre_b + arm_b
 
@@ -171,17 +179,60 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """What `save` wrote, to the last bit. Raises ValueError for a file of another kind."""
+        """Reads what `save` wrote, to the last bit. Raises ValueError for a file of another kind."""
         return trajectory_files.load(cls, path)
 
-    def draw(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """A picture of one world, by the ending of the path: .png, how it ends, with the ways of what moved; or .gif, a
-        film in real time. Options: `view` (lowest x, lowest y, highest x, highest y in m; by default what moves is in
-        it all the time), `width` in pixels, `roles` as for `jax2d.draw.draw`, and of films `frames_per_second` and
-        `speed` (2: twice as fast as it was). Raises ValueError for a batch and other endings."""
-        trajectory_files.draw(self, path, **options)
+    def draw(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        view: Box | None = None,
+        width: int = WIDTH_PX,
+        roles: Any = None,
+        frames_per_second: float = FRAMES_PER_SECOND,
+        speed: float = 1.0,
+    ) -> None:
+        """Draws one world, by the ending of the path: .png, how it ends, with the ways of what moved; or .gif, a film.
+
+        view: (lowest x, lowest y, highest x, highest y) m; by default what moves is in it all the time. width: pixels.
+        roles: as for `jax2d.draw.draw`. speed: of films, 2 is twice as fast as it was. Raises ValueError for a batch
+        and other endings."""
+        path = trajectory_files.with_ending(path, (".png", ".gif"))
+        if self.position.ndim != 3:
+            raise ValueError(f"{self.position.shape[1]} worlds; draw one of them: trajectory.world(0).draw(...)")
+        for name, value in (("width", width), ("frames_per_second", frames_per_second), ("speed", speed)):
+            if not value > 0:
+                raise ValueError(f"{name} is {value}; give more than 0")
+        if view is not None:
+            check_view(view)
+        box = view if view is not None else self._view()
+
+        def picture(sample: int, trails: Any = ()) -> np.ndarray:
+            state = SimpleNamespace(position=self.position[sample], angle=self.angle[sample])
+            thrust = None if self.thruster is None else self.thruster[sample]
+            scale = width / (box[2] - box[0])
+            return draw_world(self.scene, state, roles, thrust=thrust, view=box, pixels_per_metre=scale, trails=trails)
+
+        if path.suffix == ".png":
+            write_png(path, picture(-1, list(np.moveaxis(self.position[:, self.is_movable], 1, 0))))
+            return
+        seconds = self.time[-1] / speed
+        frames = max(1, round(seconds * frames_per_second))
+        samples = np.minimum(np.arange(frames) * speed / frames_per_second / self.interval, self.num_intervals)
+        write_gif(path, [picture(round(k)) for k in samples], seconds=[1 / frames_per_second] * frames)
 
     # Inside
+
+    def _view(self) -> Box:
+        """Bounds of all movement, with a margin; of a world where nothing can move, of its shapes."""
+        shapes = self.scene.shapes
+        shown = self.is_movable if self.is_movable.any() else np.asarray(shapes.active)
+        reach = np.concatenate([np.linalg.norm(shapes.vertices, axis=-1).max(-1, initial=0), np.asarray(shapes.radius)])
+        positions, reach = self.position[:, shown], reach[shown, None]
+        fine = np.where(np.isfinite(positions), positions, np.nanmin(positions))
+        low, high = (fine - reach).min((0, 1)), (fine + reach).max((0, 1))
+        margin = MARGIN * (high - low).max()
+        return tuple(float(x) for x in (*(low - margin), *(high + margin)))  # type: ignore[return-value]
 
     def _with_arrays(self, change: Callable[[np.ndarray], np.ndarray], **others: Any) -> Trajectory:
         """The trajectory with every array over time changed."""
@@ -193,7 +244,7 @@ class Trajectory:
         return dataclasses.replace(self, **(arrays | others))
 
     def _arms(self, ends: Joints | Springs) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For a and b of each: (centre of mass [T, k, 2], from there to the anchor [T, k, 2]) m, world frame."""
+        """Returns for a and b of each (centre of mass [T, k, 2], from there to the anchor [T, k, 2]) m, world frame."""
         found = []
         for body, local in ((ends.a, ends.anchor_a), (ends.b, ends.anchor_b)):
             body = np.asarray(body)[None]

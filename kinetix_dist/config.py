@@ -26,9 +26,8 @@ from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
-from kinetix_dist.level.generator_config import ALL_KINDS
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.locomotion import fitting_kinds
+from kinetix_dist.level.mechanisms import FAMILIES, fitting_families
 from kinetix_dist.level.size_mixture import sizes_drawn
 from kinetix_dist.models.colour_readout import check_heads
 from kinetix_dist.models.policy import NETWORKS, PolicyConfig
@@ -54,15 +53,9 @@ class RolloutConfig:
     num_envs: int = 2048  # worlds, over all devices
     num_steps: int = 256  # environment steps of each world in an update
     num_groups: int = 64  # of worlds, with levels drawn from a key each; no more devices can play
-    random_start_share: float = 0.0  # of the worlds, begin an update after random actions, see random_starts.py
-    random_start_steps: int = 64  # at most, of these actions; nothing is learned from them
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.random_start_share <= 1.0:
-            raise ConfigError(
-                f"RolloutConfig.random_start_share is {self.random_start_share}; a share of the worlds is 0 to 1"
-            )
-        for name in ("num_envs", "num_steps", "num_groups", "random_start_steps"):
+        for name in ("num_envs", "num_steps", "num_groups"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"RolloutConfig.{name} is {getattr(self, name)}; it must be 1 or more")
         if self.num_envs % self.num_groups:
@@ -279,18 +272,6 @@ class TrainConfig:
                 f"env.observation {self.env.observation!r} gives {gives}, but policy.network {self.policy.network!r} "
                 f"takes {takes}; {advice}"
             )
-        if self.rollout.random_start_share:
-            if self.curriculum_class.observes:
-                raise ConfigError(
-                    f"rollout.random_start_share is {self.rollout.random_start_share}, but curriculum "
-                    f"{self.curriculum.name!r} scores levels by the episodes of training, which would begin after "
-                    "random actions; set it to 0 or use a curriculum that plays levels itself (sfl)"
-                )
-            if self.rollout.random_start_steps >= self.env.max_steps:
-                raise ConfigError(
-                    f"rollout.random_start_steps is {self.rollout.random_start_steps} and an episode has "
-                    f"{self.env.max_steps} steps (env.max_steps); lower it, so that there is something left to play"
-                )
         num_episodes = self.curriculum_class.num_episodes(self.curriculum)
         if self.rollout.num_steps < num_episodes * self.env.max_steps:
             needs = "the end of an episode" if num_episodes == 1 else f"the ends of {num_episodes} episodes"
@@ -344,15 +325,15 @@ class TrainConfig:
         )
 
     def check_generator(self) -> None:
-        """Raises ConfigError where a size of levels has no room for any kind that the generator is to draw."""
+        """Raises ConfigError where a size of levels has no room for any of the mechanism families."""
         generator = self.curriculum.generator
         for size in sizes_drawn(self.curriculum.sizes) or [self.env.size]:
-            if generator.locomotion_share and not fitting_kinds(generator.locomotion_kinds, SIZES[size]):
-                named = ", ".join(generator.locomotion_kinds) or "()"
+            if generator.mechanism_share and not fitting_families(generator.mechanism_families, SIZES[size]):
+                named = ", ".join(generator.mechanism_families) or "()"
                 raise ConfigError(
-                    f"curriculum.generator.locomotion_kinds {named}: levels of size "
-                    f"{size!r} have room for none; add one of {', '.join(fitting_kinds(ALL_KINDS, SIZES[size]))}, or "
-                    "use a larger size"
+                    f"curriculum.generator.mechanism_families {named}: levels of size "
+                    f"{size!r} have room for none; add one of "
+                    f"{', '.join(fitting_families(list(FAMILIES), SIZES[size]))}, or use a larger size"
                 )
 
     def check_batch(self) -> None:
@@ -379,7 +360,7 @@ class TrainConfig:
         return self.has_curator and self.run.num_curators == 0
 
     @property
-    def evaluates_beside(self) -> bool:
+    def evaluates_in_background(self) -> bool:
         """Whether an evaluator works beside training."""
         return self.run.placement != "local" and (self.evaluation.is_during_training or self.recording.every > 0)
 
@@ -434,12 +415,8 @@ _OFF = {
     "policy.max_qk_norm": 0.0,
     "curriculum.sizes": [],
     "curriculum.generator.varied_share": 0.0,
-    "curriculum.generator.edited_share": 0.0,
-    "curriculum.generator.num_changes": 2,
-    "curriculum.generator.locomotion_weights": [],
+    "curriculum.generator.mechanism_weights": [],
     "curriculum.learnable_only": False,
-    "rollout.random_start_share": 0.0,
-    "rollout.random_start_steps": 64,
 }
 
 

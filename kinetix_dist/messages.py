@@ -1,6 +1,6 @@
 """Types that cross parts and processes: what a rollout hands to the learner and to the curator.
 
-Both are pytrees, so that they can be sharded, moved with `jax.device_get` and kept in checkpoints. Time comes first,
+Both are pytrees, so that they can be sharded, moved with `jax.device_get` and stored in checkpoints. Time comes first,
 then worlds: [T, W, ...]; worlds are what is sharded over devices.
 """
 
@@ -25,13 +25,13 @@ class Trajectory:
     values: Array  # [T, W] float32
     rewards: Array  # [T, W] float32
     done_after: Array  # [T, W] bool, the episode ended with this step (also at the time limit)
-    timed_out: Array | None = None  # [T, W] bool, it ended so at the time limit; None: not asked for
+    timed_out: Array | None = None  # [T, W] bool, it ended so at the time limit; None: not recorded
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StaticInput:
-    """What levels fix of what is learned from W worlds."""
+    """Parts of the learner's input that levels fix, of W worlds."""
 
     obs: Any  # [W, ...], see `Observation.static`
     bound_heads: Array | None = None  # [W, heads] bool, see `ActionSpace.bound_heads`; None: all heads count
@@ -55,9 +55,10 @@ class PhysicsCounts:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelOutcome:
-    """What became of each level, world by world: its first episode, and sums over all episodes that finished.
+    """Outcome of each level, world by world: its first episode, and sums over all episodes that finished.
 
     Over many worlds count first episodes (`actors/outcomes.py`): a world whose episodes end early finishes more.
+
     """
 
     first_solved: Array  # [W] int32, 1 where the first episode ended and was solved: green touched blue

@@ -17,7 +17,7 @@ from kinetix_dist.config import (
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.config import AnnealConfig, PpoConfig
-from kinetix_dist.level.generator_config import ALL_KINDS, GeneratorConfig
+from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.near_names import did_you_mean
@@ -121,9 +121,9 @@ def tiny() -> TrainConfig:
 # Of `pretrain_s` and its like: more than twice what a head has that does not collapse (docs/lab_log.md).
 MAX_QK_NORM = 4.0
 
-# How often `pretrain_l` draws each kind of thing: those that a policy is slow to learn more often (docs/training.md).
-# The others (pendulums, ramps, grippers, pinball) have not been shown to help at hand-made levels.
-TASK_WEIGHTS = {
+# How often `pretrain_l` draws each family of mechanisms: those that a policy is slow to learn more often
+# (docs/training.md). The others (pendulums, ramps, grippers, pinball) have not been shown to help at hand-made levels.
+FAMILY_WEIGHTS = {
     "car": 1.0,
     "unicycle": 2.0,
     "walker": 2.0,
@@ -177,9 +177,12 @@ def _pretrain(size: str) -> TrainConfig:
     paper = _paper("sfl", size)
     network = "transformer_lean" if size == "s" else "transformer"  # compared at equal seconds at M alone
     # What hand-made levels have and random ones lack (docs/results/generalist.md); shown in arrays of L alone.
-    kinds = tuple(kind for kind in ALL_KINDS if kind in TASK_WEIGHTS)
-    weights = tuple(TASK_WEIGHTS[kind] for kind in kinds)
-    tasks = GeneratorConfig(locomotion_share=0.45, locomotion_kinds=kinds, locomotion_weights=weights, varied_share=0.3)
+    tasks = GeneratorConfig(
+        mechanism_share=0.45,
+        mechanism_families=tuple(FAMILY_WEIGHTS),
+        mechanism_weights=tuple(FAMILY_WEIGHTS.values()),
+        varied_share=0.3,
+    )
     # Where failing costs as much as solving gives, it stands still on a red floor (docs/training.md).
     env = dataclasses.replace(paper.env, failure_penalty=0.0) if size == "l" else paper.env
     return dataclasses.replace(

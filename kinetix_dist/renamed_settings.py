@@ -15,7 +15,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 # Path of a field or section before -> path now.
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = {
+    "curriculum.generator.locomotion_share": "curriculum.generator.mechanism_share",
+    "curriculum.generator.locomotion_kinds": "curriculum.generator.mechanism_families",
+    "curriculum.generator.locomotion_weights": "curriculum.generator.mechanism_weights",
+    "env.physics.blow_passes": "env.physics.impact_passes",
+    "env.physics.yielding_hertz_share": "env.physics.softened_hertz_share",
+    "env.physics.yielding_damping_ratio": "env.physics.softened_damping_ratio",
+}
 
 # (path now, value before) -> value now; also of the entries of a list.
 RENAMED_VALUES: dict[tuple[str, Any], Any] = {
@@ -23,7 +30,9 @@ RENAMED_VALUES: dict[tuple[str, Any], Any] = {
 }
 
 # Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
-RENAMED_OPTIONS: dict[tuple[str, str], str] = {}
+RENAMED_OPTIONS: dict[tuple[str, str], str] = {
+    ("sweep", "--lanes"): "--slots",
+}
 
 # Recipe before -> recipe now.
 RENAMED_RECIPES: dict[str, str] = {}
@@ -38,7 +47,12 @@ class Removed:
 
 
 # Path before -> why it is gone. Stored values that are off are left out.
-REMOVED: dict[str, Removed] = {}
+REMOVED: dict[str, Removed] = {
+    "rollout.random_start_share": Removed(why="exploring starts gave nothing", off=(0.0,)),
+    "rollout.random_start_steps": Removed(why="exploring starts gave nothing"),
+    "curriculum.generator.edited_share": Removed(why="half of the levels edited gave nothing", off=(0.0,)),
+    "curriculum.generator.num_changes": Removed(why="half of the levels edited gave nothing"),
+}
 
 # (path now, value before) -> (value with which a stored policy is played, why it is gone).
 REMOVED_VALUES: dict[tuple[str, Any], tuple[Any, str]] = {}

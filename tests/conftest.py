@@ -84,7 +84,7 @@ LONGEST_FILES = (
     "test_level_vae.py",
     "test_hard_scenes.py",
     "test_canonical.py",
-    "test_locomotion.py",
+    "test_mechanisms.py",
     "test_editor_limits.py",
     "test_preset_reference.py",
     "test_failures.py",

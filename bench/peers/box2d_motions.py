@@ -127,13 +127,13 @@ def main() -> int:
         print(json.dumps({"version": Box2D.__version__}))
         return 0
     request = dict(np.load(sys.argv[1]))
-    asked = json.loads(str(request["asked"]))
+    query = json.loads(str(request["query"]))
     answer: dict[str, np.ndarray] = {}
-    for k, setting in enumerate(asked["settings"]):
+    for k, setting in enumerate(query["settings"]):
         dt = setting["dt"]
         arguments = (dt, setting["velocity_iterations"], setting["position_iterations"])
         for i, seconds in enumerate(request["seconds"]):
-            world = World(request, i, asked["constants"])
+            world = World(request, i, query["constants"])
             states = [world.state()]
             for _ in range(round(float(seconds) / dt)):
                 world.step(*arguments)
@@ -143,8 +143,8 @@ def main() -> int:
     print(json.dumps({"ok": True}), flush=True)
     for line in sys.stdin:
         wanted = json.loads(line)
-        setting, i = asked["settings"][wanted["setting"]], wanted["scene"]
-        print(json.dumps({"ok": True, "us": cost(request, i, asked["constants"], **setting)}), flush=True)
+        setting, i = query["settings"][wanted["setting"]], wanted["scene"]
+        print(json.dumps({"ok": True, "us": cost(request, i, query["constants"], **setting)}), flush=True)
     return 0
 
 

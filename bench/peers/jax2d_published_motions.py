@@ -36,8 +36,8 @@ ITERATIONS = 10
 
 def main() -> int:
     request = dict(np.load(sys.argv[1]))
-    asked = json.loads(str(request["asked"]))
-    constants = asked["constants"]
+    query = json.loads(str(request["query"]))
+    constants = query["constants"]
     scene = {name.removeprefix("scene."): value for name, value in request.items() if name.startswith("scene.")}
     count, polygons = scene["shapes.num_vertices"].shape
     static = StaticSimParams(
@@ -70,8 +70,8 @@ def main() -> int:
         return jax.lax.scan(one, state, length=steps)
 
     answer: dict[str, np.ndarray] = {}
-    worlds = asked["batch"]
-    for k, setting in enumerate(asked["settings"]):
+    worlds = query["batch"]
+    for k, setting in enumerate(query["settings"]):
         dt = setting["dt"]
         steps = [round(float(seconds) / dt) for seconds in request["seconds"]]
         state, recorded = stacked, [np.asarray(visible(stacked))[None]]
@@ -86,13 +86,13 @@ def main() -> int:
     print(json.dumps({"ok": True}), flush=True)
 
     def cost(k: int, i: int) -> float:
-        dt = asked["settings"][k]["dt"]
+        dt = query["settings"][k]["dt"]
         batch = jax.tree.map(lambda x: jnp.repeat(x[i : i + 1], worlds, 0), stacked)
         action = jnp.repeat(actions[i : i + 1], worlds, 0)
         jax.block_until_ready((batch, action))
         started = time.perf_counter()
-        jax.block_until_ready(run(batch, dt, action, steps=asked["steps"], record=False))
-        return 1e6 * (time.perf_counter() - started) / (worlds * asked["steps"] * dt)
+        jax.block_until_ready(run(batch, dt, action, steps=query["steps"], record=False))
+        return 1e6 * (time.perf_counter() - started) / (worlds * query["steps"] * dt)
 
     for line in sys.stdin:
         wanted = json.loads(line)

@@ -1,4 +1,4 @@
-"""How accurate the engine is: scenes with a formula, scenes on which solvers fail, and what accuracy costs in time.
+"""Accuracy of the engine: scenes with a formula, scenes on which solvers fail, and what accuracy costs in time.
 
 from jax2d import record
 

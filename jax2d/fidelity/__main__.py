@@ -70,8 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import jax
     from rich.console import Console
 
-    from jax2d.fidelity.frontier import Record
     from jax2d.fidelity.picture import draw
+    from jax2d.fidelity.records import Record
     from jax2d.fidelity.references import StaleReference, study_scenes
     from jax2d.fidelity.report import print_report, write_csv
     from jax2d.fidelity.study import Measurement, run_study
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     if not records:
         print(
-            failures[0] if failures else "nothing was measured: no preset runs on the backends asked for",
+            failures[0] if failures else "nothing was measured: no preset runs on the requested backends",
             file=sys.stderr,
         )
         return 1

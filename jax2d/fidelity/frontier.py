@@ -4,30 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple
 
 import numpy as np
 
-from jax2d.fidelity.labels import is_preset_itself
 from jax2d.fidelity.peers import PEER_NAMES
+from jax2d.fidelity.records import Record, is_preset_itself
 
 SMALLEST_ERROR = 1e-6  # about what float32 resolves over a few hundred steps: smaller errors count as this
 NOT_ACCEPTED = "; not accepted: "  # in the metric of a record whose error may be that of its reference solution
 LARGEST_ERROR = 1.0  # wrong by all of it: larger errors, and trajectories that are not finite, count as this
-
-
-class Record(TypedDict):
-    """One measurement, as it stands in the JSON file."""
-
-    scene: str
-    preset: str  # the preset whose settings were swept, or the name of a peer
-    backend: str
-    dtype: str
-    device: str
-    setting: str
-    metric: str  # what the error is; says so where it is not accepted
-    error: float | None  # None: the trajectory is not finite
-    us_per_world_second: float
 
 
 class Point(NamedTuple):
@@ -43,13 +29,13 @@ class Point(NamedTuple):
 
 def pareto_set(points: Sequence[tuple[float, float]]) -> list[int]:
     """Indices of the (cost, error) pairs that no other pair beats or equals in both, by rising cost."""
-    kept = []
+    front = []
     least = math.inf
     for i in sorted(range(len(points)), key=lambda i: points[i]):
         if points[i][1] < least:
-            kept.append(i)
+            front.append(i)
             least = points[i][1]
-    return kept
+    return front
 
 
 def slope(costs: Sequence[float], errors: Sequence[float]) -> float:
@@ -66,7 +52,7 @@ def bounded(error: float | None) -> float:
 
 
 def accepted(record: Record) -> bool:
-    """Whether the truth is known well enough for the error shown (`references.TRUST`)."""
+    """Returns True if the reference is accurate enough for the error shown (`references.TRUST`)."""
     return NOT_ACCEPTED not in record["metric"]
 
 

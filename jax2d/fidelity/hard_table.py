@@ -1,4 +1,5 @@
-"""Which preset passes which hard scene: `python -m jax2d.fidelity.hard_table [PRESET ...]` prints the table."""
+"""Table of the hard scenes that each preset passes: `python -m jax2d.fidelity.hard_table [PRESET ...]` prints the
+table."""
 
 from __future__ import annotations
 
@@ -41,8 +42,8 @@ def worst(checks: Sequence[Check]) -> Check:
     """The check that a row of the table shows: one that fails, or that comes closest to it."""
 
     def order(check: Check) -> tuple[bool, float]:
-        room = check.value / check.limit if check.limit > 0 else float(check.value > check.limit)
-        return (not check.holds, room)
+        ratio = check.value / check.limit if check.limit > 0 else float(check.value > check.limit)
+        return (not check.holds, ratio)
 
     return max(checks, key=order)
 

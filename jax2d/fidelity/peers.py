@@ -54,7 +54,7 @@ class Peer:
     cost_depends_on_scene: bool  # else one scene's cost is that of all
 
     def label(self, setting: dict[str, Any]) -> str:
-        """As the settings of our engine are written in a record."""
+        """Label of a peer's setting in a record, written as that of our engine."""
         iterations = setting.get("velocity_iterations", setting.get("iterations"))
         return f"dt 1/{round(1 / setting['dt'])}, {iterations} iterations"
 
@@ -92,7 +92,7 @@ PEER_NAMES = tuple(peer.name for peer in PEERS.values())
 
 
 class PeerRun:
-    """What a peer answered, and its process, ready to time."""
+    """Answer of a peer, and its process, ready to time."""
 
     def __init__(self, peer: Peer, process: subprocess.Popen[str], errors: IO[str]) -> None:
         self.peer = peer
@@ -171,7 +171,7 @@ def _write_request(
     arrays = {f"scene.{name}": values for name, values in as_dict(scene).items()}
     for name in ("position", "angle", "velocity", "angular_velocity"):
         arrays[name] = np.stack([getattr(world, name) for world in worlds])
-    asked = {
+    query = {
         "batch": batch,
         "steps": steps,
         "settings": list(settings),
@@ -183,7 +183,7 @@ def _write_request(
     }
     arrays["seconds"] = np.array([scenario.seconds for scenario in scenarios])
     arrays["control"] = np.array([scenario.control for scenario in scenarios])
-    np.savez(file, asked=np.array(json.dumps(asked)), **arrays)
+    np.savez(file, query=np.array(json.dumps(query)), **arrays)
 
 
 def _read_answer(

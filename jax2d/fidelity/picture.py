@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jax2d.fidelity.frontier import Point, Record, accepted, bounded, pareto_set, points_of, setting_key, slope
-from jax2d.fidelity.labels import is_preset_itself
+from jax2d.fidelity.frontier import Point, accepted, bounded, pareto_set, points_of, setting_key, slope
 from jax2d.fidelity.peers import PEER_NAMES
+from jax2d.fidelity.records import Record, is_preset_itself
 
 COLOURS = {
     "standard": "#1f77b4",
@@ -56,11 +56,11 @@ def _mean_panel(panel: Any, records: Sequence[Record], title: str) -> None:
                 panel.plot(
                     [p.cost for p in these], [p.error for p in these], mark, color=colour, label=label, alpha=0.8
                 )
-    kept = [points[i] for i in pareto_set([(p.cost, p.error) for p in points])]
-    steepness = slope([p.cost for p in kept], [p.error for p in kept])
+    front = [points[i] for i in pareto_set([(p.cost, p.error) for p in points])]
+    steepness = slope([p.cost for p in front], [p.error for p in front])
     panel.plot(
-        [p.cost for p in kept],
-        [p.error for p in kept],
+        [p.cost for p in front],
+        [p.error for p in front],
         "-",
         color="black",
         linewidth=1,
@@ -72,7 +72,7 @@ def _mean_panel(panel: Any, records: Sequence[Record], title: str) -> None:
         named |= set([point[:4] for point in points if point.preset == peer][:1])
     dearest = max(point.cost for point in points)
     for point in points:
-        if point[:4] in named or point in kept:
+        if point[:4] in named or point in front:
             _name(panel, point, in_full=point[:4] in named, to_the_left=point.cost > dearest / 3)
     panel.set(xscale="log", yscale="log", title=title)
     panel.set_xlabel("microseconds per simulated world-second (geometric mean over scenes)")
@@ -104,8 +104,8 @@ def _scene_panel(panel: Any, scene: str, records: Sequence[Record]) -> None:
         face = colour if accepted(record) else "none"  # hollow: not accepted
         panel.plot(cost, error, mark, color=colour, markerfacecolor=face, markersize=size, alpha=0.7)
     trusted = [spot for record, spot in zip(records, spots) if accepted(record)]
-    if kept := [trusted[i] for i in pareto_set(trusted)]:
-        panel.plot(*zip(*kept), "-", color="black", linewidth=0.8, zorder=0)
+    if front := [trusted[i] for i in pareto_set(trusted)]:
+        panel.plot(*zip(*front), "-", color="black", linewidth=0.8, zorder=0)
     panel.set(xscale="log", yscale="log")
     panel.set_title(scene, fontsize=9)
     panel.set_ylabel(records[0]["metric"].split(" (")[0].split(" / ")[0][:34], fontsize=6)

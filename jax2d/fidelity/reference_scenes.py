@@ -139,7 +139,7 @@ def tumbling_box(b: SceneBuilder) -> None:
 
 @reference_scene("box_into_stack", seconds=0.7, length=1.0)
 def box_into_stack(b: SceneBuilder) -> None:
-    """Without friction, as in `circles_poured`."""
+    """A stack hit by a box, without friction, as in `circles_poured`."""
     mu, height = 0.0, 0.4
     b.add_box(width=20, height=1, position=(0, -0.5), fixed=True, friction=mu)
     for i, width in enumerate((0.6, 0.5, 0.4)):  # no corner above a corner
@@ -234,8 +234,8 @@ def ragdoll_swing(b: SceneBuilder) -> None:
 
 @reference_scene("ragdoll_slope", seconds=0.8, length=1.0)
 def ragdoll_slope(b: SceneBuilder) -> None:
-    """It falls on a slope of 0.35 rad, limbs at their limits. The least certain of all: what an impact of several
-    bodies with friction leaves depends on where in a step it falls, however short the step."""
+    """A ragdoll falls on a slope of 0.35 rad, limbs at their limits. The least certain of all: what an impact of
+    several bodies with friction leaves depends on where in a step it falls, however short the step."""
     _ragdoll(b, limits=True, friction=0.5)
     slope = 0.35
     normal = np.array([math.sin(slope), math.cos(slope)])

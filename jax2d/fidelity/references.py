@@ -92,7 +92,7 @@ def error_against(scene: ReferenceScene, world: BuiltWorld, truth: np.ndarray) -
 
 
 def samples_of(scene: ReferenceScene) -> np.ndarray:
-    """Which tenths of a second are compared."""
+    """Indices of the tenths of a second that are compared."""
     return np.arange(
         max(1, round(scene.compared_from * SAMPLES_PER_SECOND)), round(scene.seconds * SAMPLES_PER_SECOND) + 1
     )
@@ -104,8 +104,8 @@ def movable(world: BuiltWorld) -> np.ndarray:
 
 
 def signature(scene: ReferenceScene) -> dict[str, float]:
-    """A number for each thing that shapes the trajectory, which changes with any part of it. Fields of a scene that are
-    as in an empty one are left out, so that solutions outlive fields that are new or in another order."""
+    """Returns a number for each array that shapes the trajectory, which changes with any part of it. Fields of a scene
+    that are as in an empty one are left out, so that solutions outlive fields that are new or in another order."""
     capacity = snug(scene)
     world = scene.world(capacity)
     unused = as_dict(empty(Scene, capacity.sizes))
@@ -121,7 +121,7 @@ def signature(scene: ReferenceScene) -> dict[str, float]:
 
 
 def _agree(stored: Any, now: dict[str, float]) -> bool:
-    """Whether two signatures are of the same scene, whose arrays are float32."""
+    """Returns True if two signatures are of the same scene, whose arrays are float32."""
     if not isinstance(stored, dict) or set(stored) != set(now):
         return False
     return all(np.isclose(stored[name], value, rtol=1e-4, atol=1e-5) for name, value in now.items())
@@ -131,7 +131,7 @@ def _agree(stored: Any, now: dict[str, float]) -> bool:
 
 
 def snug(scene: ReferenceScene) -> Capacity:
-    """No room to spare: the reference backend pays for every slot, in use or not."""
+    """Smallest capacity of a scene: the reference backend pays for every slot, in use or not."""
     used = scene.world().scene
     shapes = np.asarray(used.shapes.active)
     return Capacity(
@@ -143,7 +143,7 @@ def snug(scene: ReferenceScene) -> Capacity:
 
 
 def solve(scene: ReferenceScene, *, divisions: Sequence[int], seconds: float | None = None) -> list[np.ndarray]:
-    """For each number of steps in 1/60 s (a multiple of 16) the positions [samples, movable, 2] m, float64."""
+    """Solutions for each number of steps in 1/60 s (a multiple of 16): positions [samples, movable, 2] m, float64."""
     capacity = snug(scene)
     world = scene.world(capacity)
     simulator = Simulator(capacity=capacity, backend="xla", dtype="float64")

@@ -11,19 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from jax2d.fidelity.closed_forms import CLOSED_FORMS
-from jax2d.fidelity.frontier import (
-    Point,
-    Record,
-    accepted,
-    bounded,
-    pareto_set,
-    points_of,
-    scenes_of_means,
-    setting_key,
-    slope,
-)
-from jax2d.fidelity.labels import is_preset_itself, setting_label
+from jax2d.fidelity.frontier import Point, accepted, bounded, pareto_set, points_of, scenes_of_means, setting_key, slope
 from jax2d.fidelity.peers import PEER_NAMES
+from jax2d.fidelity.records import Record, is_preset_itself, setting_label
 from jax2d.fidelity.sweep import RATES
 from jax2d.settings import preset
 
@@ -91,8 +81,8 @@ def print_report(records: Sequence[Record], console: Console) -> None:
     console.print(_point_table(records))
     points = points_of(records)
     ours = [point for point in points if point.preset not in PEER_NAMES]
-    kept = [ours[i] for i in pareto_set([(point.cost, point.error) for point in ours])]
-    steepness = slope([point.cost for point in kept], [point.error for point in kept])
+    front = [ours[i] for i in pareto_set([(point.cost, point.error) for point in ours])]
+    steepness = slope([point.cost for point in front], [point.error for point in front])
     if math.isfinite(steepness):
         console.print(
             f"Pareto set of our settings: slope {steepness:.2f}; twice the time leaves {2**steepness:.2f} of the error"
@@ -136,7 +126,7 @@ def _point_table(records: Sequence[Record]) -> Table:
     kinds = {"all": scenes, "closed forms": closed, "references": [scene for scene in scenes if scene not in closed]}
     points = {kind: {point[:4]: point for point in points_of(records, chosen)} for kind, chosen in kinds.items()}
     by_cost = sorted(points["all"].values(), key=lambda point: point.cost)
-    kept = {by_cost[i][:4] for i in pareto_set([(point.cost, point.error) for point in by_cost])}
+    front = {by_cost[i][:4] for i in pareto_set([(point.cost, point.error) for point in by_cost])}
     # Without a mean over all: those finer than some reference solution can tell.
     by_cost += [point for key, point in points["closed forms"].items() if key not in points["all"]]
     table = Table(title="geometric means over scenes; * nothing is both faster and more accurate")
@@ -147,7 +137,7 @@ def _point_table(records: Sequence[Record]) -> Table:
     for point in by_cost:
         errors = [_error(points[kind].get(point[:4])) for kind in kinds]
         where = f"{point.backend} {point.dtype}"
-        mark = "*" if point[:4] in kept else ""
+        mark = "*" if point[:4] in front else ""
         table.add_row(mark, point.preset, where, point.setting, f"{point.cost:.1f}", *errors)
     return table
 

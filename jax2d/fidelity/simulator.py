@@ -29,7 +29,7 @@ from jax2d.sampling import Run, Sampling, take_samples
 from jax2d.scene import Capacity, Controls, stack_worlds
 from jax2d.settings import Settings
 
-STEPS_PER_CALL = 4  # a compromise between calls and the grain at which states to time are kept
+STEPS_PER_CALL = 4  # a compromise between calls and the grain at which states to time are stored
 TIMING_STATES = 32  # states of a trajectory that a timed batch holds
 
 
@@ -44,7 +44,7 @@ class Scenario:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TimingBatch:
-    """What it takes to time a trajectory: one world at many times of it. Host arrays."""
+    """Input for timing a trajectory: one world at many times of it. Host arrays."""
 
     scene: Any  # packed, [rows, 1]
     states: Any  # packed, [rows, TIMING_STATES]; a trajectory of few steps has some of them several times
@@ -70,19 +70,19 @@ class Simulator:
             return Engine(self.capacity, settings=settings, backend=self.backend, dtype=self.dtype)
 
     def run(self, scenarios: Sequence[Scenario], settings: Settings) -> list[Simulated]:
-        """All scenarios in one batch; each trajectory ends after its own seconds."""
+        """Runs all scenarios in one batch; each trajectory ends after its own seconds."""
         num_steps = [round(scenario.seconds / settings.dt) for scenario in scenarios]
         num_calls = -(-max(num_steps) // STEPS_PER_CALL)
         wanted = [_timing_calls(steps) for steps in num_steps]
         engine = self.engine(settings)
         with self._precision():
             run = _run_of(engine, scenarios)
-            kept = {0: jax.device_get(run.state)}
+            stored = {0: jax.device_get(run.state)}
 
             def keep(taken: int, packed: Any) -> None:
                 call = taken // STEPS_PER_CALL
                 if any(call in calls for calls in wanted):
-                    kept[call] = jax.device_get(packed)
+                    stored[call] = jax.device_get(packed)
 
             sampling = Sampling(num_samples=num_calls * STEPS_PER_CALL, per_call=STEPS_PER_CALL, joint_impulse=True)
             samples, _ = take_samples(VariantEngine.of(engine, self.backend), run, sampling, keep)
@@ -94,7 +94,7 @@ class Simulator:
             one = functools.partial(jax.tree.map, lambda x, i=i: x[..., i : i + 1])
             timing = TimingBatch(
                 scene=one(scene),
-                states=jax.tree.map(lambda *xs: np.concatenate(xs, -1), *[one(kept[call]) for call in wanted[i]]),
+                states=jax.tree.map(lambda *xs: np.concatenate(xs, -1), *[one(stored[call]) for call in wanted[i]]),
                 controls=jax.tree.map(lambda x, i=i: x[i], controls),
             )
             results.append(Simulated(batch.world(i).until(scenario.seconds), timing))
@@ -113,7 +113,7 @@ class Simulator:
     def microseconds_per_world_second(
         self, timing: TimingBatch, settings: Settings, *, worlds: int, steps: int = 32
     ) -> float:
-        """Of one timed run, after those that compile. It starts from a batch in which the trajectory stands at many
+        """Time of one run, after those that compile. It starts from a batch in which the trajectory stands at many
         different times: contacts and flights are timed in the share in which they occur."""
         engine = VariantEngine.of(self.engine(settings), self.backend)
         with self._precision():
@@ -137,7 +137,7 @@ def _run_of(engine: Engine, scenarios: Sequence[Scenario]) -> Run:
 
 
 def _timing_calls(num_steps: int) -> list[int]:
-    """Calls before which states are kept for timing: spread over a trajectory, its start included."""
+    """Calls before which states are stored for timing: spread over a trajectory, its start included."""
     return np.linspace(0, max(0, num_steps // STEPS_PER_CALL - 1), TIMING_STATES).round().astype(int).tolist()
 
 

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jax2d.fidelity.frontier import NOT_ACCEPTED, Record
+from jax2d.fidelity.frontier import NOT_ACCEPTED
 from jax2d.fidelity.interleaved_timing import FAILURES, TimedRun, one_line, time_interleaved
-from jax2d.fidelity.labels import setting_label
 from jax2d.fidelity.peers import PEERS, PeerFailed, PeerMissing, run_peer
+from jax2d.fidelity.records import Record, setting_label
 from jax2d.fidelity.references import TRUST
 from jax2d.fidelity.simulator import Scenario, Simulator
 from jax2d.fidelity.study_scene import Error, StudyScene
@@ -32,7 +32,7 @@ XLA_WORLDS_SHARE = 1 / 16  # plain JAX costs about as much a world with fewer wo
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """How costs are measured."""
+    """Measurement of costs: repeats, batch, steps."""
 
     worlds: int
     steps: int  # of one timed run
@@ -65,7 +65,7 @@ def run_study(
     report: Callable[[str], None],
     keep: Callable[[list[Record]], None],
 ) -> tuple[list[Record], list[str]]:
-    """All records, and one line for each thing that failed and has none. What cannot run here at all (a preset that a
+    """Returns all records, and one line for each failure that has none. What cannot run here at all (a preset that a
     backend does not know, a peer that is not installed) is reported and is no failure. `keep` gets the records after
     every timed round, with the costs so far, so that a study that is cut short leaves something."""
     groups = _groups(scenes)

@@ -1,11 +1,11 @@
-"""Which settings the study runs: the presets, and sweeps of dt, of sub-steps or iterations and of warm starting."""
+"""Settings that the study runs: the presets, and sweeps of dt, of sub-steps or iterations and of warm starting."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
 
-from jax2d.fidelity.labels import setting_label
+from jax2d.fidelity.records import setting_label
 from jax2d.settings import Settings, fastest_spin, preset
 
 RATES = (30, 60, 120, 240, 480)  # 1/dt

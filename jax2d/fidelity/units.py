@@ -1,4 +1,4 @@
-"""What the units of a scene mean under the default settings, and friction in plain units."""
+"""Units of a scene under the default settings, and friction in plain units."""
 
 from __future__ import annotations
 

@@ -27,6 +27,7 @@ from jax2d.effects import Effects
 from jax2d.fields import Array, Field, fields_of, num_elements
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, only_what_acts, pack_bits
 from jax2d.settings import Settings
+from jax2d.softened_joints import is_softened
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import (
@@ -43,7 +44,6 @@ from jax2d.warp.layout import (
 from jax2d.warp.source import PARAMETERS
 from jax2d.warp.startup import start
 from jax2d.warp.variant import CompileOptions, KernelVariant
-from jax2d.yielding_joints import yields
 
 # The kernel's tables of the state, which come after four others.
 STATE_ARGUMENT = 4
@@ -111,7 +111,7 @@ def _worlds_first(rows: Array, *shape: int) -> jax.Array:
 def _scene_tables(scene: Scene) -> SceneTables:
     scene = only_what_acts(scene)
     words = {part: _packed_word(scene, word) for part, word in packed_words().items()}
-    words["joints"] |= yields(scene).astype(jnp.int32) << word_constants()["JOINTS_YIELDS_SHIFT"]
+    words["joints"] |= is_softened(scene).astype(jnp.int32) << word_constants()["JOINTS_SOFTENED_SHIFT"]
     return SceneTables(
         floats=jnp.concatenate([_worlds_last(field.get(scene), jnp.float32) for field in scene_floats()]),
         ints=jnp.concatenate(
@@ -262,7 +262,7 @@ def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Ca
     def launch(*tables: Array) -> tuple[Array, ...]:
         state = tables[STATE_ARGUMENT:]
         worlds = state[0].shape[1]
-        if worlds == 0:  # the kernel cannot be launched for nobody
+        if worlds == 0:  # the kernel cannot be launched for 0 worlds
             return *state, jnp.zeros((out_rows, 0), jnp.int32)
         shapes = dict(zip(STATE_TABLES, (table.shape for table in state))) | {"out_table": (out_rows, worlds)}
         with _TRACING:
@@ -321,7 +321,7 @@ class Launch:
     num_worlds: int
 
     def register(self) -> None:
-        """What tracing it would do: the kernel is loaded, and known by its name and with this launch."""
+        """Does what tracing would: loads the kernel, and registers its name and this launch."""
         start()
         call, c = _jax_call(self.variant), self.variant.capacity
         assert call.name == self.target, f"a program calls {self.target}, which is {call.name} here"
@@ -348,7 +348,7 @@ def targets() -> list[str]:
 
 
 def launches_of(program: str) -> list[Launch]:
-    """Those in a program that this process lowered, given as text (MLIR), each once."""
+    """Launches in a program that this process lowered, given as text (MLIR), each once."""
     variants = dict(_VARIANTS)  # another thread may add one
     found = {(name, int(number)) for name, number in _IN_PROGRAM.findall(program) if name in variants}
     called = {name for name in variants if f"custom_call @{name}(" in program}

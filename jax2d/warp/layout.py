@@ -1,4 +1,4 @@
-"""Where each quantity stands in the kernel's tables, from the declarations of Scene, State and Controls.
+"""Rows of each quantity in the kernel's tables, from the declarations of Scene, State and Controls.
 
 Scene, State and the rest are pytrees of small arrays; the kernel reads and writes tables of `[field, world]`, so that
 neighbouring threads touch neighbouring addresses. `Layout` gives each quantity's first row; source.py turns the same
@@ -6,9 +6,9 @@ numbers into C++ constants. A field of `Scene.joints.anchor_a` stands at SCENE_J
 
     SCENE    floats of the scene
     INTS     bools over shapes as bit sets; whole numbers of polygons; a packed word for each joint and thruster
-    STATE    floats of bodies               IMPULSE  floats kept for warm starting         KEYS  of contacts
+    STATE    floats of bodies               IMPULSE  floats for warm starting         KEYS  of contacts
     CONTROLS floats of controls
-    OUT      what a call reports
+    OUT      report of a call
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ REPORT_ROWS = (
     ("CONTACT_IMPULSE", 2),
 )
 WORD_BITS = 31  # of an int32 that stays positive
-DERIVED_BITS = {"joints": ("yields",)}  # of packed words, above those of fields: what follows from the scene
+DERIVED_BITS = {"joints": ("softened",)}  # of packed words, above those of fields: what follows from the scene
 
 
 def scene_floats() -> list[Field]:

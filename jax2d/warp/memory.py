@@ -1,4 +1,4 @@
-"""What a world takes of memory: its tables, and on a GPU the local memory of the thread that steps it."""
+"""Memory of a world: its tables, and on a GPU the local memory of the thread that steps it."""
 
 from __future__ import annotations
 

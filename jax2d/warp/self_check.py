@@ -1,4 +1,4 @@
-"""Whether Warp works on this machine at all: one small kernel compiled for each kind of device and run.
+"""Check of Warp on this machine: one small kernel compiled for each kind of device and run.
 
 Run as a program (`python jax2d/warp/self_check.py`) it prints its findings as JSON. `kinetix-dist doctor` does
 that in a process of its own, because a broken compiler may take the process with it. Imports nothing but Warp.

@@ -51,7 +51,7 @@ def _read(name: str) -> str:
 
 
 def constants(variant: KernelVariant) -> dict[str, int]:
-    """Everything that is compiled in."""
+    """Constants of a kernel by name."""
     capacity, effects = variant.capacity, variant.effects
     polygons, circles = effects.polygon_slots, effects.circle_slots
     if polygons + circles == 0:  # arrays need a length: a shape that is never active
@@ -84,7 +84,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "SWEEP": int(sweep),
         "SWEEP_SHAPES": polygons + circles if sweep else 1,
         "SOFT_STEP": int(variant.is_soft),
-        "SHARES_BLOWS": int(variant.shares_blows),
+        "SHARES_IMPACTS": int(variant.shares_impacts),
         "FRICTION_ROOT_SUM_SQUARE": int(variant.friction_mixing == "root_sum_square"),
     }
     values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}

@@ -1,4 +1,4 @@
-"""Start of Warp in a process: where its compiled kernels are kept, and what it says."""
+"""Start of Warp in a process: the folder of its compiled kernels, and its messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _READ_BYTES = 1 << 20
 
 @functools.cache
 def start() -> None:
-    """Initialises Warp, without its line about a missing GPU: whoever asks for one hears of that from JAX.
+    """Initialises Warp, without its line about a missing GPU: JAX reports that itself.
 
     A process without a home directory keeps kernels in a temporary directory of its own: Warp would make one that is
     called `~`.
@@ -35,7 +35,7 @@ def without_line_about_no_driver() -> Generator[None]:
     """Passes on whatever is written to descriptor 2 inside, at the end, but for the line about a missing driver."""
     try:
         stderr = os.dup(2)
-    except OSError:  # it is closed: nobody reads that line
+    except OSError:  # it is closed: that line has no reader
         yield
         return
     if sys.stderr is not None:

@@ -1,4 +1,4 @@
-"""What a kernel is compiled for and how: everything that is not a run-time number."""
+"""Variants of the kernel: all choices that are compiled in."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ SHARED_RECORD, MIN_SHARING_WORLDS = 8, 65536
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CompileOptions:
-    """How a kernel is compiled and launched. They change its speed, and no result but for `fast_math` and `fuse_fp`."""
+    """Options of compiling and launching a kernel. They change its speed, and no result but for `fast_math` and
+    `fuse_fp`."""
 
     block_dim: int = 64  # threads a block on a GPU, one a world
     shared_bytes: int = 20480  # of shared memory for a block: with more, fewer blocks run at a time
@@ -30,8 +31,8 @@ class CompileOptions:
 
     @property
     def module_options(self) -> dict[str, Any]:
-        """Of a Warp module. Loops over compile-time constants would be unrolled 86 s deep; gradients are the reference
-        backend's job."""
+        """Options of a Warp module. Loops over compile-time constants would be unrolled 86 s deep; gradients are the
+        reference backend's job."""
         return {
             "max_unroll": 0,
             "enable_backward": False,
@@ -41,7 +42,7 @@ class CompileOptions:
 
     @property
     def kernel_options(self) -> dict[str, Any]:
-        """Of a Warp kernel."""
+        """Options of a Warp kernel."""
         options: dict[str, Any] = {}
         if self.max_registers is not None:
             options["cuda_max_registers"] = self.max_registers
@@ -60,7 +61,7 @@ class KernelVariant:
     effects: Effects
     solver: Solver
     friction_mixing: str
-    shares_blows: bool = False  # passes are repeated until a blow is shared out
+    shares_impacts: bool = False  # passes are repeated until an impact is shared out
     report_contacts: bool = False  # of the last step of a call
     shared_record: int = 0  # numbers of a body in a GPU's shared memory
     options: CompileOptions = CompileOptions()
@@ -80,7 +81,7 @@ class KernelVariant:
             effects=effects,
             solver=settings.solver,
             friction_mixing=settings.friction_mixing,
-            shares_blows=settings.solver == "soft_step" and settings.blow_passes > 0,
+            shares_impacts=settings.solver == "soft_step" and settings.impact_passes > 0,
             report_contacts=report_contacts,
             shared_record=(options.shared_record or 0) if options is not None else 0,
             options=options if options is not None else CompileOptions(),
@@ -100,7 +101,7 @@ class KernelVariant:
 
 
 def shared_record(shapes: int, worlds: int, options: CompileOptions | None = None) -> int:
-    """How many numbers of a body a kernel for so many shapes keeps in a GPU's shared memory."""
+    """Number of floats of a body that a kernel for so many shapes holds in a GPU's shared memory."""
     options = options if options is not None else CompileOptions()
     fits = 4 * SHARED_RECORD * shapes * options.block_dim <= options.shared_bytes
     return SHARED_RECORD if fits and worlds >= MIN_SHARING_WORLDS else 0

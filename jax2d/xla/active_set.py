@@ -1,5 +1,5 @@
-"""Bodies that a blow has moved. Passes over joints and contacts are repeated for what holds or touches them until none
-of these changes any more: a blow is shared out by all that it reaches, and costs nothing elsewhere."""
+"""Bodies that an impact has moved. Passes over joints and contacts are repeated for what holds or touches them until
+none of these changes any more: an impact is shared out by all that it reaches, and costs nothing elsewhere."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def counts_turns(joints: Joints, num_shapes: int) -> jax.Array:
 
 
 def wanted(angle: jax.Array, joints: Joints) -> jax.Array:
-    """Of joint angles [J] known up to full turns those nearest to where the joints want them."""
+    """Joint angles [J], known up to full turns, at their values nearest to where the joints want them."""
     is_bounded = joints.has_limits & joints.is_kind(JointKind.REVOLUTE)
     middle = jnp.where(is_bounded, 0.5 * (joints.lower_limit + joints.upper_limit), 0)
     return jnp.where(has_wide_limits(joints), angle, near(angle, middle))

@@ -18,7 +18,7 @@ from jax2d.xla import angles, vec2
 
 
 class Velocities(NamedTuple):
-    """What impulses change."""
+    """Velocities of all bodies, which impulses change."""
 
     velocity: jax.Array  # [n, 2] m/s
     omega: jax.Array  # [n] rad/s
@@ -32,7 +32,7 @@ class Bodies(NamedTuple):
     turn: jax.Array  # [n] rad, turned since the start of the step
     inverse_mass: jax.Array  # [n] 1/kg
     inverse_inertia: jax.Array  # [n] 1/(kg m^2)
-    is_kinematic: jax.Array  # [n] bool, moves as it was told
+    is_kinematic: jax.Array  # [n] bool, moves at its own velocity whatever touches it
     limited: jax.Array  # [] int32, times a speed limit acted
     slowed: jax.Array  # [n] bool, one has acted on it in this step
     wraps: jax.Array  # [n] bool, angles that stay within half a turn
@@ -120,8 +120,8 @@ def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies
 
 
 def is_slowed(bodies: Bodies, pair: Pair) -> jax.Array:
-    """[...] bool, a speed limit has acted on one of the two in this step. What it has taken back of what joints asked
-    for, they would ask for again and again: impulses that grow without end."""
+    """[...] bool, a speed limit has acted on one of the two in this step. Joints would request again
+    and again what it has taken back: impulses that grow without end."""
     return jnp.any((pair.is_a | pair.is_b) & bodies.slowed, axis=-1)
 
 

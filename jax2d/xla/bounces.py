@@ -2,9 +2,9 @@
 has a part in that.
 
 Once the sub-steps are solved, rounds of passes over joints and contacts go on until every bounce has its speed. They
-change velocities only: impulses remembered for the next step are those of before, since a bounce does not last. Bounces
-give a world no more energy than the step began with, and motors, thrusters and moving surfaces have added since.
-"""
+change velocities only: impulses for warm-starting the next step are those of before, since a bounce does not last.
+Bounces give a world no more energy than the step began with, and motors, thrusters and moving surfaces have added
+since."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class Round(NamedTuple):
     bodies: Bodies
     joints: Joints
     contacts: Contacts
-    leaving: BounceTargets
+    targets: BounceTargets
     converged: jax.Array  # [] bool, everything leaves with its speed, as far as any push can make it
     friction_applied: jax.Array  # [] bool, friction has acted
     done: jax.Array  # [] bool
 
 
 class EnergyLimit(NamedTuple):
-    """What bounces must not exceed."""
+    """Energy that bounces must not exceed."""
 
     max_energy: jax.Array  # [] J, see `energy`
     carried: jax.Array  # [] J, what moving surfaces and kinematic bodies have done
@@ -60,13 +60,13 @@ def bounce(
     bodies: Bodies,
     joints: Joints,
     contacts: Contacts,
-    leaving_speed: jax.Array,
+    rebound_target: jax.Array,
     energy_limit: EnergyLimit,
     params: SolverNumbers,
     rules: Rules,
 ) -> tuple[Bodies, jax.Array | None]:
     """Bodies after the bounces of one world, and, where contacts are reported, what contacts gave them by that, [K, 2]
-    N s; `leaving_speed` [K] m/s is zero where a contact does not bounce."""
+    N s; `rebound_target` [K] m/s is zero where a contact does not bounce."""
 
     everything = ActiveSet.everything(bodies)
 
@@ -78,25 +78,25 @@ def bounce(
                     bodies, joints, params, everything, use_bias=False, motors=False
                 )
             with_friction = ~now.friction_applied & (now.converged | (index == rules.bounce_rounds - 1))
-            bodies, contacts, leaving, converged = solve_bounces(
-                bodies, contacts, now.leaving, index == 0, with_friction, params
+            bodies, contacts, targets, converged = solve_bounces(
+                bodies, contacts, now.targets, index == 0, with_friction, params
             )
             after = Round(
                 bodies,
                 joints,
                 contacts,
-                leaving,
+                targets,
                 converged,
                 now.friction_applied | with_friction,
                 now.friction_applied & converged,
             )
             return choose(now.done, now, after), None
 
-        leaving = BounceTargets(
-            leaving_speed, rows_now(bodies, contacts, -0.5 * params.h).mass_normal, contacts.approach
+        targets = BounceTargets(
+            rebound_target, rows_now(bodies, contacts, -0.5 * params.h).mass_normal, contacts.approach
         )
-        no, none_bounces = jnp.array(False), ~jnp.any(leaving_speed > 0)
-        start = Round(bodies, joints, contacts, leaving, converged=no, friction_applied=no, done=none_bounces)
+        no, none_bounces = jnp.array(False), ~jnp.any(rebound_target > 0)
+        start = Round(bodies, joints, contacts, targets, converged=no, friction_applied=no, done=none_bounces)
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
         carried = carried_work(end.bodies, end.joints, end.contacts, params.h)
         by_bounces = energy_limit._replace(carried=carried - energy_limit.carried)
@@ -108,9 +108,9 @@ def bounce(
         return velocities, share * jnp.stack([normal, tangent], -1)
 
     # Worlds are stepped together, and mostly nothing bounces in any of them.
-    none = jnp.zeros((*leaving_speed.shape, 2), leaving_speed.dtype) if rules.report_contacts else None
+    none = jnp.zeros((*rebound_target.shape, 2), rebound_target.dtype) if rules.report_contacts else None
     velocities, impulses = jax.lax.cond(
-        in_any_world(jnp.any(leaving_speed > 0)), rounds, lambda: (bodies.velocities, none)
+        in_any_world(jnp.any(rebound_target > 0)), rounds, lambda: (bodies.velocities, none)
     )
     return bodies._replace(velocities=velocities), impulses
 
@@ -131,9 +131,10 @@ def carried_work(bodies: Bodies, joints: Joints, contacts: Contacts, h: Scalar) 
 
 
 def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -> tuple[Velocities, jax.Array]:
-    """Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more than
-    there is. Then everything gets the same share of its change of velocity, returned too: joints and contacts stay
-    solved. What moving surfaces have done to what bounced is theirs to give."""
+    """Scales changes of velocity so that bounces leave no more energy than there is. Where several bodies, joints or
+    friction share in an impact, restitution contact by contact may request more. Then everything gets the same share of
+    its change of velocity, returned too: joints and contacts stay solved. What moving surfaces have done to what
+    bounced is theirs to give."""
     max_energy, carried, gravity = energy_limit
     mass, inertia = vec2.inverse_or_zero(before.inverse_mass), vec2.inverse_or_zero(before.inverse_inertia)
     change = jax.tree.map(jnp.subtract, after.velocities, before.velocities)
@@ -162,16 +163,16 @@ class BounceTargets(NamedTuple):
 def solve_bounces(
     bodies: Bodies,
     contacts: Contacts,
-    leaving: BounceTargets,
+    targets: BounceTargets,
     is_first: jax.Array,
     with_friction: jax.Array,
     params: SolverNumbers,
 ) -> tuple[Bodies, Contacts, BounceTargets, jax.Array]:
-    """A relax pass in which what bounces leaves with its speed, with friction where asked. Also whether all of it
+    """A relax pass in which what bounces leaves with its speed, with friction where requested. Also whether all of it
     already left, as far as any push can make it."""
     separation = current_separation(bodies, contacts)
     # Where an impact went through, nothing is left to be closed.
-    apart = jnp.where(contacts.of_disc & contacts.is_blow, 0, jnp.maximum(separation, 0) / params.h)
+    apart = jnp.where(contacts.of_disc & contacts.is_impact, 0, jnp.maximum(separation, 0) / params.h)
 
     def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
         c, bounce, apart, skips = row
@@ -193,13 +194,13 @@ def solve_bounces(
         after = BounceTargets(bounce.speed, mass, vn)
         return scatter_velocities(velocities, c.pair, before, of), (*totals, after, has_converged | ~bounces)
 
-    velocities, (normal, tangent, rolling, leaving, converged) = jax.lax.scan(
+    velocities, (normal, tangent, rolling, targets, converged) = jax.lax.scan(
         solve,
         bodies.velocities,
-        (rows_now(bodies, contacts, -0.5 * params.h), leaving, apart, skips_bounces(contacts, separation)),
+        (rows_now(bodies, contacts, -0.5 * params.h), targets, apart, skips_bounces(contacts, separation)),
     )
     contacts = with_impulses(contacts._replace(rolling_impulse=rolling), normal, tangent)
-    return bodies._replace(velocities=velocities), contacts, leaving, jnp.all(converged)
+    return bodies._replace(velocities=velocities), contacts, targets, jnp.all(converged)
 
 
 def update_secant_mass(
@@ -209,17 +210,17 @@ def update_secant_mass(
 
     What the last push gave a bounce, joints and other contacts have shared out since. The next one pushes as if the
     contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone."""
-    asked = bounce.speed - bounce.before
-    kept = (vn - bounce.before) / jnp.where(asked == 0, 1, asked)
+    requested = bounce.speed - bounce.before
+    gained = (vn - bounce.before) / jnp.where(requested == 0, 1, requested)
     has_converged = (jnp.abs(vn - bounce.speed) <= C.bounce_tolerance * bounce.speed) | (
-        (asked != 0) & (jnp.abs(kept) < C.min_kept_share)
+        (requested != 0) & (jnp.abs(gained) < C.min_gained_share)
     )
-    is_seen = (asked != 0) & (kept > 0) & (kept < C.max_secant_share)
-    mass = jnp.where(is_seen, bounce.mass / jnp.clip(kept, C.min_secant_share, C.max_secant_share), c.mass_normal)
+    is_seen = (requested != 0) & (gained > 0) & (gained < C.max_secant_share)
+    mass = jnp.where(is_seen, bounce.mass / jnp.clip(gained, C.min_secant_share, C.max_secant_share), c.mass_normal)
     return jnp.where(is_first | has_converged, bounce.mass, mass), has_converged & ~is_first
 
 
-def leaving_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, params: SolverNumbers) -> jax.Array:
+def rebound_speed(bodies: Bodies, contacts: Contacts, gravity: jax.Array, params: SolverNumbers) -> jax.Array:
     """Speed with which what hit in this step must leave, [K] m/s; 0 where nothing bounces."""
     bounces = hits(contacts.restitution, contacts.approach, params) & (contacts.max_impulse != 0)
     return jnp.where(bounces, contacts.restitution * impact_speed(bodies, contacts, gravity, params.h), 0)

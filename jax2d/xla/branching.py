@@ -9,13 +9,14 @@ import jax.numpy as jnp
 
 
 def choose(condition: jax.Array, this: Any, other: Any) -> Any:
-    """Of two trees of the same structure, `this` where the condition holds; it broadcasts against every leaf."""
+    """Selects `this` where the condition holds, else `other`: two trees of one structure. The condition broadcasts
+    against every leaf."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), this, other)
 
 
 @jax.custom_batching.custom_vmap
 def in_any_world(condition: jax.Array) -> jax.Array:
-    """Whether the condition [] holds in any of the worlds that are mapped over: one value for all of them."""
+    """Returns True if the condition [] holds in any of the worlds that are mapped over: one value for all of them."""
     return condition
 
 

@@ -25,17 +25,17 @@ from jax2d.xla.bodies import (
     scatter_velocities,
 )
 from jax2d.xla.branching import choose, in_any_world
-from jax2d.xla.contacts import Contacts, forget
+from jax2d.xla.contacts import Contacts, reset_impulses
 
 
 def warm_start(bodies: Bodies, contacts: Contacts) -> tuple[Bodies, Contacts]:
-    """Applies the remembered impulses. A blow does not last."""
-    contacts = forget(contacts, contacts.is_blow)
+    """Applies the impulses of the step before. That of an impact is reset: it does not last."""
+    contacts = reset_impulses(contacts, contacts.is_impact)
     return apply_impulses(bodies, contacts), contacts
 
 
 def apply_impulses(bodies: Bodies, contacts: Contacts) -> Bodies:
-    """All that they exert, where the bodies are now, at once: they do not depend on one another."""
+    """Applies all impulses of contacts at once, where the bodies are now: they do not depend on one another."""
     impulse = (
         contacts.normal * contacts.impulse_normal[:, None]
         + vec2.right(contacts.normal) * contacts.impulse_tangent[:, None]
@@ -48,14 +48,14 @@ def apply_impulses(bodies: Bodies, contacts: Contacts) -> Bodies:
 
 
 def moved_apart(bodies: Bodies, contacts: Contacts) -> jax.Array:
-    """How b has moved against a since the contact was found, [K, 2] m."""
+    """Movement of b against a since the contact was found, [K, 2] m."""
     return pick(contacts.pair.is_b, bodies.delta) - pick(contacts.pair.is_a, bodies.delta)
 
 
 def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
-    """Where impulses act, [K, 2] m from both centres. Where both bodies can move it is one point, wherever they have
-    gone since: an impulse at two points would change what both have of angular momentum. What is fixed takes any, so
-    that the other's own surface is the point."""
+    """Arms from both centres to where impulses act, [K, 2] m each. Where both bodies can move it is one point, wherever
+    they have gone since: an impulse at two points would change what both have of angular momentum. What is fixed takes
+    any, so that the other's own surface is the point."""
     apart = contacts.gap + moved_apart(bodies, contacts)
     apart = jnp.where(contacts.against_fixed[:, None], 0, apart)
     share = contacts.follows_b[:, None]
@@ -100,7 +100,7 @@ def current_separation(bodies: Bodies, contacts: Contacts) -> jax.Array:
 
 
 def turned_arms(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
-    """What turning has added to the arms of a and b, [K, 2] m. On a face the point of a disc stays below its centre,
+    """Change of the arms of a and b by turning, [K, 2] m. On a face the point of a disc stays below its centre,
     and those of two discs between their centres: turned with one that rolls it would rise, and the disc sink."""
     turn_b = jnp.where(contacts.disc_on_face | contacts.are_discs, 0, pick(contacts.pair.is_b, bodies.turn))
     turn_a = jnp.where(contacts.are_discs, 0, pick(contacts.pair.is_a, bodies.turn))
@@ -108,7 +108,7 @@ def turned_arms(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Arra
 
 
 def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
-    """What a turn adds to an arm. 1 - cos is written so that it keeps its digits for small turns."""
+    """Change of an arm by a turn. 1 - cos is written so that it keeps its digits for small turns."""
     one_minus_cos = 2 * jnp.square(jnp.sin(0.5 * turn))
     return vec2.left(arm) * jnp.sin(turn)[:, None] - arm * one_minus_cos[:, None]
 
@@ -117,7 +117,7 @@ def solve_soft(
     bodies: Bodies, contacts: Contacts, params: SolverNumbers, active: ActiveSet, *, use_bias: bool
 ) -> tuple[Bodies, Contacts, jax.Array]:
     """One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes back the
-    velocity that the push added, and applies friction. Also the bodies [n] whose blows are to be shared out."""
+    velocity that the push added, and applies friction. Also the bodies [n] whose impacts are to be shared out."""
     separation = current_separation(bodies, contacts)
     is_apart = separation > 0
     bias = jnp.where(is_apart, separation / params.h, 0)  # speculative: may close the gap, not more
@@ -132,13 +132,13 @@ def solve_soft(
         impulse_scale = jnp.where(is_apart, impulse_scale, soft.impulse_scale)
     included = active.includes(contacts.pair)
     large = jnp.where(active.again, C.settled_speed, C.shared_speed)
-    contacts = contacts._replace(is_blow=contacts.is_blow | (active.again & included))
+    contacts = contacts._replace(is_impact=contacts.is_impact | (active.again & included))
 
     ahead = 0.5 * params.h if use_bias else -0.5 * params.h  # with bias the sub-step is to come, without it is past
 
-    def solve(carry: tuple[Velocities, Blow], row: tuple) -> tuple[tuple[Velocities, Blow], tuple]:
+    def solve(carry: tuple[Velocities, Impact], row: tuple) -> tuple[tuple[Velocities, Impact], tuple]:
         velocities, first = carry
-        c, bias, mass_scale, impulse_scale, face, is_blow, is_second, included = row
+        c, bias, mass_scale, impulse_scale, face, is_impact, is_second, included = row
         before = pair_velocities(c.pair, velocities)
         wanted = bias + closes_by(before, c, face)
         impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + wanted) - impulse_scale * c.impulse_normal
@@ -146,17 +146,17 @@ def solve_soft(
         tangent_total, rolling_total = c.impulse_tangent, c.rolling_impulse
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
-        own = solve_blow(before, Blow(c, face, bias, jnp.zeros_like(bias)))
-        agreed, first, own = solve_both_points(own[0], first, own[1], is_second & is_blow & included)
-        blow = (agreed, own.contact.impulse_normal, own.contact.impulse_tangent)
-        of, normal_total, tangent_total = choose(is_blow, blow, (of, normal_total, tangent_total))
+        own = solve_impact(before, Impact(c, face, bias, jnp.zeros_like(bias)))
+        agreed, first, own = solve_both_points(own[0], first, own[1], is_second & is_impact & included)
+        impact = (agreed, own.contact.impulse_normal, own.contact.impulse_tangent)
+        of, normal_total, tangent_total = choose(is_impact, impact, (of, normal_total, tangent_total))
         if not use_bias:
             of, rolling_total = solve_rolling(of, c, normal_total)
         totals = (normal_total, tangent_total, rolling_total)
         of, totals = choose(included, (of, totals), (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse)))
         velocities = scatter_velocities(velocities, c.pair, before, of)
         of_first = (first.contact.impulse_normal, first.contact.impulse_tangent)
-        return (velocities, own), (*totals, *of_first, included & is_blow & (own.change > large))
+        return (velocities, own), (*totals, *of_first, included & is_impact & (own.change > large))
 
     rows = rows_now(bodies, contacts, ahead)
     foreseen = use_bias & (~contacts.of_disc | contacts.disc_on_face)
@@ -167,13 +167,13 @@ def solve_soft(
         mass_scale=mass_scale,
         max_spin=jnp.full_like(separation, params.max_angular_speed),
     )
-    none = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Blow(rows, face, bias, bias))
-    xs = (rows, bias, mass_scale, impulse_scale, face, contacts.is_blow, contacts.is_second, included)
+    none = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Impact(rows, face, bias, bias))
+    xs = (rows, bias, mass_scale, impulse_scale, face, contacts.is_impact, contacts.is_second, included)
     (velocities, _), (normal, tangent, rolling, first_normal, first_tangent, changed) = jax.lax.scan(
         solve, (bodies.velocities, none), xs
     )
     # The second of two points has changed the first's as well.
-    both = jnp.roll(contacts.is_second & contacts.is_blow & included, -1)
+    both = jnp.roll(contacts.is_second & contacts.is_impact & included, -1)
     normal = jnp.where(both, jnp.roll(first_normal, -1), normal)
     tangent = jnp.where(both, jnp.roll(first_tangent, -1), tangent)
     contacts = contacts._replace(rolling_impulse=rolling)
@@ -208,7 +208,7 @@ def closes_by(of: PairVelocities, c: Row, face: Face) -> jax.Array:
     return face.mass_scale * jnp.where(speed < -C.resting_speed, speed, 0)
 
 
-class Blow(NamedTuple):
+class Impact(NamedTuple):
     """A contact whose normal impulse and friction are solved together."""
 
     contact: Row
@@ -218,15 +218,15 @@ class Blow(NamedTuple):
 
 
 def solve_both_points(
-    of: PairVelocities, first: Blow, second: Blow, are_both: jax.Array
-) -> tuple[PairVelocities, Blow, Blow]:
-    """Both points of a pair in turn, until they agree; each has been solved once."""
+    of: PairVelocities, first: Impact, second: Impact, are_both: jax.Array
+) -> tuple[PairVelocities, Impact, Impact]:
+    """Solves both points of a pair in turn, until they agree; each has been solved once."""
 
     def one_round(now: tuple, _: None) -> tuple[tuple, None]:
         of, first, second = now
         unsettled = are_both & (jnp.maximum(first.change, second.change) > C.settled_speed)
-        after, first_after = solve_blow(of, first)
-        after, second_after = solve_blow(after, second)
+        after, first_after = solve_impact(of, first)
+        after, second_after = solve_impact(after, second)
         return choose(unsettled, (after, first_after, second_after), now), None
 
     def rounds() -> tuple:
@@ -236,10 +236,10 @@ def solve_both_points(
     return jax.lax.cond(in_any_world(are_both & (worst > C.settled_speed)), rounds, lambda: (of, first, second))
 
 
-def solve_blow(of: PairVelocities, blow: Blow) -> tuple[PairVelocities, Blow]:
-    """Normal and friction of a blow together, as each changes the other's speed: it sticks, or slides at Coulomb's
+def solve_impact(of: PairVelocities, impact: Impact) -> tuple[PairVelocities, Impact]:
+    """Normal and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's
     limit."""
-    c, face, bias, _ = blow
+    c, face, bias, _ = impact
     tangent = vec2.right(c.normal)
     v = relative_velocity(of, c.arm_a, c.arm_b)
     vn, vt = vec2.dot(c.normal, v) + bias + closes_by(of, c, face), vec2.dot(tangent, v)
@@ -265,7 +265,7 @@ def solve_blow(of: PairVelocities, blow: Blow) -> tuple[PairVelocities, Blow]:
     added_n, added_t = n - c.impulse_normal, t - c.impulse_tangent
     of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * added_n[..., None] + tangent * added_t[..., None])
     change = jnp.maximum(jnp.abs(added_n) * knn, jnp.abs(added_t) * ktt)
-    return of, Blow(c._replace(impulse_normal=n, impulse_tangent=t), face, bias, change)
+    return of, Impact(c._replace(impulse_normal=n, impulse_tangent=t), face, bias, change)
 
 
 def normal_speed(of: PairVelocities, c: Row) -> jax.Array:
@@ -279,7 +279,7 @@ def push_apart(of: PairVelocities, c: Row, impulse: jax.Array) -> tuple[PairVelo
 
 
 class Row(NamedTuple):
-    """What solving a contact needs of it."""
+    """A contact as solving it needs it."""
 
     pair: Pair
     normal: jax.Array
@@ -300,7 +300,7 @@ def rows_of(contacts: Contacts) -> Row:
 
 
 def rows_now(bodies: Bodies, contacts: Contacts, ahead: Scalar) -> Row:
-    """As the bodies stand now, which `rows_of` has as they stood when the contacts were found; `ahead` [] s: see
+    """Rows as the bodies stand now; `rows_of` has them as they stood when the contacts were found. `ahead` [] s: see
     `carried_arms`."""
     arm_a, arm_b = carried_arms(bodies, contacts, *arms_now(bodies, contacts), ahead)
     return rows_of(contacts)._replace(

@@ -48,7 +48,7 @@ class Contacts(NamedTuple):
     against_fixed: jax.Array  # [K] bool, one of the two cannot be pushed
     kinematic_a: jax.Array  # [K] bool, a cannot be pushed and moves
     kinematic_b: jax.Array
-    is_blow: jax.Array  # [K] bool, they meet fast, and were apart before
+    is_impact: jax.Array  # [K] bool, they meet fast, and were apart before
     is_second: jax.Array  # [K] bool, of two points of one pair
     of_disc: jax.Array  # [K] bool, b is a disc: the two meet in one point
     overflow: jax.Array  # [] int32, points that found no slot
@@ -56,11 +56,11 @@ class Contacts(NamedTuple):
     predicted: TravelPrediction
     solve_order: (
         published_order.SolveOrder | None
-    )  # when each is solved, where the published package's order is asked for
+    )  # when each is solved, where the published package's order is requested
 
 
 class ContactCache(NamedTuple):
-    """What is kept of contacts for those found next."""
+    """Impulses of the contacts of one step, by key, for warm starting those of the next."""
 
     key: jax.Array  # [K] int32
     impulse: jax.Array  # [K, 2] N s
@@ -75,8 +75,8 @@ def cache_of(contacts: Contacts, transient: jax.Array | bool = False) -> Contact
     return ContactCache(contacts.key, jnp.where(jnp.asarray(transient)[..., None], 0, impulse), rolling)
 
 
-def forget(contacts: Contacts, which: jax.Array) -> Contacts:
-    """Without the impulses of those that `which` [K] bool names."""
+def reset_impulses(contacts: Contacts, which: jax.Array) -> Contacts:
+    """Contacts with zero impulses where `which` [K] bool is True."""
     rolling = contacts.rolling_impulse
     return contacts._replace(
         impulse_normal=jnp.where(which, 0, contacts.impulse_normal),
@@ -86,7 +86,7 @@ def forget(contacts: Contacts, which: jax.Array) -> Contacts:
 
 
 class Context(NamedTuple):
-    """What does not change in a step."""
+    """Inputs that do not change in a step."""
 
     scene: Scene
     params: SolverNumbers
@@ -124,15 +124,15 @@ def find(
     velocity = relative_velocity(pair_velocities(pair, bodies.velocities), arm_a, arm_b)
     against_fixed = ~(bodies.is_dynamic[a] & bodies.is_dynamic[b])
     approach = vec2.dot(points.normal, velocity)
-    # What a blow next to it has left of an impulse would throw apart what it no longer holds.
-    is_lasting = (params.warm_start > 0) & ~(rules.is_soft & is_start & (approach > C.leaving_speed))
-    impulse = jnp.where(is_lasting[:, None], _remembered(key, cache, cache.impulse), 0)
+    # What an impact next to it has left of an impulse would throw apart what it no longer holds.
+    is_lasting = (params.warm_start > 0) & ~(rules.is_soft & is_start & (approach > C.min_separating_speed))
+    impulse = jnp.where(is_lasting[:, None], _cached_impulses(key, cache, cache.impulse), 0)
     pair_key = key >> C.feature_bits
     is_second = points.exists & (pair_key == jnp.roll(pair_key, 1)) & (jnp.arange(len(key)) > 0) & rules.is_soft
-    # Discs have no corners to turn about: theirs are handed on (`blow_passes`) or left to the next sub-step.
-    has_blows = points.exists & rules.is_soft & ((rules.blow_passes > 0) | (b < context.capacity.polygons))
-    is_blow = (approach < -C.blow_speed) & (impulse[:, 0] == 0) & has_blows
-    is_blow |= (is_second & jnp.roll(is_blow, 1)) | jnp.roll(is_second & is_blow, -1)  # both points or none
+    # Discs have no corners to turn about: theirs are handed on (`impact_passes`) or left to the next sub-step.
+    can_impact = points.exists & rules.is_soft & ((rules.impact_passes > 0) | (b < context.capacity.polygons))
+    is_impact = (approach < -C.min_impact_speed) & (impulse[:, 0] == 0) & can_impact
+    is_impact |= (is_second & jnp.roll(is_impact, 1)) | jnp.roll(is_second & is_impact, -1)  # both points or none
     if rules.is_soft:
         hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)
         bounces = are_discs & ~against_fixed & hits(restitution, approach, params)
@@ -160,7 +160,7 @@ def find(
         approach=approach,
         max_impulse=jnp.zeros_like(points.separation),
         against_fixed=against_fixed,
-        is_blow=is_blow,
+        is_impact=is_impact,
         is_second=is_second,
         of_disc=points.exists & (b >= context.capacity.polygons),
         kinematic_a=bodies.is_kinematic[a] & points.exists,
@@ -225,20 +225,20 @@ def _points_in_use(
 def _hits_hard(
     points: Points, approach: jax.Array, core_a: jax.Array, core_b: jax.Array, params: SolverNumbers, dt: Scalar
 ) -> jax.Array:
-    """What hits so fast that it would go through the thinner of the two in what is left of the step moves on as nobody
-    foresaw: around a corner, or over an end."""
+    """[K] bool, approaches so fast that it would go through the thinner of the two in the rest of the step: it then
+    moves on in ways that no prediction has, around a corner or over an end."""
     thin = C.safe_core_share * jnp.minimum(core_a, core_b)
     return -approach * dt > jnp.maximum(points.separation, 0) + params.speculative_distance + thin
 
 
 def hits(restitution: jax.Array, approach: jax.Array, params: SolverNumbers) -> jax.Array:
-    """What meets so fast that it bounces."""
+    """Returns True where a contact meets so fast that it bounces."""
     return (restitution > 0) & (approach <= -params.restitution_threshold)
 
 
 def _meet_aside(points: Points, approach: jax.Array, velocity: jax.Array, d: jax.Array, dt: Scalar) -> jax.Array:
-    """Which discs meet in what is left of the step and are beside each other's line when it ends: an impulse would act
-    at one point of both then, and turn them. d, velocity [K, 2]: of b against a."""
+    """Returns True where discs meet in the rest of the step and are beside each other's line when it ends: an impulse
+    would act at one point of both then, and turn them. d, velocity [K, 2]: of b against a."""
     aside = jnp.abs(vec2.cross(points.normal, velocity))
     return (-approach * dt > points.separation) & (aside * dt > C.aside_share * vec2.dot(points.normal, d))
 
@@ -252,16 +252,16 @@ def _of_extended_shapes(
         return dict.fromkeys(("surface_speed", "rolling_arm", "rolling_impulse"))
     share = jnp.maximum(shapes.rolling_resistance[a], shapes.rolling_resistance[b])
     radius = jnp.concatenate([jnp.zeros(shapes.num_vertices.shape[0], share.dtype), shapes.radius])  # of what can roll
-    remembered = _remembered(key, cache, cache.rolling[:, None])[:, 0]
+    cached = _cached_impulses(key, cache, cache.rolling[:, None])[:, 0]
     return {
         "surface_speed": shapes.surface_speed[a] + shapes.surface_speed[b],
         "rolling_arm": share * jnp.maximum(radius[a], radius[b]),
-        "rolling_impulse": jnp.where(is_lasting, remembered, 0),
+        "rolling_impulse": jnp.where(is_lasting, cached, 0),
     }
 
 
-def _remembered(key: jax.Array, cache: ContactCache, impulses: jax.Array) -> jax.Array:
-    """Those of `impulses` [K, m] that the step before stored under these keys, zero for new contacts."""
+def _cached_impulses(key: jax.Array, cache: ContactCache, impulses: jax.Array) -> jax.Array:
+    """Impulses [K, m] that the step before cached under these keys, zero for new contacts."""
     is_same = (key[:, None] == cache.key[None]) & (key[:, None] >= 0)
     old = impulses[jnp.argmax(is_same, axis=1)]
     return jnp.where(jnp.any(is_same, axis=1)[:, None], old, 0)

@@ -1,4 +1,4 @@
-"""Where servos go, and how fast: motors that move to a position between the limits of their joint."""
+"""Servos: motors that move to a position between the limits of their joint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jax2d.xla import vec2
 
 
 class Servo(NamedTuple):
-    """Where servos go, and how."""
+    """Target and speed of servos."""
 
     position: jax.Array  # [J] rad or m, that it moves to
     max_speed: jax.Array  # [J] rad/s or m/s

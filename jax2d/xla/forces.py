@@ -62,7 +62,7 @@ def _in_world(bodies: Bodies, thrusters: Thrusters) -> tuple[jax.Array, jax.Arra
 
 
 def apply_external(bodies: Bodies, controls: Controls, dt: Scalar) -> Bodies:
-    """At centres of mass, in the world's frame, constant over a call."""
+    """Applies external forces at centres of mass, in the world's frame, constant over a call."""
     if controls.torque.shape[0] == 0:
         return bodies
     velocity, omega = bodies.velocities

@@ -1,4 +1,4 @@
-"""Which plane keeps two shapes apart while they move on as they do: C = n . (p_b - p_a) >= 0 for the rest of the step.
+"""Plane that keeps two shapes apart while they move on as they do: C = n . (p_b - p_a) >= 0 for the rest of the step.
 
 Every plane that has one shape behind it and the other before it is safe: while it holds, nothing passes. The nearest
 features give one, but one that a shape may have to cross on its way past: the side of the next tile of a floor, the
@@ -20,7 +20,7 @@ from jax2d.xla.geometry import Polygons
 
 
 class ImpactPlane(NamedTuple):
-    """Of what a disc may hit."""
+    """Plane of what a disc may hit."""
 
     normal: jax.Array  # [2] outward
     separation: jax.Array  # [] m
@@ -44,13 +44,13 @@ def of_corner(away: jax.Array, motion: jax.Array, r: jax.Array, graze: Scalar) -
     passes = beside * beside >= (r - graze) * (r - graze) * squared
     besides_normal = vec2.left(motion) * (jnp.where(beside < 0, 1, -1) / _unless_zero(speed))
     besides_separation = jnp.maximum(jnp.abs(beside) / _unless_zero(speed) - r, 0)
-    room = vec2.dot(away, away) - r * r
-    seconds = (-along - vec2.sqrt_or_zero(along * along - squared * room)) / _unless_zero(squared)
+    clearance_squared = vec2.dot(away, away) - r * r
+    seconds = (-along - vec2.sqrt_or_zero(along * along - squared * clearance_squared)) / _unless_zero(squared)
     met_normal = (away + motion * seconds) / _unless_zero(r)
     return ImpactPlane(
         normal=jnp.where(passes, besides_normal, met_normal),
         separation=jnp.where(passes, besides_separation, vec2.dot(met_normal, away) - r),
-        exists=(along < 0) & (passes | (room > 0)),
+        exists=(along < 0) & (passes | (clearance_squared > 0)),
         on_face=jnp.zeros_like(passes),
     )
 
@@ -96,8 +96,8 @@ def _grazes_onto(
     motion: jax.Array,
     seconds: Scalar,
 ) -> jax.Array:
-    """Whether a disc, `away` [2] m from the end of a face, grazes the corner there and then goes on into the face,
-    which leads along `inward` from there: passing the corner would let it in."""
+    """Returns True if a disc, `away` [2] m from the end of a face, grazes the corner there and then goes on into the
+    face, which leads along `inward` from there: passing the corner would let it in."""
     beside, squared = vec2.cross(away, motion), vec2.dot(motion, motion)
     grazes = (beside * beside < r * r * squared) & (beside * beside >= (r - graze) * (r - graze) * squared)
     then = away + motion * seconds
@@ -105,14 +105,14 @@ def _grazes_onto(
 
 
 def _is_over(start: jax.Array, end: jax.Array, point: jax.Array, motion: jax.Array) -> jax.Array:
-    """Whether a point [2] is over each edge or on its way there, [V]."""
+    """Returns True for each edge [V] that a point [2] is over or on its way to."""
     edge = end - start
     heading = vec2.dot(edge, motion)
     return ((vec2.dot(edge, point - start) >= 0) | (heading > 0)) & ((vec2.dot(edge, point - end) <= 0) | (heading < 0))
 
 
 class ImpactFace(NamedTuple):
-    """Which face of two polygons apart keeps them so while they move on."""
+    """Face that keeps two polygons apart while they move on."""
 
     exists: jax.Array  # [] bool
     flipped: jax.Array  # [] bool, it is b's
@@ -142,7 +142,7 @@ def of_polygons(
 
 
 class Passing(NamedTuple):
-    """Two polygons that pass each other: the plane along their motion between them."""
+    """Plane between two polygons that pass each other, along their motion."""
 
     exists: jax.Array  # [] bool
     normal: jax.Array  # [2], from a to b
@@ -165,7 +165,7 @@ def pass_each_other(a: Polygons, b: Polygons, d: jax.Array, motion: jax.Array) -
 
 
 class _Faces(NamedTuple):
-    """Of one of two polygons."""
+    """Faces of one of two polygons."""
 
     inert_separation: jax.Array  # [] m of the best face that is not crossed, -C.far_distance if there is none
     inert_edge: jax.Array

@@ -25,32 +25,33 @@ from jax2d.xla.contacts import Contacts
 
 
 def propagate(
-    bodies: Bodies, came_with: Velocities, contacts: Contacts, leaving: jax.Array
+    bodies: Bodies, v_at_detection: Velocities, contacts: Contacts, rebound_target: jax.Array
 ) -> tuple[jax.Array, Contacts]:
-    """`leaving` [K] m/s, the speeds that bounces aim at, 0 where nothing bounces, and the contacts, of which those that
-    passed an impact on are blows: their impulses do not last. `came_with`: velocities when contacts were found."""
+    """`rebound_target` [K] m/s, the speeds that bounces aim at, 0 where nothing bounces, and the contacts. Those that
+    passed an impact on are impacts themselves: their impulses do not last. `v_at_detection`: velocities when contacts
+    were found."""
     passes_on = _passes_on(contacts)
-    hit = _bodies_of(contacts, passes_on & (leaving > 0))
-    next_in_line = passes_on & ~contacts.against_fixed & (leaving == 0) & (contacts.restitution > 0)
+    hit = _bodies_of(contacts, passes_on & (rebound_target > 0))
+    next_in_line = passes_on & ~contacts.against_fixed & (rebound_target == 0) & (contacts.restitution > 0)
     is_called_for = jnp.any(next_in_line & _has_one_of(contacts, hit))
 
     def impacts() -> tuple[jax.Array, jax.Array]:
         none = jnp.zeros_like(hit)
         (velocities, _, again, factor), _ = jax.lax.scan(
-            _impact(contacts, passes_on, leaving),
-            (came_with, none, none, jnp.ones_like(leaving[0])),
+            _impact(contacts, passes_on, rebound_target),
+            (v_at_detection, none, none, jnp.ones_like(rebound_target[0])),
             jnp.arange(C.max_impacts),
         )
         is_passed = is_called_for & passes_on & _has_one_of(contacts, again & bodies.is_dynamic)
         speed = _normal_speed(contacts, velocities)
-        return jnp.where(is_passed, jnp.where(speed > C.settled_speed, factor * speed, 0), leaving), is_passed
+        return jnp.where(is_passed, jnp.where(speed > C.settled_speed, factor * speed, 0), rebound_target), is_passed
 
-    nothing = (leaving, jnp.zeros_like(passes_on))
-    leaving, is_passed = jax.lax.cond(in_any_world(is_called_for), impacts, lambda: nothing)
-    return leaving, contacts._replace(is_blow=contacts.is_blow | is_passed)
+    nothing = (rebound_target, jnp.zeros_like(passes_on))
+    rebound_target, is_passed = jax.lax.cond(in_any_world(is_called_for), impacts, lambda: nothing)
+    return rebound_target, contacts._replace(is_impact=contacts.is_impact | is_passed)
 
 
-def _impact(contacts: Contacts, passes_on: jax.Array, leaving: jax.Array):
+def _impact(contacts: Contacts, passes_on: jax.Array, rebound_target: jax.Array):
     """One impact: that of the contact whose bodies approach fastest, if any does."""
 
     def impact(carry: tuple, index: jax.Array) -> tuple[tuple, None]:
@@ -60,8 +61,8 @@ def _impact(contacts: Contacts, passes_on: jax.Array, leaving: jax.Array):
         speed, restitution, normal = closing[k], contacts.restitution[k], contacts.normal[k]
         pair, arm_a, arm_b = jax.tree.map(lambda x: x[k], (contacts.pair, contacts.arm_a, contacts.arm_b))
         # The moment of the impact falls inside the step: its speed is that of the bounce.
-        is_first = (index == 0) & (leaving[k] > 0)
-        factor = jnp.where(is_first, leaving[k] / jnp.where(is_first, restitution * speed, 1), factor)
+        is_first = (index == 0) & (rebound_target[k] > 0)
+        factor = jnp.where(is_first, rebound_target[k] / jnp.where(is_first, restitution * speed, 1), factor)
         before = pair_velocities(pair, velocities)
         impulse = (1 + restitution) * speed * pair_mass(pair, arm_a, arm_b, normal)
         after = apply_impulse(before, pair, arm_a, arm_b, normal * impulse)

@@ -1,7 +1,7 @@
 """Islands: bodies that contacts, joints and springs join, directly or by others that can be pushed.
 
 What holds takes energy from an island, or none. Where one has more kinetic energy once it is relaxed than the sub-step
-began with, when forces had acted and nothing had been solved, impulses are not solved yet, or those remembered from
+began with, when forces had acted and nothing had been solved, impulses are not solved yet, or warm-start impulses from
 another place of the bodies are far off; bodies that jam, and arms at their limits, do that. It is solved again, alone.
 """
 
@@ -50,10 +50,10 @@ def find(bodies: Bodies, contacts: Contacts, joints: Joints) -> Islands:
     return Islands(together, jnp.any(together & anchored, axis=1))
 
 
-def max_energy(bodies: Bodies, begun: Velocities, h: Scalar) -> jax.Array:
+def max_energy(bodies: Bodies, v_substep_start: Velocities, h: Scalar) -> jax.Array:
     """[n] J, what may be left to each body beside the work of motors, springs and what carries."""
     mass = vec2.inverse_or_zero(bodies.inverse_mass)
-    return bodies_of.kinetic_energy(bodies, begun) * (1 + h * C.slack_rate) + h * C.slack_power * mass
+    return bodies_of.kinetic_energy(bodies, v_substep_start) * (1 + h * C.slack_rate) + h * C.slack_power * mass
 
 
 def gains_energy(
@@ -79,10 +79,10 @@ def gains_energy(
     return bodies.is_dynamic & is_held & (gain > 0) & (gain > work)
 
 
-def forget(
-    islands: Islands, bodies: Bodies, joints: Joints, contacts: Contacts, begun: Velocities, which: jax.Array
+def reset_impulses(
+    islands: Islands, bodies: Bodies, joints: Joints, contacts: Contacts, v_substep_start: Velocities, which: jax.Array
 ) -> tuple[Bodies, Joints, Contacts]:
-    """Without any impulse on bodies of `which` [n] bool, whole islands.
+    """Resets all impulses on bodies of `which` [n] bool, whole islands.
 
     What is anchored gets the velocities that the sub-step began with. Elsewhere that would change angular momentum,
     since bodies have moved: impulses are taken back where they are.
@@ -115,10 +115,10 @@ def forget(
     back = joints_of.warm_start(back, changed(taken))
     restored = which & islands.anchored
     velocities = Velocities(
-        jnp.where(restored[:, None], begun.velocity, back.velocities.velocity),
-        jnp.where(restored, begun.omega, back.velocities.omega),
+        jnp.where(restored[:, None], v_substep_start.velocity, back.velocities.velocity),
+        jnp.where(restored, v_substep_start.omega, back.velocities.omega),
     )
-    return bodies._replace(velocities=velocities), changed(left), contacts_of.forget(contacts, contacts_on)
+    return bodies._replace(velocities=velocities), changed(left), contacts_of.reset_impulses(contacts, contacts_on)
 
 
 def _by_body(bodies: Bodies, parts: tuple[tuple[Pair, jax.Array], ...]) -> jax.Array:

@@ -1,4 +1,4 @@
-"""What joints move: the rows of their Jacobians, and the effective masses along them."""
+"""Effective masses of joints, along the rows of their Jacobians."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What connects bodies of one world: springs, and joints by motor, limits, the relative angle of welds, and what holds
-the two bodies together.
+"""Joints of one world: motor, limits, the angle of welds, and the rows that hold the two bodies together; springs with
+them.
 
 Body b is held to body a. Angles are angle_b - angle_a - rest angle. Solved one after another, in slot order. Every
 constraint is a row of a Jacobian, so that all kinds of joints are one code path:
@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
+from jax2d.softened_joints import is_softened
 from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
 from jax2d.xla import angles, vec2
 from jax2d.xla import springs as springs_of
@@ -46,7 +47,6 @@ from jax2d.xla.joint_masses import (
 from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
 from jax2d.xla.rules import Rules
 from jax2d.xla.springs import SpringImpulses, Springs
-from jax2d.yielding_joints import yields
 
 
 class JointImpulses(NamedTuple):
@@ -58,8 +58,8 @@ class JointImpulses(NamedTuple):
     upper: jax.Array
 
 
-class Remembered(NamedTuple):
-    """What a step begins with."""
+class WarmStart(NamedTuple):
+    """Impulses of joints and springs that a step starts with, those of the step before."""
 
     joints: JointImpulses
     springs: SpringImpulses
@@ -70,7 +70,7 @@ class Joints(NamedTuple):
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
-    yields: jax.Array  # [J] bool
+    is_softened: jax.Array  # [J] bool, see softened_joints.py
     is_prismatic: jax.Array  # [J] bool
     is_driven: jax.Array  # [J] bool, a motor with a control, a brake or a servo
     is_servo: jax.Array  # [J] bool
@@ -95,21 +95,21 @@ class Joints(NamedTuple):
     impulses: JointImpulses
     springs: Springs
 
-    def remembered(self) -> Remembered:
-        return Remembered(self.impulses, self.springs.impulses)
+    def warm_start_impulses(self) -> WarmStart:
+        return WarmStart(self.impulses, self.springs.impulses)
 
-    def with_nothing_remembered(self) -> Joints:
-        nothing = jax.tree.map(jnp.zeros_like, self.remembered())
+    def with_zero_impulses(self) -> Joints:
+        nothing = jax.tree.map(jnp.zeros_like, self.warm_start_impulses())
         return self._replace(impulses=nothing.joints, springs=self.springs._replace(impulses=nothing.springs))
 
 
-def load(state: State, params: SolverNumbers) -> Remembered:
+def load(state: State, params: SolverNumbers) -> WarmStart:
     impulse = jnp.where(params.warm_start, state.joint_impulse, 0)
     joints = JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
-    return Remembered(joints, springs_of.load(state, params))
+    return WarmStart(joints, springs_of.load(state, params))
 
 
-def prepare(bodies: Bodies, scene: Scene, before: Remembered, controls: Controls, params: SolverNumbers) -> Joints:
+def prepare(bodies: Bodies, scene: Scene, before: WarmStart, controls: Controls, params: SolverNumbers) -> Joints:
     a, b = scene.joints.a, scene.joints.b
     is_held = scene.joints.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
@@ -122,7 +122,7 @@ def prepare(bodies: Bodies, scene: Scene, before: Remembered, controls: Controls
     joints = Joints(
         is_held=is_held,
         is_fixed=is_fixed,
-        yields=yields(scene),
+        is_softened=is_softened(scene),
         is_prismatic=is_prismatic,
         is_driven=is_driven,
         is_servo=is_servo,
@@ -228,7 +228,7 @@ def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
 
 
 class Row(NamedTuple):
-    """What one pass needs of a joint: nothing here changes while velocities are solved."""
+    """A joint as one pass needs it: nothing here changes while velocities are solved."""
 
     pair: Pair
     is_fixed: jax.Array
@@ -248,8 +248,8 @@ class Row(NamedTuple):
     max_motor_impulse: jax.Array
     return_speed: jax.Array  # rad/s or m/s at which a weld's angle and what is beyond a limit is brought back
     angle: jax.Array  # rad
-    lower_room: jax.Array  # rad or m left before the limit, negative beyond it
-    upper_room: jax.Array
+    lower_clearance: jax.Array  # rad or m left before the limit, negative beyond it
+    upper_clearance: jax.Array
     correction: jax.Array  # [2] m/s and rad/s at which the errors of the two rows are undone
     bend_a: jax.Array  # [2] m s, times a spin squared: speed that keeps the anchor of a on its circle
     bend_b: jax.Array
@@ -260,8 +260,8 @@ def solve_soft(
 ) -> tuple[Bodies, Joints, jax.Array]:
     """One pass over springs and all joints: motor and limits, then what is held. No `motors` in a bounce: a force or
     torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass."""
-    of_kinds = (params.joint, params.yielding) if use_bias else (Softness(0.0, 1.0, 0.0),) * 2
-    soft = Softness(*(jnp.where(joints.yields, yielding, other) for other, yielding in zip(*of_kinds)))
+    of_kinds = (params.joint, params.softened) if use_bias else (Softness(0.0, 1.0, 0.0),) * 2
+    soft = Softness(*(jnp.where(joints.is_softened, softened, other) for other, softened in zip(*of_kinds)))
     bodies, springs, by_springs = springs_of.solve(
         bodies, joints.springs, params, active, use_bias=use_bias, forces=motors
     )
@@ -295,8 +295,8 @@ def solve_soft(
         max_motor_impulse=joints.max_motor_impulse,
         return_speed=jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed),
         angle=current_angle(bodies, joints),
-        lower_room=now.position - joints.lower,
-        upper_room=joints.upper - now.position,
+        lower_clearance=now.position - joints.lower,
+        upper_clearance=joints.upper - now.position,
         correction=correction_speed(now.error * soft.bias_rate[:, None], joints.is_prismatic, params),
         bend_a=bend_a,
         bend_b=bend_b,
@@ -347,18 +347,18 @@ def solve_motor(of: PairVelocities, row: Row, impulses: JointImpulses) -> tuple[
 def solve_limits(
     of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, *, use_bias: bool
 ) -> tuple[PairVelocities, JointImpulses]:
-    def total(room: jax.Array, speed: jax.Array, accumulated: jax.Array) -> jax.Array:
-        """Of a one-sided limit; `speed` is that at which room grows."""
-        # A hinge's is not softened when violated: a strong motor would lean into a limit that yields.
-        back = jnp.maximum(params.joint.bias_rate * room, -row.return_speed) if use_bias else 0
-        impulse = -row.axial_mass * (speed + jnp.where(room > 0, room / params.h, back))
-        slider = springs_of.limit_impulse(room, speed, row.axial_mass, accumulated, params, use_bias=use_bias)
+    def total(clearance: jax.Array, speed: jax.Array, accumulated: jax.Array) -> jax.Array:
+        """New total impulse of a one-sided limit; `speed` is that at which clearance grows."""
+        # A hinge's is not softened when violated: a strong motor would lean into a limit that gives way.
+        back = jnp.maximum(params.joint.bias_rate * clearance, -row.return_speed) if use_bias else 0
+        impulse = -row.axial_mass * (speed + jnp.where(clearance > 0, clearance / params.h, back))
+        slider = springs_of.limit_impulse(clearance, speed, row.axial_mass, accumulated, params, use_bias=use_bias)
         total = jnp.where(row.is_prismatic, slider, jnp.maximum(accumulated + impulse, 0))
         return jnp.where(row.is_limited, total, accumulated)
 
-    lower = total(row.lower_room, speed_along(row.axial, of), impulses.lower)
+    lower = total(row.lower_clearance, speed_along(row.axial, of), impulses.lower)
     of = push(of, row.pair, row.axial, lower - impulses.lower)
-    upper = total(row.upper_room, -speed_along(row.axial, of), impulses.upper)
+    upper = total(row.upper_clearance, -speed_along(row.axial, of), impulses.upper)
     of = push(of, row.pair, row.axial, impulses.upper - upper)
     return of, impulses._replace(lower=lower, upper=upper)
 
@@ -367,7 +367,8 @@ def solve_held(
     of: PairVelocities, row: Row, impulses: JointImpulses, max_spin: Scalar
 ) -> tuple[PairVelocities, JointImpulses]:
     """The two rows of a point or slider; of a weld its angle with them: one after the other, each undoes most of the
-    other where the arms are long beside what the bodies' inertia is like, and the impulses that are kept grow."""
+    other where the arms are long beside what the bodies' inertia is like, and the impulses that are warm-started
+    grow."""
     # Faster nothing turns in the end, however fast it does while velocities are solved.
     spin_a, spin_b = (jnp.minimum(jnp.abs(omega), max_spin) for omega in (of.omega_a, of.omega_b))
     bend = row.bend_a * spin_a**2 - row.bend_b * spin_b**2

@@ -39,8 +39,8 @@ def circle_circle(
     *,
     rules: Rules,
 ) -> Points:
-    """At most one point, [1]. d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s of b.
-    In `paper` the point lies on a's surface."""
+    """Contact point of two discs, at most one, [1]. d [2] m: centre of b relative to centre of a; relative_velocity [2]
+    m/s of b. In `paper` the point lies on a's surface."""
     distance = vec2.length(d)
     separation = distance - radius_a - radius_b
     normal = vec2.unit_or_zero(d)
@@ -70,8 +70,9 @@ def polygon_circle(
     *,
     rules: Rules,
 ) -> Points:
-    """At most one point, [1]; one polygon, centre [2] m relative to it, relative_velocity [2] m/s of the centre,
-    spin [] rad/s of the polygon, `seconds` for which they move on so. In `paper` the point lies on the polygon."""
+    """Contact point of a disc and one polygon, at most one, [1]; centre [2] m relative to it, relative_velocity [2] m/s
+    of the centre, spin [] rad/s of the polygon, `seconds` for which they move on so. In `paper` the point lies on the
+    polygon."""
     distances = jnp.where(polygon.is_corner, vec2.dot(polygon.normal, centre - polygon.corner), -C.far_distance)
     face = jnp.argmax(distances)
     face_distance = distances[face]

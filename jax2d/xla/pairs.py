@@ -1,4 +1,4 @@
-"""All pairs of shapes of a capacity, and the contact points of those that are near each other."""
+"""Pairs of shapes of a capacity, and the contact points of those that are near each other."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jax2d.xla.rules import Rules
 
 
 class PairList(NamedTuple):
-    """All pairs a < b of a capacity by kind, and where each of their points stands in the kernel's order. Numpy."""
+    """Pairs a < b of a capacity by kind, and the row of each of their points in the kernel's order. Numpy."""
 
     polygon_polygon: np.ndarray  # [:, 2] shape indices
     polygon_circle: np.ndarray
@@ -82,7 +82,7 @@ def collide(
 
 
 class Bounds(Protocol):
-    """What has axis-aligned bounds relative to centres of mass."""
+    """Axis-aligned bounds relative to centres of mass."""
 
     lower: jax.Array  # [n, 2] m
     upper: jax.Array

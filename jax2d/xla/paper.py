@@ -52,7 +52,7 @@ def warm_start(bodies: Bodies, joints: Joints) -> tuple[Bodies, Joints]:
 
 
 class Row(NamedTuple):
-    """What an iteration needs of a joint: nothing here changes while iterating."""
+    """A joint as an iteration needs it: nothing here changes while iterating."""
 
     pair: Pair
     is_fixed: jax.Array

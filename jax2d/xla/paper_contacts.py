@@ -22,7 +22,7 @@ def solve_hard(
     bodies: Bodies, contacts: Contacts, params: SolverNumbers, rules: Rules, capacity: Capacity
 ) -> tuple[Bodies, Contacts]:
     """One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and penetration
-    bias in the numerator, accumulated impulse kept non-negative, friction by Coulomb's law."""
+    bias in the numerator, accumulated impulse never negative, friction by Coulomb's law."""
     bias = params.collision_correction / params.dt * jnp.maximum(-contacts.separation - params.slop, 0)
     wanted = bias - contacts.restitution * contacts.approach  # m/s, separating
     details, batch_size = rules.published_details, rules.solver_batch_size
@@ -50,9 +50,9 @@ def solve_hard(
     contacts = with_impulses(contacts, normal, tangent)
     if "last_pair" in details:
         assert contacts.solve_order is not None
-        kept = ~contacts.solve_order.is_forgotten
+        is_warm = ~contacts.solve_order.is_dropped
         contacts = contacts._replace(
-            impulse_normal=jnp.where(kept, normal, 0), impulse_tangent=jnp.where(kept, tangent, 0)
+            impulse_normal=jnp.where(is_warm, normal, 0), impulse_tangent=jnp.where(is_warm, tangent, 0)
         )
     return bodies._replace(velocities=velocities), contacts
 

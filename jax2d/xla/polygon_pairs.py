@@ -26,7 +26,7 @@ class Faces(NamedTuple):
     """The reference face of one polygon and the edge of the other that lies over it."""
 
     flipped: jax.Array  # [] bool, the face is b's
-    is_impact: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
+    from_impact_plane: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
     is_met: jax.Array  # [] bool, and they meet there
     holds_for: jax.Array  # [] s for which they move fast and the face is not crossed, 0 if it is
     motion: jax.Array  # [2] m/s, of the incident polygon against the reference
@@ -78,7 +78,7 @@ def polygon_polygon(
     h: Scalar,
     rules: Rules,
 ) -> Points:
-    """At most two points, [2].
+    """Contact points of two polygons, at most two, [2].
 
     d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which it
     goes on so, in sub-steps of `h` s. In `paper` points lie on the incident edge.
@@ -122,7 +122,7 @@ def polygon_polygon(
     )
     if rules.is_soft:
         passing = impact_plane.pass_each_other(a, b, d, relative_velocity)
-        passes = faces.is_impact & faces.is_met & passing.exists
+        passes = faces.from_impact_plane & faces.is_met & passing.exists
         points = Points(
             normal=jnp.where(passes, passing.normal, points.normal),
             point=jnp.where(passes, passing.nearest - 0.5 * passing.separation * passing.normal, points.point),
@@ -174,7 +174,7 @@ def find_faces(
     if "reference_bias" in rules.published_details:
         flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
 
-    is_impact, holds_for, impact_edge, impact_seconds = (
+    from_impact_plane, holds_for, impact_edge, impact_seconds = (
         jnp.array(False),
         jnp.zeros_like(depth_a),
         edge_a,
@@ -191,15 +191,15 @@ def find_faces(
         lookahead = jnp.where(is_fast, seconds + h, seconds)
         is_crossed = apart + rate * lookahead < 0
         holds_for = jnp.where(passes & is_fast & ~is_crossed, lookahead, 0)
-        is_impact = passes & is_crossed & impact.exists
-        flipped = jnp.where(is_impact, impact.flipped, flipped)
-        impact_edge, impact_seconds = impact.edge, jnp.where(is_impact, impact.seconds, 0)
+        from_impact_plane = passes & is_crossed & impact.exists
+        flipped = jnp.where(from_impact_plane, impact.flipped, flipped)
+        impact_edge, impact_seconds = impact.edge, jnp.where(from_impact_plane, impact.seconds, 0)
     motion = jnp.where(flipped, -relative_velocity, relative_velocity)
     onward = motion * impact_seconds
 
     ref, inc = choose(flipped, b, a), choose(flipped, a, b)
     ref_at, inc_at = choose(flipped, d, zero), choose(flipped, zero, d) + onward
-    edge = jnp.where(is_impact, impact_edge, jnp.where(flipped, edge_b, edge_a))
+    edge = jnp.where(from_impact_plane, impact_edge, jnp.where(flipped, edge_b, edge_a))
     n = ref.normal[edge]
     start, end = ref.corner[edge] + ref_at, ref.following[edge] + ref_at
 
@@ -214,7 +214,7 @@ def find_faces(
         upper_end, lower_end = jnp.where(is_steep, lower_end, upper_end), jnp.where(is_steep, upper_end, lower_end)
     return Faces(
         flipped=flipped,
-        is_impact=is_impact,
+        from_impact_plane=from_impact_plane,
         is_met=impact_seconds > 0,
         holds_for=holds_for,
         motion=motion,
@@ -244,18 +244,18 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     distance, face_separation = vec2.length(gap), vec2.dot(faces.normal, gap)
     # Where the path crosses the plane between two corners, but not the face, it passes: the face keeps them apart.
     passes = (faces.holds_for > 0) & (distance * distance + vec2.dot(gap, faces.motion) * faces.holds_for < 0)
-    is_impact = faces.is_impact | passes
+    by_face = faces.from_impact_plane | passes
     face_separation = jnp.where(
-        is_impact, jnp.maximum(face_separation - vec2.dot(faces.normal, faces.onward), 0), face_separation
+        by_face, jnp.maximum(face_separation - vec2.dot(faces.normal, faces.onward), 0), face_separation
     )
-    is_outside = (face_separation > 0) | is_impact
+    is_outside = (face_separation > 0) | by_face
     at_face = inc_corner - faces.onward - _halfway(rules) * face_separation * faces.normal
     kind = jnp.where(is_outside, C.feature_corner_outside, C.feature_corner_inside)
-    between = is_outside & ~is_impact
+    between = is_outside & ~by_face
     return Corners(
         beside=before_start | (faces.u_lower > faces.length),
         is_outside=is_outside,
-        by_face=is_impact,
+        by_face=by_face,
         normal=vec2.unit_or_zero(gap),
         point=jnp.where(between, 0.5 * (ref_corner + inc_corner), at_face),
         separation=jnp.where(between, distance, face_separation),
@@ -296,7 +296,7 @@ def _at_seams(points: Points, faces: Faces, relative_velocity: jax.Array, margin
         closing=vec2.dot(faces.normal, faces.choose(relative_velocity, -relative_velocity)),
     )
     seam = slides_past(faces.reference, faces.incident, faces.edge, faces.incident_at - centre, over, margin)
-    seam = seam._replace(exists=seam.exists & ~faces.is_impact)
+    seam = seam._replace(exists=seam.exists & ~faces.from_impact_plane)
     return Points(
         normal=jnp.where(seam.exists, seam.normal, points.normal),
         point=jnp.where(seam.exists, seam.point + centre, points.point),

@@ -1,4 +1,4 @@
-"""How far bodies may move in a step: within that contacts are prepared, and beyond it they are found again."""
+"""Prediction of how far bodies move in a step: contacts are prepared within it, and found again beyond it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jax2d.xla.pairs import bounds_overlap
 
 
 class TravelPrediction(NamedTuple):
-    """How far each surface goes at most at the speed that its body has when contacts are found."""
+    """Largest travel of each surface at the speed that its body has when contacts are found."""
 
     distance: jax.Array  # [n] m
     core: jax.Array  # [n] m
@@ -33,7 +33,7 @@ def predict_travel(bodies: Bodies, geometry: Geometry, seconds: Scalar) -> Trave
 
 
 def travel(bodies: Bodies, arm: jax.Array, left: Scalar) -> jax.Array:
-    """How far each surface gets by the end of the step, at most, [n] m."""
+    """Largest travel of each surface by the end of the step, [n] m."""
     velocity, omega = bodies.velocities
     gone = vec2.length(bodies.delta) + arm * jnp.abs(bodies.turn)
     there = gone + (vec2.length(velocity) + arm * jnp.abs(omega)) * left
@@ -57,7 +57,7 @@ def margins(predicted: TravelPrediction, reach: Scalar, *, ahead: bool) -> jax.A
 def outruns_contacts(
     bodies: Bodies, predicted: TravelPrediction, pair: Pair, can_touch: jax.Array, reach: Scalar, left: Scalar
 ) -> jax.Array:
-    """Whether two bodies that move on as they do for the `left` seconds of the step could meet without a contact, since
+    """Returns True if two bodies that move on for the `left` seconds of the step could meet without a contact, since
     they go farther than was predicted: every margin has `reach` to spare. can_touch [n, n], at [lower, higher]."""
     distance = travel(bodies, predicted.arm, left)
     farther = distance - predicted.distance

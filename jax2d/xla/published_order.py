@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 class SolveOrder(NamedTuple):
-    """When the points of a step are solved."""
+    """Order in which the points of a step are solved."""
 
     batch: jax.Array  # [points] int32, number of the batch in an iteration
-    is_forgotten: jax.Array  # [points] bool, its impulse is dropped after every iteration
+    is_dropped: jax.Array  # [points] bool, its impulse is dropped after every iteration
 
 
 class Queue(NamedTuple):
@@ -57,22 +57,22 @@ def _queue(pairs: PairList, capacity: Capacity, rules: Rules) -> Queue:
         is_listed = ~is_fixed_pair(pairs, capacity)
     # Circle and polygon go circle by circle, all others by their first shape.
     major, minor = np.where(group == 2, b, a), np.where(group == 2, a, b)
-    place = major * capacity.shapes + minor
+    order = major * capacity.shapes + minor
     is_beside = (group[:, None] == group) & is_listed
-    is_before = is_beside & (place < place[:, None])
+    is_before = is_beside & (order < order[:, None])
     count = np.array([np.sum((group == g) & is_listed) for g in range(4)])
     batches = -(-count // rules.solver_batch_size)
     is_last = np.zeros(len(a), bool)
     for g in range(4):
         if count[g] % rules.solver_batch_size:
-            is_last |= (group == g) & (place == np.max(place, where=(group == g) & is_listed, initial=-1))
+            is_last |= (group == g) & (order == np.max(order, where=(group == g) & is_listed, initial=-1))
     return Queue(group, is_before, is_beside, np.cumsum(batches) - batches, batches, count, is_last)
 
 
 def solve_order(
     overlaps: jax.Array, scene: Scene, is_dynamic: jax.Array, pairs: PairList, capacity: Capacity, rules: Rules
 ) -> SolveOrder | None:
-    """When all points are solved; `overlaps` [points] bool says which exist. None where nothing depends on them.
+    """Order of all points; `overlaps` [points] bool says which exist. None where nothing depends on them.
 
     Pairs in contact are spread over the batches of their group. Those of one body, held by joints, count too, although
     they are not solved.
@@ -91,7 +91,7 @@ def solve_order(
     total = jnp.sum(jnp.where(queue.is_beside, counted, 0), axis=1)
     group = queue.group
     spread = (queue.pairs[group] - total + rank) % np.maximum(queue.batches[group], 1)
-    return SolveOrder(batch=queue.first_batch[group] + spread, is_forgotten=jnp.asarray(queue.is_last))
+    return SolveOrder(batch=queue.first_batch[group] + spread, is_dropped=jnp.asarray(queue.is_last))
 
 
 def _bodies_of_joints(scene: Scene, num_shapes: int) -> jax.Array:

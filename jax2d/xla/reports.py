@@ -1,4 +1,4 @@
-"""What contacts did in a step, where an engine is asked for it; see warp/native/report.h.
+"""Report of the contacts of a step, where an engine is built with `report_contacts`; see warp/native/report.h.
 
 Contacts may be found several times in a step. Impulses of one key add up, wherever in the step they acted, and a
 contact that is gone before the end keeps its slot.
@@ -57,7 +57,7 @@ def begin(tally: Tally, contacts: Contacts) -> Tally:
 
 
 def warm_start(tally: Tally) -> Tally:
-    """All remembered impulses act again."""
+    """Adds all warm-start impulses."""
     return tally._replace(acted=jnp.zeros_like(tally.acted))
 
 
@@ -73,8 +73,8 @@ def add_impulse(tally: Tally, contacts: Contacts, more: jax.Array) -> Tally:
     return tally._replace(impulse=tally.impulse.at[tally.slot].add(vector, mode="drop"))
 
 
-def place(tally: Tally, bodies: Bodies, contacts: Contacts) -> Tally:
-    """Where contacts are, midway between both surfaces as their bodies stand."""
+def locate(tally: Tally, bodies: Bodies, contacts: Contacts) -> Tally:
+    """Records the points of contacts, midway between both surfaces as their bodies stand."""
     is_a, is_b = contacts.pair.is_a, contacts.pair.is_b
     turned_a, turned_b = turned_arms(bodies, contacts)
     on_a, on_b = contacts.arm_a + turned_a, contacts.arm_b + turned_b

@@ -36,13 +36,13 @@ def push(of: PairVelocities, pair: Pair, row: Jacobian, impulse: jax.Array) -> P
 
 
 def inverse_mass(pair: Pair, row: Jacobian, other: Jacobian) -> jax.Array:
-    """What an impulse along one row does to the speed along another."""
+    """Change of speed along one row per unit of impulse along another."""
     linear = vec2.dot(row.direction, other.direction) * (pair.mass_a + pair.mass_b)
     return linear + pair.inertia_a * row.lever_a * other.lever_a + pair.inertia_b * row.lever_b * other.lever_b
 
 
 class Anchored(Protocol):
-    """What two bodies are held or pulled by, [k] of them."""
+    """Anchors that two bodies are held or pulled by, [k] of them."""
 
     @property
     def pair(self) -> Pair: ...
@@ -59,7 +59,7 @@ class Anchored(Protocol):
 
 
 def arms(bodies: Bodies, of: Anchored) -> tuple[jax.Array, jax.Array]:
-    """From the centres of mass to the anchors as the bodies stand now, [k, 2] m."""
+    """Arms from the centres of mass to the anchors as the bodies stand now, [k, 2] m."""
     arm_a = vec2.rotated(vec2.rotated(of.local_a, of.angle_a), pick(of.pair.is_a, bodies.turn))
     arm_b = vec2.rotated(vec2.rotated(of.local_b, of.angle_b), pick(of.pair.is_b, bodies.turn))
     return arm_a, arm_b

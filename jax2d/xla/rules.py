@@ -1,4 +1,4 @@
-"""What is compiled into the reference's programs: choices of the settings that are no run-time numbers."""
+"""Choices of the settings that are compiled into the reference's programs."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from jax2d.settings import Settings
 
 
 class Rules(NamedTuple):
-    """What is compiled in."""
+    """Compiled choices of the settings."""
 
     solver: str
     friction_mixing: str
     substeps: int
     bounce_rounds: int
-    blow_passes: int
+    impact_passes: int
     solver_batch_size: int
     published_details: frozenset[str]  # of jax2d/published_details.py
     report_contacts: bool = False
@@ -30,7 +30,7 @@ def rules_of(settings: Settings, *, report_contacts: bool = False) -> Rules:
         settings.friction_mixing,
         settings.substeps,
         settings.bounce_rounds,
-        settings.blow_passes,
+        settings.impact_passes,
         settings.solver_batch_size,
         frozenset(settings.published_details),
         report_contacts,

@@ -1,4 +1,4 @@
-"""What slides over the seams between the tiles of a floor is not stopped by them."""
+"""Seams between the tiles of a floor, which do not stop what slides over them."""
 
 from __future__ import annotations
 

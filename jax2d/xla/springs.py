@@ -109,7 +109,7 @@ def warm_start(bodies: Bodies, springs: Springs) -> Bodies:
 
 
 class Row(NamedTuple):
-    """What one pass needs of an element: nothing here changes while velocities are solved."""
+    """An element as one pass needs it: nothing here changes while velocities are solved."""
 
     pair: Pair
     line: Jacobian
@@ -158,8 +158,8 @@ def solve(
         of = push(of, row.pair, row.line, force - impulses.force)
         mass = vec2.inverse_or_zero(row.inverse_mass)
 
-        def limit(room: jax.Array, speed: jax.Array, accumulated: jax.Array, exists: jax.Array) -> jax.Array:
-            total = limit_impulse(room, speed, mass, accumulated, params, use_bias=use_bias)
+        def limit(clearance: jax.Array, speed: jax.Array, accumulated: jax.Array, exists: jax.Array) -> jax.Array:
+            total = limit_impulse(clearance, speed, mass, accumulated, params, use_bias=use_bias)
             return jnp.where(exists, total, accumulated)
 
         shortest = limit(row.shortest_room, speed_along(row.line, of), impulses.shortest, row.has_shortest)
@@ -192,7 +192,7 @@ def solvable(stiffness: jax.Array, inverse: jax.Array, params: SolverNumbers) ->
 
 
 def limit_impulse(
-    room: jax.Array,
+    clearance: jax.Array,
     speed: jax.Array,
     mass: jax.Array,
     accumulated: jax.Array,
@@ -200,13 +200,13 @@ def limit_impulse(
     *,
     use_bias: bool,
 ) -> jax.Array:
-    """New total of a one-sided limit: room is what is left before it, `speed` that at which room grows. It yields as
-    joints do: rows of rods that do not, and light sliders that carry heavy ones, would gain energy."""
+    """New total of a one-sided limit. clearance: what is left before it; speed: that at which it grows. It is softened
+    as joints do: rows of rods that do not, and light sliders that carry heavy ones, would gain energy."""
     soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
-    back = jnp.maximum(soft.bias_rate * room, -params.joint_pull_speed)
-    hard = -mass * (speed + room / params.h)
-    yielding = -mass * soft.mass_scale * (speed + back) - soft.impulse_scale * accumulated
-    return jnp.maximum(accumulated + jnp.where(room > 0, hard, yielding), 0)
+    back = jnp.maximum(soft.bias_rate * clearance, -params.joint_pull_speed)
+    hard = -mass * (speed + clearance / params.h)
+    softened = -mass * soft.mass_scale * (speed + back) - soft.impulse_scale * accumulated
+    return jnp.maximum(accumulated + jnp.where(clearance > 0, hard, softened), 0)
 
 
 def work(bodies: Bodies, springs: Springs) -> jax.Array:

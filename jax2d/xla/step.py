@@ -44,7 +44,7 @@ class Progress(NamedTuple):
     cache: ContactCache  # of contacts solved before
     touch: jax.Array  # [n, n] bool, who touched whom in this step
     overflow: jax.Array  # [] int32
-    came_with: Velocities  # when contacts were found
+    v_at_detection: Velocities  # when contacts were found
     max_energy: jax.Array  # [] J, what bounces may leave the world with
     tally: reports.Tally | None  # of what contacts did, if that is reported
 
@@ -100,7 +100,7 @@ class StepState(NamedTuple):
         jax.Array
     )  # [] bool, contacts are found in each sub-step, where a body turns too far for those found once
     interruptions: jax.Array  # [] int32
-    begun: Velocities  # of the sub-step, when forces had acted and nothing had been solved
+    v_substep_start: Velocities  # of the sub-step, when forces had acted and nothing had been solved
 
 
 def soft_step(
@@ -115,19 +115,19 @@ def soft_step(
         return contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, dt, is_start)
 
     def solve(now: StepState) -> StepState:
-        bodies, joints, contacts, cache, touch, overflow, came_with, max_energy, tally = now.progress
-        _, substep, interrupted, is_found, every_substep, interruptions, begun = now
+        bodies, joints, contacts, cache, touch, overflow, v_at_detection, max_energy, tally = now.progress
+        _, substep, interrupted, is_found, every_substep, interruptions, v_substep_start = now
         left = h * jnp.where(every_substep, 1, rules.substeps - substep)
         found = bodies_of.end_step(bodies)
         found_contacts = find(found, cache, left, ~interrupted)
-        found_joints = joints_of.prepare(found, scene, joints.remembered(), controls, params)
+        found_joints = joints_of.prepare(found, scene, joints.warm_start_impulses(), controls, params)
         found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
         # Of a sub-step that was stopped, bodies have had the impulses already.
         found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
-        bodies, contacts, joints, came_with, max_energy = choose(
+        bodies, contacts, joints, v_at_detection, max_energy = choose(
             is_found,
             (found, found_contacts, found_joints, found.velocities, found_energy),
-            (bodies, contacts, joints, came_with, max_energy),
+            (bodies, contacts, joints, v_at_detection, max_energy),
         )
         if tally is not None:
             tally = choose(is_found, reports.begin(tally, contacts), tally)
@@ -138,7 +138,7 @@ def soft_step(
         driven = forces.apply(driven, thrusters, h)
         driven = forces.apply_external(driven, controls, h)
         driven = bodies_of.apply_damping(driven, scene, h)
-        begun = choose(interrupted, begun, driven.velocities)
+        v_substep_start = choose(interrupted, v_substep_start, driven.velocities)
         driven = joints_of.warm_start(driven, joints)
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
         bodies, contacts = choose(interrupted, (bodies, contacts), (driven, warm_contacts))
@@ -151,7 +151,7 @@ def soft_step(
         bodies = choose(interrupted, bodies, moved)
         substep = jnp.where(interrupted, substep, substep + 1)
         interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
-        bodies, joints, contacts = _relax(bodies, joints, contacts, begun, params, rules)
+        bodies, joints, contacts = _relax(bodies, joints, contacts, v_substep_start, params, rules)
         max_energy += jnp.sum(joints_of.motor_work(bodies, joints)) + forces.work(bodies, thrusters, h)
         max_energy += jnp.sum(springs_of.work(bodies, joints.springs))
         max_energy += forces.external_work(bodies, controls, h)
@@ -159,18 +159,18 @@ def soft_step(
         max_energy += carried
 
         is_end = interrupted | every_substep | (substep == rules.substeps)
-        leaving = jnp.where(is_end, bounces.leaving_speed(bodies, contacts, scene.gravity, params), 0)
-        leaving, contacts = impact_propagation.propagate(bodies, came_with, contacts, leaving)
+        rebound_target = jnp.where(is_end, bounces.rebound_speed(bodies, contacts, scene.gravity, params), 0)
+        rebound_target, contacts = impact_propagation.propagate(bodies, v_at_detection, contacts, rebound_target)
         energy_limit = bounces.EnergyLimit(max_energy, carried, scene.gravity)
-        bounced, bounce_impulses = bounces.bounce(bodies, joints, contacts, leaving, energy_limit, params, rules)
+        bounced, bounce_impulses = bounces.bounce(bodies, joints, contacts, rebound_target, energy_limit, params, rules)
         bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
         if tally is not None:
             tally = reports.add(tally, contacts)
             tally = reports.add_impulse(tally, contacts, jnp.where(is_end, bounce_impulses, 0))
-        progress = Progress(bodies, joints, contacts, cache, touch, overflow, came_with, max_energy, tally)
-        ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_blow | (leaving > 0))
+        progress = Progress(bodies, joints, contacts, cache, touch, overflow, v_at_detection, max_energy, tally)
+        ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_impact | (rebound_target > 0))
         progress = choose(is_end, ended, progress)
-        return StepState(progress, substep, interrupted, is_end, every_substep, interruptions, begun)
+        return StepState(progress, substep, interrupted, is_end, every_substep, interruptions, v_substep_start)
 
     def solve_unless_done(now: StepState, _: None) -> tuple[StepState, None]:
         is_left = now.substep < rules.substeps
@@ -181,7 +181,7 @@ def soft_step(
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
     progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, start[0], rules))
     none, no = jnp.zeros((), jnp.int32), jnp.array(False)
-    step_state = StepState(progress, none, no, ~no, no, none, progress.came_with)
+    step_state = StepState(progress, none, no, ~no, no, none, progress.v_at_detection)
     # One program for sub-steps, those that find contacts every_substep, and those that are stopped.
     step_state, _ = jax.lax.scan(solve_unless_done, step_state, length=rules.substeps + C.max_interruptions)
     return step_state.progress
@@ -211,7 +211,7 @@ def _solve_passes(
     """`only`: the bodies [n] that this is about; None: all.
 
     Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one. With
-    bias, where a speed limit takes back what stops a body, the rest of it is asked for again. And where something hits,
+    bias, where a speed limit takes back what stops a body, the rest of it is solved again. And where something hits,
     passes go on until all that it reaches has its share.
     """
     everything = ActiveSet.everything(bodies) if only is None else ActiveSet.of(only)
@@ -226,7 +226,7 @@ def _solve_passes(
         moved = jnp.any(moved, axis=0)
         bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
         next_active = ActiveSet(moved | hit, jnp.array(True), everything.only)
-        follows = jnp.any(next_active.now) & (index < rules.blow_passes)
+        follows = jnp.any(next_active.now) & (index < rules.impact_passes)
         if not use_bias:
             return Pass(bodies, joints, contacts, next_active, follows, now.was_limited)
         limited = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed)
@@ -242,7 +242,7 @@ def _solve_passes(
         return jax.lax.cond(in_any_world(now.follows), solved, lambda: now), None
 
     first = Pass(bodies, joints, contacts, everything, follows=jnp.array(True), was_limited=jnp.array(False))
-    num_passes = 1 + max(rules.blow_passes, C.limited_passes if use_bias else 0)
+    num_passes = 1 + max(rules.impact_passes, C.limited_passes if use_bias else 0)
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(num_passes))
     return last.bodies, last.joints, last.contacts
 
@@ -257,18 +257,18 @@ class Relaxed(NamedTuple):
 
 
 def _relax(
-    bodies: Bodies, joints: Joints, contacts: Contacts, begun: Velocities, params: SolverNumbers, rules: Rules
+    bodies: Bodies, joints: Joints, contacts: Contacts, v_substep_start: Velocities, params: SolverNumbers, rules: Rules
 ) -> tuple[Bodies, Joints, Contacts]:
     """Solves without bias, islands that gain energy by that again."""
     islands = islands_of.find(bodies, contacts, joints)
-    allowed = islands_of.max_energy(bodies, begun, params.h)
+    allowed = islands_of.max_energy(bodies, v_substep_start, params.h)
 
     def solve(now: Relaxed, index: jax.Array) -> Relaxed:
-        forgotten = islands_of.forget(islands, now.bodies, now.joints, now.contacts, begun, now.gains)
-        forgets = index == C.remembered_energy_passes
-        start = choose(forgets, forgotten, (now.bodies, now.joints, now.contacts))
+        reset = islands_of.reset_impulses(islands, now.bodies, now.joints, now.contacts, v_substep_start, now.gains)
+        is_reset = index == C.energy_passes_before_reset
+        start = choose(is_reset, reset, (now.bodies, now.joints, now.contacts))
         end = _solve_passes(*start, params, rules, use_bias=False, only=now.gains)
-        spare = jnp.where(index + 1 == C.remembered_energy_passes, C.forgetting_gain, 0)
+        spare = jnp.where(index + 1 == C.energy_passes_before_reset, C.reset_gain, 0)
         gains = now.gains & islands_of.gains_energy(islands, *end, allowed, params.h, spare)
         return Relaxed(*end, gains)
 
@@ -338,10 +338,10 @@ def _nothing_recorded(
 
 
 def _finish_contacts(progress: Progress, transient: jax.Array | bool = False) -> Progress:
-    """Records who touched, and keeps the impulses for the contacts found next, none of blows and bounces."""
+    """Records who touched, and caches the impulses for the contacts found next, none of impacts and bounces."""
     contacts, tally = progress.contacts, progress.tally
     return progress._replace(
-        tally=None if tally is None else reports.place(tally, progress.bodies, contacts),
+        tally=None if tally is None else reports.locate(tally, progress.bodies, contacts),
         cache=contacts_of.cache_of(contacts, transient),
         touch=progress.touch | touching(contacts),
         overflow=progress.overflow + contacts.overflow,

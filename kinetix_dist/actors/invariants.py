@@ -83,7 +83,7 @@ def _go_through(
     """The results of what was traced, each operation by `compute(operation, operands)`.
 
     is_opened: whether a jitted function is gone through, too; else the call of it is an operation like others.
-    caller: where the function was called that these operations stand for, told of those that do not know their place.
+    caller: where the function was called that these operations stand for, for those without a place of their own.
     """
     inner: Jaxpr = traced.jaxpr
     values = dict(zip([*inner.constvars, *inner.invars], [*traced.consts, *given], strict=True))
@@ -107,7 +107,7 @@ def _go_through(
 
 
 def _gives_known(called: ClosedJaxpr, operands: Sequence[Any]) -> bool:
-    """Whether an operation of a function, or a result of it, is known before the loop."""
+    """Says whether an operation of a function, or a result of it, is known before the loop."""
     found = False
 
     def look(operation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -121,7 +121,7 @@ def _gives_known(called: ClosedJaxpr, operands: Sequence[Any]) -> bool:
 
 
 def _is_known(operation: JaxprEqn, operands: list[Any]) -> bool:
-    """Whether it can be computed before the loop."""
+    """Says whether an operation can be computed before the loop."""
     return not operation.effects and not any(value is UNKNOWN for value in operands)
 
 

@@ -27,15 +27,17 @@ from kinetix_dist.models.gru import act, forget, initial_memory
 
 
 class Worlds(NamedTuple):
-    """Where a batch of worlds stands."""
+    """State of a batch of worlds."""
 
     prepared: PreparedLevels
     env_state: EnvState
     obs: Any  # [W, ...], as `env.reset` or the last unroll gave it
+    numbers: Array | None = None  # [W] of these worlds in the whole batch; None: from 0 on
+    bound_heads: Array | None = None  # [W, dimensions] bool, those whose log-probability counts; None: all
 
 
 class Played(NamedTuple):
-    """What `unroll` gives."""
+    """Result of `unroll`."""
 
     trajectory: Trajectory
     env_state: EnvState
@@ -52,21 +54,18 @@ def unroll(
     key: Array,
     num_steps: int,
     *,
-    numbers: Array | None = None,
-    bound_heads: Array | None = None,
     keep_timeouts: bool = False,
 ) -> Played:
     """`num_steps` steps of W worlds, each at the start of an episode: what a policy remembers begins with them.
 
-    key: a typed key, used up by this call (fold in a counter for the next). numbers: [W] of these worlds in the
-    whole batch; None: from 0 on. bound_heads: [W, dimensions] bool, those whose log-probability counts; None: all.
-    keep_timeouts: whether the trajectory says which episodes ended at the time limit.
+    key: a typed key, used up by this call (fold in a counter for the next). keep_timeouts: whether the trajectory says
+    which episodes ended at the time limit.
     """
     prepared = worlds.prepared
-    counted = {} if bound_heads is None else {"bound": bound_heads}
+    counted = {} if worlds.bound_heads is None else {"bound": worlds.bound_heads}
     distribution = env.action_distribution
     num_worlds = _num_worlds(worlds.obs)
-    world_keys = keys_of_worlds(key, jnp.arange(num_worlds) if numbers is None else numbers)
+    world_keys = keys_of_worlds(key, jnp.arange(num_worlds) if worlds.numbers is None else worlds.numbers)
 
     @jax.jit  # traced once for the steps and for the value behind the last one
     def play(params: Any, obs: Any, memory: Array | None) -> tuple[Any, Array, Array | None]:
@@ -127,7 +126,7 @@ def _world_by_world(x: Array) -> Array:
     """`x` as the learner takes it, each world's numbers side by side in memory.
 
     Without it XLA keeps the trajectory as the engine's tables are, worlds last, and transposes it after the last step:
-    a second one beside it (at M 159 KiB a world instead of 102, docs/operating.md: memory of GPUs).
+    a second copy (at M 159 KiB a world instead of 102, docs/operating.md: memory of GPUs).
     """
     return with_layout_constraint(x, Layout(major_to_minor=tuple(range(x.ndim))))
 

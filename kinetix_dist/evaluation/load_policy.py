@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist import prng
@@ -40,4 +41,5 @@ def load_policy(checkpoint: Checkpoint, config: PolicyConfig, env: Environment, 
         return module.init(key, env.observe(prepared, prepared.initial_obs))
 
     template = jax.eval_shape(init, prng.key(0))
-    return module, unflatten_arrays(template, released_arrays(checkpoint))
+    # JAX refuses arrays of numpy as constants of a program ("non-canonical constant") behind a custom gradient.
+    return module, jax.tree.map(jnp.asarray, unflatten_arrays(template, released_arrays(checkpoint)))

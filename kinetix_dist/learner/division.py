@@ -1,8 +1,8 @@
 """Any number of devices: parts of a batch (groups of worlds, say) divided over them, evenly or not.
 
-Every device runs the same program on as many places. Where the division is uneven, the last devices have one part
-less than the first; the place that is left over there holds the last part of the device once more, and whatever adds
-up over worlds leaves it out. So it costs time and changes no number.
+Every device runs the same program on as many slots. Where the division is uneven, the last devices have one part
+less than the first; the slot that is left over there holds the last part of the device once more, and sums
+over worlds leave it out. So it costs time and changes no number.
 
     5 parts on 3 devices:    0 1 | 2 3 | 4 (4)
 """
@@ -30,8 +30,8 @@ class Division:
             )
 
     @property
-    def places(self) -> int:
-        """On each device."""
+    def slots(self) -> int:
+        """Slots on each device."""
         return -(-self.num_parts // self.num_devices)
 
     @property
@@ -40,26 +40,26 @@ class Division:
 
     @functools.cached_property
     def parts(self) -> np.ndarray:
-        """[devices, places] int32: the part in each place, the last one of a device twice where one is left over."""
+        """[devices, slots] int32: the part in each slot, the last one of a device twice where one is left over."""
         least, more = divmod(self.num_parts, self.num_devices)
         count = least + (np.arange(self.num_devices) < more)
         first = np.cumsum(count) - count
-        place = np.minimum(np.arange(self.places), count[:, None] - 1)
-        return (first[:, None] + place).astype(np.int32)
+        slot = np.minimum(np.arange(self.slots), count[:, None] - 1)
+        return (first[:, None] + slot).astype(np.int32)
 
     @functools.cached_property
     def is_counted(self) -> np.ndarray:
-        """[devices, places] bool: false where a part is there once more."""
+        """[devices, slots] bool: false where a part is there once more."""
         return np.diff(self.parts, axis=1, prepend=-1) > 0
 
     def spread(self, num_rows: int) -> np.ndarray:
-        """Of `num_rows` rows, as many for each part: the row that lies in each row of all places, device by device."""
+        """Row that lies in each row of all slots, device by device, of `num_rows` rows with as many for each part."""
         return _rows(self.parts.reshape(-1), num_rows // self.num_parts)
 
     def gathered(self, num_rows: int) -> np.ndarray:
-        """The inverse: of `num_rows` rows in all places, those of each part once, in order."""
+        """Inverse of `spread`: of `num_rows` rows in all slots, those of each part once, in order."""
         return _rows(np.flatnonzero(self.is_counted), num_rows // self.parts.size)
 
 
-def _rows(parts: np.ndarray, rows_a_part: int) -> np.ndarray:
-    return (parts[:, None] * rows_a_part + np.arange(rows_a_part)).reshape(-1)
+def _rows(parts: np.ndarray, rows_per_part: int) -> np.ndarray:
+    return (parts[:, None] * rows_per_part + np.arange(rows_per_part)).reshape(-1)

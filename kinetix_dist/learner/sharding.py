@@ -93,7 +93,7 @@ def shard_worlds(tree: Any, mesh: Mesh, *, axis: int = 0) -> Any:
 
 
 def spread_worlds(tree: Any, mesh: Mesh, division: Division, *, axis: int = 0) -> Any:
-    """Puts worlds into the places of their parts. Every process hands in the worlds of all, each once."""
+    """Puts worlds into the slots of their parts. Every process hands in the worlds of all, each once."""
 
     def place(x: Array) -> Array:
         rows = own_rows(mesh, division, np.shape(x)[axis])
@@ -103,7 +103,7 @@ def spread_worlds(tree: Any, mesh: Mesh, division: Division, *, axis: int = 0) -
 
 
 def own_rows(mesh: Mesh, division: Division, num_worlds: int) -> np.ndarray:
-    """Of all worlds, each once and in order: the number of the one in each place of this process's devices."""
+    """Number of the world in each slot of this process's devices, of all worlds, each once and in order."""
     mine = [device.process_index == jax.process_index() for device in mesh.devices.flat]
     return division.spread(num_worlds).reshape(mesh.devices.size, -1)[mine].reshape(-1)
 

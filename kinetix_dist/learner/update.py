@@ -40,7 +40,10 @@ from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.step_size import Sizes, average, guarded, sizes
 from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.gru import has_memory
+from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
+from kinetix_dist.models.kernels.support import traced_for
 from kinetix_dist.models.stored import stored
+from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
 
 METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "learning_rate")
 
@@ -48,6 +51,7 @@ METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "l
 IN_SPECS = PartitionSpec(), PartitionSpec(DATA_AXIS), PartitionSpec(None, DATA_AXIS), PartitionSpec(DATA_AXIS)
 OUT_SPECS = PartitionSpec(), PartitionSpec()  # and what it gives: learner state, metrics
 
+CACHE = "updates"  # folder in the program cache
 Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
 
 
@@ -62,7 +66,7 @@ class _Program:
     division: Division  # of the virtual shards, or of blocks of them
 
     @property
-    def shards_a_place(self) -> int:
+    def shards_per_slot(self) -> int:
         return self.config.virtual_shards // self.division.num_parts
 
     @property
@@ -87,7 +91,7 @@ def make_update(
     observation, distribution: those of the environment; `policy` takes the one and gives the outputs of the other.
     division: of blocks of virtual shards over the devices, by default of single ones; a divisor of their number.
     learner_state: replicated over `mesh`. static [W, ...], trajectory [T, W, ...] and last_value [W]: sharded by
-    world (`sharding.shard_worlds`), in all places of the division (`Division.spread`). metrics: METRICS, replicated
+    world (`sharding.shard_worlds`), in all slots of the division (`Division.spread`). metrics: METRICS, replicated
     float32 scalars, means over applied gradient steps (NaN when all were skipped) except explained_variance (of the
     values in the trajectory), skipped_steps and the learning_rate of the update.
     """
@@ -112,6 +116,35 @@ def make_update(
         return on_mesh(state, static, trajectory, last_value)
 
     return jax.jit(update)
+
+
+@functools.lru_cache(maxsize=8)
+def exported_update(
+    policy: nn.Module,
+    observation: Observation,
+    distribution: ActionDistribution,
+    config: PpoConfig,
+    mesh: Mesh,
+    *,
+    division: Division | None = None,
+) -> Update:
+    """Returns `make_update`, from the program cache where a process has traced it for equal arguments and arrays.
+
+    An update with a part of a class from outside of this project is traced in every process: that code may change.
+    """
+    update = make_update(policy, observation, distribution, config, mesh, division=division)
+    parts = policy, observation, distribution
+    if not is_cacheable(*parts):
+        return update
+    key = ProgramKey(
+        kind=CACHE,
+        module=__name__,
+        parts=parts,
+        depends_on=(config, division),
+        at_trace=traced_for,
+        custom_calls=CUSTOM_CALLS,
+    )
+    return exported_on_mesh(update, key, mesh, in_specs=IN_SPECS, out_specs=OUT_SPECS)
 
 
 def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig) -> Array:
@@ -193,20 +226,20 @@ def _update(
 
 
 def _num_worlds(division: Division, num_rows: int) -> int:
-    """Worlds of all devices, each once, of those that lie in all places."""
-    return num_rows // (division.num_devices * division.places) * division.num_parts
+    """Number of worlds of all devices, each once, of those that lie in all slots."""
+    return num_rows // (division.num_devices * division.slots) * division.num_parts
 
 
 def _counted(program: _Program, *, num_samples_here: int) -> Array | None:
-    """[samples] bool, the same number for each place of this device: false where a part is there once more.
+    """[samples] bool, the same number for each slot of this device: false where a part is there once more.
 
     None where all count.
     """
     division = program.division
     if division.is_even:
         return None
-    places = jnp.asarray(division.is_counted)[jax.lax.axis_index(DATA_AXIS)]
-    return jnp.repeat(places, num_samples_here // division.places)
+    is_counted = jnp.asarray(division.is_counted)[jax.lax.axis_index(DATA_AXIS)]
+    return jnp.repeat(is_counted, num_samples_here // division.slots)
 
 
 def _counted_of_minibatch(program: _Program, num_steps: int, num_worlds: int) -> Array | None:
@@ -228,7 +261,7 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
 
     Of a recurrent policy, whole worlds are shuffled: samples [T, worlds], step by step.
     """
-    config, block = program.config, program.shards_a_place
+    config, block = program.config, program.shards_per_slot
     blocks = jnp.asarray(program.division.parts)[jax.lax.axis_index(DATA_AXIS)]
     numbers = (blocks[:, None] * block + jnp.arange(block)).reshape(-1)  # of the shards on this device
     num_shards = numbers.size

@@ -1,4 +1,4 @@
-"""A level being drawn: what exists so far, and adding one candidate to it.
+"""A level being drawn: its shapes, joints and thrusters so far, additions to it, and its slots in random order.
 
 Arrays have the final capacity. Writes go to a traced slot through a mask, which under `vmap` is a select instead of
 a scatter. Masses and contact permissions are left to `derive`, once, at the end.
@@ -13,10 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.fields import Array
+from jax2d.fields import Array, replace
 from jax2d.scene import Capacity, JointDrive, JointKind, Joints, Thrusters
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_WALLS, Level, Role
 from kinetix_dist.level.walls import empty_level
 
 
@@ -47,43 +46,50 @@ class DrivenJoints:
     colour: Array  # [J] int32
 
 
-def hinge_or_weld(
-    *,
-    is_weld: Array,
-    rest_angle: Array,
-    motor_on: Array,
-    motor_speed: Array,
-    motor_power: Array,
-    has_limits: Array,
-    lower_limit: Array,
-    upper_limit: Array,
-    colour: Array,
-    a: Array | int = 0,
-    b: Array | int = 0,
-    anchor_a: Array | None = None,
-    anchor_b: Array | None = None,
-) -> DrivenJoints:
-    """One active joint, without the leading axis. A weld has neither motor nor limits, whatever is asked for; a hinge
-    without limits has zeros there."""
-    has_limits = has_limits & ~is_weld
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Ends:
+    """The two shapes that a joint holds; left open where the caller fills them in later."""
+
+    a: Array | int = 0  # slots
+    b: Array | int = 0
+    anchor_a: Array | None = None  # [2] m, frame of a
+    anchor_b: Array | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MotorAndLimits:
+    """Motor and limits of a hinge; a weld has neither."""
+
+    motor_on: Array
+    speed: Array
+    power: Array
+    colour: Array
+    has_limits: Array
+    lower_limit: Array  # rad
+    upper_limit: Array
+
+
+def joint_row(ends: Ends, is_weld: Array, rest_angle: Array, hinge: MotorAndLimits) -> DrivenJoints:
+    """One active joint, a hinge or a weld, without the leading axis. Limits that a joint does not have are zeros."""
+    has_limits = hinge.has_limits & ~is_weld
     joint = Joints(
         active=jnp.array(True),
         kind=jnp.where(is_weld, JointKind.FIXED, JointKind.REVOLUTE),
-        a=jnp.asarray(a),
-        b=jnp.asarray(b),
-        anchor_a=jnp.zeros(2, jnp.float32) if anchor_a is None else anchor_a,
-        anchor_b=jnp.zeros(2, jnp.float32) if anchor_b is None else anchor_b,
+        a=jnp.asarray(ends.a),
+        b=jnp.asarray(ends.b),
+        anchor_a=jnp.zeros(2, jnp.float32) if ends.anchor_a is None else ends.anchor_a,
+        anchor_b=jnp.zeros(2, jnp.float32) if ends.anchor_b is None else ends.anchor_b,
         rest_angle=rest_angle,
         axis_angle=jnp.zeros((), jnp.float32),
-        motor_on=motor_on & ~is_weld,
+        motor_on=hinge.motor_on & ~is_weld,
         drive=jnp.array(JointDrive.VELOCITY, jnp.int32),
-        motor_speed=jnp.where(is_weld, 0.0, motor_speed),
-        motor_power=jnp.where(is_weld, 0.0, motor_power),
+        motor_speed=jnp.where(is_weld, 0.0, hinge.speed),
+        motor_power=jnp.where(is_weld, 0.0, hinge.power),
         has_limits=has_limits,
-        lower_limit=jnp.where(has_limits, lower_limit, 0.0),
-        upper_limit=jnp.where(has_limits, upper_limit, 0.0),
+        lower_limit=jnp.where(has_limits, hinge.lower_limit, 0.0),
+        upper_limit=jnp.where(has_limits, hinge.upper_limit, 0.0),
     )
-    return DrivenJoints(joints=joint, colour=colour)
+    return DrivenJoints(joints=joint, colour=hinge.colour)
 
 
 @jax.tree_util.register_dataclass
@@ -98,7 +104,7 @@ class DrivenThrusters:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Draft:
-    """What has been drawn so far."""
+    """Shapes, joints and thrusters drawn so far."""
 
     shapes: Shapes
     driven_joints: DrivenJoints
@@ -175,7 +181,7 @@ def beside(mask: Array, column: Array) -> Array:
 
 
 def first_free(active: Array) -> Array:
-    """Index of the first inactive slot (0 where there is none: ask `~active.all()` too)."""
+    """Index of the first inactive slot (0 where there is none: check `~active.all()` too)."""
     return jnp.argmin(active)
 
 
@@ -186,7 +192,8 @@ def draft_to_level(draft: Draft, capacity: Capacity) -> tuple[Level, Array]:
 
 
 def with_draft(level: Level, draft: Draft, capacity: Capacity) -> Level:
-    """The level with all that a draft has; what a draft does not have stays. Masses are still to be derived."""
+    """The level with the shapes, joints and thrusters of a draft, and its own gravity, speeds and surfaces. Masses are
+    still to be derived."""
     shapes, polygons = draft.shapes, capacity.polygons
     scene = level.scene.replace(
         shapes={
@@ -207,3 +214,38 @@ def with_draft(level: Level, draft: Draft, capacity: Capacity) -> Level:
         motor_colour=draft.driven_joints.colour,
         thruster_colour=draft.driven_thrusters.colour,
     )
+
+
+def permute_slots(draw: Array, draft: Draft, num_polygons: int) -> Draft:
+    """The same draft with polygons (walls excepted), circles, joints and thrusters in other slots each.
+
+    `draw` holds `num_permutation_draws(draft)` uniform numbers. `body` and `added_at` move along but keep their
+    values: they are notes of the generator, not slot numbers.
+    """
+    num_shapes = draft.shapes.active.shape[0]
+    num_joints, num_thrusters = draft.joints.active.shape[0], draft.thrusters.active.shape[0]
+    ends = np.cumsum([num_polygons - NUM_WALLS, num_shapes - num_polygons, num_joints, num_thrusters])
+    by_draw = [jnp.argsort(part) for part in jnp.split(draw, ends[:-1])]
+    walls = jnp.arange(NUM_WALLS)
+    polygons = NUM_WALLS + by_draw[0]
+    circles = num_polygons + by_draw[1]
+    source = jnp.concatenate([walls, polygons, circles])  # new slot -> old slot
+    slot_of = jnp.argsort(source).astype(jnp.int32)  # old slot -> new slot
+    joint_order = by_draw[2]
+    thruster_order = by_draw[3]
+    shapes = jax.tree.map(lambda x: row_at(x, source), draft.shapes)
+    joints = jax.tree.map(lambda x: row_at(x, joint_order), draft.driven_joints)
+    thrusters = jax.tree.map(lambda x: row_at(x, thruster_order), draft.driven_thrusters)
+    return Draft(
+        shapes=shapes,
+        driven_joints=replace(
+            joints, joints={"a": row_at(slot_of, joints.joints.a), "b": row_at(slot_of, joints.joints.b)}
+        ),
+        driven_thrusters=replace(thrusters, thrusters={"body": row_at(slot_of, thrusters.thrusters.body)}),
+    )
+
+
+def num_permutation_draws(draft: Draft) -> int:
+    """Number of uniform numbers that `permute_slots` uses."""
+    counts = (draft.shapes.active, draft.joints.active, draft.thrusters.active)
+    return sum(active.shape[0] for active in counts) - NUM_WALLS

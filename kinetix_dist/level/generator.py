@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -27,67 +28,50 @@ from kinetix_dist.level.draft import (
     draft_to_level,
     empty_draft,
     first_free,
+    num_permutation_draws,
+    permute_slots,
     read_slot,
     with_green_and_blue_exchanged,
     write_slot,
 )
+from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level, obeying_motors
-from kinetix_dist.level.locomotion import locomotion_draft
-from kinetix_dist.level.mutators import mutate
-from kinetix_dist.level.permute import num_permutation_draws, permute_slots
+from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level, Role
+from kinetix_dist.level.mechanisms.mechanism_draft import mechanism_draft
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose, shape_mass
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.variety import vary
 
 __all__ = ["GeneratorConfig", "generate_level", "generate_levels"]
 
 _NUM_FIRST = 3  # green, blue, and the shape that a forced motor needs
 _NUM_THRUSTER_DRAWS = 9
-_LOCOMOTION_STREAM = 0x4C4F  # "LO": folded into a level's key
+_MECHANISM_STREAM = 0x4C4F  # "LO": folded into a level's key
 _VARIETY_STREAM = 0x5641  # "VA"
-_EDITS_STREAM = 0x4544  # "ED"
 
 
 def generate_level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
     """One random level. Exactly one green and one blue, at least one motor or thruster. Consumes `key`.
 
-    A share `config.locomotion_share` of the levels are those of `locomotion.py`; of all of them `config.edited_share`
-    are changed by `mutators.py`, and `config.varied_share` are varied by `variety.py`.
+    Of the levels a share `config.mechanism_share` has one mechanism; a share `config.varied_share` has other physics.
     """
-    level = _level(key, capacity, config)
-    if config.edited_share > 0.0:
-        level = _edited(prng.fold_in(key, _EDITS_STREAM), level, capacity, config)
+    draft, order = _draft(key, capacity, config)
+    level = derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
     if config.varied_share == 0.0:
         return level
     return vary(prng.fold_in(key, _VARIETY_STREAM), level, config.varied_share)
 
 
-def _level(key: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
-    draft, order = _draft(key, capacity, config)
-    return derive(*draft_to_level(permute_slots(order, draft, capacity.polygons), capacity))
-
-
-def _edited(key: Array, level: Level, capacity: Capacity, config: GeneratorConfig) -> Level:
-    """The level, or after `config.num_changes` changes, unless they leave nothing that an action drives."""
-    coin_key, changes_key = prng.split(key)
-    after, _ = mutate(changes_key, level, capacity, config, config.num_changes)
-    has_control = obeying_motors(after).any() | after.scene.thrusters.active.any()
-    is_edited = (prng.uniform(coin_key) < config.edited_share) & has_control
-    return jax.tree.map(lambda new, old: jnp.where(is_edited, new, old), after, level)
-
-
 def _draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Draft, Array]:
-    """What is in the level, and uniform numbers for `permute_slots`."""
-    if config.locomotion_share == 0.0:
+    """The draft of a level, and uniform numbers for `permute_slots`."""
+    if config.mechanism_share == 0.0:
         return _random_draft(key, capacity, config)
-    is_locomotion = prng.uniform(prng.fold_in(key, _LOCOMOTION_STREAM)) < config.locomotion_share
-    locomotion = locomotion_draft(prng.fold_in(key, _LOCOMOTION_STREAM + 1), capacity, config)
-    if config.locomotion_share == 1.0:
-        return locomotion
-    # The same level as without locomotion where the coin falls otherwise.
-    either = (locomotion, _random_draft(key, capacity, config))
-    return jax.tree.map(lambda *of: jnp.where(is_locomotion, *of), *either)
+    has_mechanism = prng.uniform(prng.fold_in(key, _MECHANISM_STREAM)) < config.mechanism_share
+    with_mechanism = mechanism_draft(prng.fold_in(key, _MECHANISM_STREAM + 1), capacity, config)
+    if config.mechanism_share == 1.0:
+        return with_mechanism
+    # Other levels are those of the key without mechanisms.
+    either = (with_mechanism, _random_draft(key, capacity, config))
+    return jax.tree.map(lambda *of: jnp.where(has_mechanism, *of), *either)
 
 
 def _random_draft(key: Array, capacity: Capacity, config: GeneratorConfig) -> tuple[Draft, Array]:
@@ -206,3 +190,30 @@ def _add_thrusters(draws: Array, draft: Draft, force_thruster: Array, config: Ge
 def _swap_green_and_blue(coin: Array, draft: Draft) -> Draft:
     """Removes the bias of green to the left and of green being added first, unless the floor plays a role."""
     return with_green_and_blue_exchanged(draft, (coin < 0.5) & (draft.shapes.role[0] == Role.NONE))
+
+
+OVERSAMPLING = 2  # levels drawn for each one returned; about one in ten solves itself
+
+
+def generate_filtered(
+    key: Array,
+    num_levels: int,
+    size: str,
+    config: GeneratorConfig,
+    noop_outcome_fn: Callable[[Level], Array],
+) -> Level:
+    """`num_levels` random levels of a size, without levels that solve themselves (paper, section 4).
+
+    Draws twice as many and returns the first ones that `noop_outcome_fn(levels) -> [W] bool` does not call solved, in
+    the order drawn. If more than half of the draw is solved, the last ones are among the solved. Pure; works
+    inside jit. Consumes `key`.
+    """
+    drawn = generate_levels(key, OVERSAMPLING * num_levels, capacity_of_size(size), config)
+    return keep_unsolved(drawn, noop_outcome_fn(drawn), num_levels)
+
+
+@functools.partial(jax.jit, static_argnames="num_levels")
+def keep_unsolved(levels: Level, is_solved: Array, num_levels: int) -> Level:
+    """The first `num_levels` of a batch that are not solved, then solved ones if there are not enough."""
+    order = jnp.argsort(is_solved, stable=True)[:num_levels]
+    return jax.tree.map(lambda x: x[order], levels)

@@ -1,13 +1,14 @@
-"""Parameters of the random level generator, and named sets of them: our own, the public package's, locomotion."""
+"""Parameters of the random level generator, and named sets of them: our own, the public package's, mechanisms."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 
+from kinetix_dist.level.mechanisms import FAMILIES
 from kinetix_dist.near_names import did_you_mean
 
-# What the public package does that no number says. docs/level_format.md, "Random levels", says what each changes.
+# Details of the public package that no number expresses. docs/level_format.md, "Random levels", has their effects.
 PUBLISHED_DETAILS = (
     "contact_points",  # a proposal costs 1 or 2 for each polygon it overlaps, of its own body too
     "exchanged_anchors",  # whether a joined shape is hidden is judged with each other's anchors
@@ -15,10 +16,12 @@ PUBLISHED_DETAILS = (
     "joined_to_walls",  # where every polygon holds two joints, any is joined, walls too
     "limits_from_zero",  # limits of a hinge count from equal angles of its shapes, not from those at the start
 )
-# Of level/locomotion.py: those drawn unless others are asked for, and all.
-LOCOMOTION_KINDS = ("car", "unicycle", "walker", "arm")
-ALL_KINDS = (
-    *LOCOMOTION_KINDS,
+# Families of level/mechanisms/ that are drawn by default
+LOCOMOTION_FAMILIES = ("car", "unicycle", "walker", "arm")
+# Families of the held-out sets tasks_s to tasks_l, in the order of their draws: results are published on these sets,
+# so a new family is not added here.
+TASK_FAMILIES = (
+    *LOCOMOTION_FAMILIES,
     "runner",
     "snake",
     "cartpole",
@@ -41,7 +44,7 @@ ALL_KINDS = (
     "pinball",
 )
 _CHANCES = (
-    "locomotion_share", "varied_share", "edited_share",
+    "mechanism_share", "varied_share",
     "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",
     "motor_on_chance", "forced_motor_on_chance", "limits_chance", "fixed_joint_chance", "thruster_aligned_chance",
     "joined_shape_chance", "free_shape_chance", "thruster_chance", "floor_blue_chance", "floor_red_chance",
@@ -50,7 +53,7 @@ _CHANCES = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GeneratorConfig:
-    """How random levels are drawn. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
+    """Parameters of random levels. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
 
     num_proposals: int = 8  # drawn for each addition; the one with the fewest overlaps is kept
     num_proposals_s: int = 8  # the same where there are at most 3 shapes besides the walls, as in size S
@@ -93,15 +96,12 @@ class GeneratorConfig:
     # Thrusters
     thruster_aligned_chance: float = 0.8  # pushes through the centre of mass
     thruster_power_factor: float = 2.0  # times mass times 0.5..2
-    # Levels with something that can go somewhere, see `locomotion.py`
-    locomotion_share: float = 0.0  # of the levels; the others are random as above
-    locomotion_kinds: tuple[str, ...] = LOCOMOTION_KINDS  # drawn are those for which the size has room
-    locomotion_weights: tuple[float, ...] = ()  # of the kinds, in their order; empty: all are equally likely
+    # Levels with one mechanism, see `mechanisms/`
+    mechanism_share: float = 0.0  # of the levels; the others are random as above
+    mechanism_families: tuple[str, ...] = LOCOMOTION_FAMILIES  # drawn are those for which the size has room
+    mechanism_weights: tuple[float, ...] = ()  # of the families, in their order; empty: all are equally likely
     # Levels, of all of these, with other powers, densities, frictions and so on, see `variety.py`
     varied_share: float = 0.0
-    # Levels, of all of these, after so many random changes, see `mutators.py`; before they are varied
-    edited_share: float = 0.0
-    num_changes: int = 2
 
     def __post_init__(self) -> None:
         for name in _CHANCES:
@@ -117,26 +117,24 @@ class GeneratorConfig:
         for name in ("num_proposals", "num_proposals_s"):
             if getattr(self, name) < 1:
                 raise ValueError(f"GeneratorConfig.{name} is {getattr(self, name)}; draw at least 1")
-        if self.num_changes < 1:
-            raise ValueError(f"GeneratorConfig.num_changes is {self.num_changes}; change 1 thing at least")
         if self.min_revolute_joints < 0:
             raise ValueError(f"GeneratorConfig.min_revolute_joints is {self.min_revolute_joints}; it must be 0 or more")
         if unknown := [name for name in self.published_details if name not in PUBLISHED_DETAILS]:
             raise ValueError(
                 f"GeneratorConfig.published_details has {unknown[0]!r}; there are {', '.join(PUBLISHED_DETAILS)}"
             )
-        if unknown := [name for name in self.locomotion_kinds if name not in ALL_KINDS]:
-            raise ValueError(f"GeneratorConfig.locomotion_kinds has {unknown[0]!r}; there are {', '.join(ALL_KINDS)}")
-        if len(set(self.locomotion_kinds)) < len(self.locomotion_kinds):
-            raise ValueError("GeneratorConfig.locomotion_kinds names a kind twice; use locomotion_weights")
-        if self.locomotion_weights and len(self.locomotion_weights) != len(self.locomotion_kinds):
+        if unknown := [name for name in self.mechanism_families if name not in FAMILIES]:
+            raise ValueError(f"GeneratorConfig.mechanism_families has {unknown[0]!r}; there are {', '.join(FAMILIES)}")
+        if len(set(self.mechanism_families)) < len(self.mechanism_families):
+            raise ValueError("GeneratorConfig.mechanism_families names a family twice; use mechanism_weights")
+        if self.mechanism_weights and len(self.mechanism_weights) != len(self.mechanism_families):
             raise ValueError(
-                f"GeneratorConfig.locomotion_weights has {len(self.locomotion_weights)} numbers for "
-                f"{len(self.locomotion_kinds)} kinds; give one for each, or an empty list for equal ones"
+                f"GeneratorConfig.mechanism_weights has {len(self.mechanism_weights)} numbers for "
+                f"{len(self.mechanism_families)} families; give one for each, or an empty list for equal ones"
             )
-        if not all(0.0 < weight < math.inf for weight in self.locomotion_weights):
+        if not all(0.0 < weight < math.inf for weight in self.mechanism_weights):
             raise ValueError(
-                "GeneratorConfig.locomotion_weights must be finite and above 0; leave out a kind that is not wanted"
+                "GeneratorConfig.mechanism_weights must be finite and above 0; leave out a family that is not wanted"
             )
         smallest = 2.0 * max(self.min_half_extent * math.sqrt(2.0), self.min_radius / self.circle_size_factor)
         if self.max_shape_size < smallest:
@@ -152,9 +150,9 @@ class GeneratorConfig:
             raise ValueError("motor_speed_min and motor_power_min must not be above their maxima")
 
     @property
-    def weight_of_kind(self) -> dict[str, float]:
-        """Each kind of `locomotion_kinds`, in their order."""
-        return dict(zip(self.locomotion_kinds, self.locomotion_weights or (1.0,) * len(self.locomotion_kinds)))
+    def weight_of_family(self) -> dict[str, float]:
+        """Weight of each of `mechanism_families`, in their order."""
+        return dict(zip(self.mechanism_families, self.mechanism_weights or (1.0,) * len(self.mechanism_families)))
 
 
 GENERATORS = {
@@ -166,9 +164,9 @@ GENERATORS = {
         min_revolute_joints=2,
         forced_motor_on_chance=0.8,
     ),
-    "locomotion": GeneratorConfig(locomotion_share=1.0),
-    "tasks": GeneratorConfig(locomotion_share=1.0, locomotion_kinds=ALL_KINDS),
-    **{kind: GeneratorConfig(locomotion_share=1.0, locomotion_kinds=(kind,)) for kind in ALL_KINDS},
+    "locomotion": GeneratorConfig(mechanism_share=1.0),
+    "tasks": GeneratorConfig(mechanism_share=1.0, mechanism_families=TASK_FAMILIES),
+    **{family: GeneratorConfig(mechanism_share=1.0, mechanism_families=(family,)) for family in FAMILIES},
 }
 
 

@@ -1,7 +1,7 @@
-"""Levels to see what a policy makes of a body: it stands in the middle, a goal that it cannot touch is above it.
+"""Levels for the control of any body: it stands in the middle, and a goal that it cannot touch is above it.
 
-Paper, section "Zero-shot Locomotion of an Arbitrary Morphology": the best that can be done is to go below the goal, so
-that the x of goal and green, over many levels, says how well a policy goes where it wants. Morphologies are a `car`, a
+Paper, section "Zero-shot Locomotion of an Arbitrary Morphology": the best a policy can do is to go below the goal, so
+the correlation of the x of goal and green over many levels measures how well it steers. Morphologies are a `car`, a
 `snake` of five links, a box with two `thrusters`, and `random` ones of three shapes joined at random. Pure; works
 inside jit and vmap.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -18,31 +17,34 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
-from kinetix_dist.level.bodies import CLEARANCE_M, GRAVITY_M_S2, NEWTON, build_car
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import draft_to_level, empty_draft
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.roles import Role
-from kinetix_dist.level.thing_tables import choose, table_of, with_circle, with_table
-from kinetix_dist.level.things import Draws, Hinge, Jet, Part, Thing, draw_numbers, extent, moved
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level, Role
+from kinetix_dist.level.mechanisms import FAMILIES
+from kinetix_dist.level.mechanisms.registry import Family
+from kinetix_dist.level.mechanisms.table import choose, table_of, with_circle
+from kinetix_dist.level.mechanisms.template import (
+    CLEARANCE_M,
+    GRAVITY_M_S2,
+    NEWTON,
+    Draws,
+    Joint,
+    Mechanism,
+    Part,
+    Thruster,
+    draw_numbers,
+    extent,
+    given,
+    moved,
+)
+from kinetix_dist.level.mechanisms.to_draft import with_table
 from kinetix_dist.level.walls import FLOOR_TOP_M, PASSES_THROUGH
 
 GOAL_HEIGHT_M = 4.5
 GOAL_RADIUS_M = 0.25
 GOAL_MARGIN_M = 0.5  # of its centre from the walls
 _NUM_LINKS = 5
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Morphology:
-    """How a body is built, and what there must be room for besides the walls, the goal included."""
-
-    build: Callable[[Draws, Capacity], Thing]
-    polygons: int
-    circles: int
-    joints: int = 0
-    thrusters: int = 0
 
 
 def generate_goal_following_level(key: Array, capacity: Capacity, morphology: str) -> Level:
@@ -56,10 +58,10 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
         if room < (needed := getattr(needs, name)):
             raise ValueError(f"{morphology!r} needs {needed} {name}, there are {room}; use a larger size")
     draws = Draws(jax.lax.unstack(draw_numbers(key)))
-    thing = needs.build(draws, capacity)
-    lowest, highest = extent(thing.parts)
+    body = needs.build(draws, capacity)
+    lowest, highest = extent(body.parts)
     middle = jnp.stack([0.5 * (WORLD_SIZE_M - lowest[0] - highest[0]), FLOOR_TOP_M + CLEARANCE_M - lowest[1]])
-    thing = moved(thing, middle)
+    body = moved(body, middle)
     goal_x = draws.between(GOAL_MARGIN_M, WORLD_SIZE_M - GOAL_MARGIN_M)
     goal = Part(
         position=jnp.stack([goal_x, jnp.asarray(GOAL_HEIGHT_M)]),
@@ -67,7 +69,7 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
         role=Role.BLUE,
         is_fixed=True,
     )
-    table = choose([table_of(thing, draws.num_used, capacity, len(thing.hinges))], np.int32(0))
+    table = choose([table_of(body, draws.num_used, capacity, len(body.joints))], np.int32(0))
     draft = with_table(draws, empty_draft(capacity), with_circle(table, goal), capacity, GeneratorConfig())
     level, is_fixed = draft_to_level(draft, capacity)
     # Nothing but walls touches the goal.
@@ -75,7 +77,7 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
     return derive(dataclasses.replace(level, collision_mode=mode), is_fixed)
 
 
-def _snake(draws: Draws, capacity: Capacity) -> Thing:
+def _snake(draws: Draws, capacity: Capacity) -> Mechanism:
     """Equal links in a row, the middle one green."""
     half = jnp.stack([draws.between(0.16, 0.24), draws.between(0.05, 0.08)])
     step = 1.7 * half[0]
@@ -87,22 +89,25 @@ def _snake(draws: Draws, capacity: Capacity) -> Thing:
         )
         for link in range(_NUM_LINKS)
     ]
-    hinges = [
-        Hinge(
-            a=link, b=link + 1, at=jnp.stack([(link + 0.5) * step, jnp.zeros((), jnp.float32)]), limit=jnp.asarray(1.2)
+    joints = [
+        Joint(
+            a=link,
+            b=link + 1,
+            at=jnp.stack([(link + 0.5) * step, jnp.zeros((), jnp.float32)]),
+            limit=given(jnp.asarray(1.2)),
         )
         for link in range(_NUM_LINKS - 1)
     ]
-    return Thing(parts=parts, hinges=hinges)
+    return Mechanism(parts=parts, joints=joints)
 
 
-def _box(draws: Draws, capacity: Capacity) -> Thing:
-    """Two jets at its ends, each pushing up and to the middle with nine tenths of the weight."""
+def _box(draws: Draws, capacity: Capacity) -> Mechanism:
+    """Two thrusters at the ends of a box, each pushing up and to the middle with nine tenths of the weight."""
     half = jnp.stack([draws.between(0.2, 0.35), draws.between(0.08, 0.14)])
     power = 0.9 * (4.0 * half[0] * half[1] * GRAVITY_M_S2) * NEWTON
-    jets = [
-        Jet(
-            of=0,
+    thrusters = [
+        Thruster(
+            part=0,
             at=jnp.stack([side * 0.8 * half[0], jnp.zeros((), jnp.float32)]),
             angle=jnp.asarray(0.5 * math.pi + 0.4 * side),
             power=power,
@@ -110,10 +115,10 @@ def _box(draws: Draws, capacity: Capacity) -> Thing:
         )
         for colour, side in enumerate((-1.0, 1.0))
     ]
-    return Thing(parts=[Part(position=jnp.zeros(2, jnp.float32), half=half, role=Role.GREEN)], hinges=[], jets=jets)
+    return Mechanism(parts=[Part(position=jnp.zeros(2, jnp.float32), half=half, role=Role.GREEN)], thrusters=thrusters)
 
 
-def _random(draws: Draws, capacity: Capacity) -> Thing:
+def _random(draws: Draws, capacity: Capacity) -> Mechanism:
     """A green box, a box or a wheel on it, and a wheel on one of the two."""
     half = jnp.stack([draws.between(0.15, 0.35), draws.between(0.08, 0.2)])
     at = jnp.stack([draws.between(-0.9, 0.9) * half[0], draws.between(-0.9, 0.9) * half[1]])
@@ -128,20 +133,19 @@ def _random(draws: Draws, capacity: Capacity) -> Thing:
     corner = jnp.stack([draws.between(-0.9, 0.9) * half[0], draws.between(-0.9, 0.9) * half[1]])
     last_at = jnp.where(is_on_link, end, corner)
     last = Part(position=last_at, radius=draws.between(0.1, 0.22))
-    hinges = [
-        Hinge(a=0, b=1, at=at, active=has_link),
-        Hinge(a=0, b=2, at=at, active=~has_link),
-        Hinge(a=0, b=3, at=last_at, active=~is_on_link),
-        Hinge(a=1, b=3, at=last_at, active=is_on_link),
+    joints = [
+        Joint(a=0, b=1, at=at, active=has_link),
+        Joint(a=0, b=2, at=at, active=~has_link),
+        Joint(a=0, b=3, at=last_at, active=~is_on_link),
+        Joint(a=1, b=3, at=last_at, active=is_on_link),
     ]
-    return Thing(
-        parts=[Part(position=jnp.zeros(2, jnp.float32), half=half, role=Role.GREEN), link, wheel, last], hinges=hinges
-    )
+    parts = [Part(position=jnp.zeros(2, jnp.float32), half=half, role=Role.GREEN), link, wheel, last]
+    return Mechanism(parts=parts, joints=joints)
 
 
 MORPHOLOGIES = {
-    "car": Morphology(build=build_car, polygons=1, circles=3, joints=2),
-    "snake": Morphology(build=_snake, polygons=_NUM_LINKS, circles=1, joints=_NUM_LINKS - 1),
-    "thrusters": Morphology(build=_box, polygons=1, circles=1, thrusters=2),
-    "random": Morphology(build=_random, polygons=2, circles=3, joints=2),
+    "car": FAMILIES["car"],
+    "snake": Family(build=_snake, polygons=_NUM_LINKS, circles=1, joints=_NUM_LINKS - 1),
+    "thrusters": Family(build=_box, polygons=1, circles=1, thrusters=2),
+    "random": Family(build=_random, polygons=2, circles=3, joints=2),
 }

@@ -15,11 +15,20 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array, replace
 from jax2d.scene import JointKind
-from kinetix_dist.level.draft import Draft, DrivenJoints, Shapes, first_free, hinge_or_weld, read_slot, write_slot
+from kinetix_dist.level.draft import (
+    Draft,
+    DrivenJoints,
+    Ends,
+    MotorAndLimits,
+    Shapes,
+    first_free,
+    joint_row,
+    read_slot,
+    write_slot,
+)
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.level.overlap import contact_points, inset, reach, separation, world_corners
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M, WALL_CENTRES_M
 
 NUM_DRAWS = 28  # uniform numbers that one proposal uses
@@ -28,7 +37,7 @@ NUM_DRAWS = 28  # uniform numbers that one proposal uses
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Request:
-    """What is to be added in one step of the generator (scalars)."""
+    """Addition requested of one step of the generator (scalars)."""
 
     is_joined: Array  # bool: joined to an existing shape, else free
     force_motor: Array  # bool: the joint turns and has a motor that is on
@@ -157,7 +166,7 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
 def _choose_partner(
     shapes: Shapes, kind_draw: Array, slot_draw: Array, num_polygons: int, config: GeneratorConfig
 ) -> Partner:
-    """Whom to join: walls never, fixed shapes rarely, polygons twice at most, circles once and only to a polygon."""
+    """Shape to join: walls never, fixed shapes rarely, polygons twice at most, circles once and only to a polygon."""
     slots = jnp.arange(shapes.active.shape[0])
     is_polygon_slot = slots < num_polygons
     room_polygon = ~shapes.active[:num_polygons].all()
@@ -180,7 +189,7 @@ def _draw_free(
     shapes: Shapes, request: Request, partner: Partner, is_polygon: Array, draw: Array, config: GeneratorConfig
 ) -> Shapes:
     """A shape anywhere in the box, its body left open; a joined one is moved afterwards."""
-    # Which kind, how large, which role.
+    # Kind, size and role.
     half, is_long, radius = sample_size(draw[3:8], config)
     is_triangle = (draw[8] < config.triangle_chance) & is_polygon
     corners, num_vertices = box_or_triangle(half, is_triangle, shapes.vertices.shape[1])
@@ -190,7 +199,7 @@ def _draw_free(
         half_width = jnp.maximum(half_width, jnp.where(is_polygon, config.min_radius, unused))
     area = jnp.where(is_polygon, 4.0 * half[0] * half[1] * jnp.where(is_triangle, 0.5, 1.0), math.pi * radius**2)
     role = _sample_role(shapes, partner.shape.role, request.is_joined, draw[9])
-    # Where: green often on the left and blue on the right (swapped at the end or not).
+    # Position: green often on the left and blue on the right (swapped at the end or not).
     low, high = half_width, WORLD_SIZE_M - half_width
     is_apart = draw[10] < config.opposite_side_chance
     left = jnp.where(is_apart & (role == Role.BLUE), low + WORLD_SIZE_M / 2, low)
@@ -249,7 +258,7 @@ def add_best(draft: Draft, proposals: Proposal, is_joined: Array, do: Array) -> 
 
 
 def _count_overlaps(shapes: Shapes, new: Shapes) -> Array:
-    """How many active shapes of other bodies the new one overlaps."""
+    """Number of active shapes of other bodies that the new one overlaps."""
     corners = world_corners(shapes.position, shapes.angle, shapes.vertices)
     new_corners = world_corners(new.position, new.angle, new.vertices)
     gap = jax.vmap(separation, in_axes=(None, None, 0, 0))(new_corners, new.radius, corners, shapes.radius)
@@ -296,7 +305,7 @@ def _sample_joint(
     num_hinges: Array,
     config: GeneratorConfig,
 ) -> DrivenJoints:
-    """How a joint holds and drives; ends and anchors are filled in by the caller.
+    """Kind, motor and limits of a joint; ends and anchors are filled in by the caller.
 
     angle_between: of b minus that of a at the start, rad. num_hinges: that the level has so far.
     """
@@ -309,14 +318,13 @@ def _sample_joint(
     speed = config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min)
     strongest = jnp.where(both_polygons, config.motor_power_max, config.wheel_power_max)
     power = config.motor_power_min + draw[3] * (strongest - config.motor_power_min)
-    return hinge_or_weld(
-        is_weld=is_fixed,
-        rest_angle=rest_angle,
+    hinge = MotorAndLimits(
         motor_on=draw[1] < motor_on_chance,
-        motor_speed=speed,
-        motor_power=power,
+        speed=speed,
+        power=power,
         has_limits=(draw[4] < config.limits_chance) & both_polygons,
         lower_limit=-config.limit_max * draw[5],
         upper_limit=config.limit_max * draw[6],
         colour=jnp.floor(draw[7] * NUM_MOTOR_COLOURS).astype(jnp.int32),
     )
+    return joint_row(Ends(), is_fixed, rest_angle, hinge)

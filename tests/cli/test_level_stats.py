@@ -103,4 +103,4 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_a_kind_that_the_size_has_no_room_for_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["levels", "stats", "--generator", "runner", "--size", "s", "--levels", "8"]) == 2
     [line] = capsys.readouterr().err.strip().splitlines()
-    assert "no kind of locomotion_kinds runner has room" in line
+    assert "no family of mechanism_families runner has room" in line

@@ -11,7 +11,8 @@ from typing import Any, cast
 import pytest
 
 from jax2d.fidelity.closed_forms import CLOSED_FORMS
-from jax2d.fidelity.frontier import Record, accepted, points_of, scenes_of_means, setting_key
+from jax2d.fidelity.frontier import accepted, points_of, scenes_of_means, setting_key
+from jax2d.fidelity.records import Record
 from jax2d.fidelity.report import beaten_scenes
 from tests.helpers import REPOSITORY
 

@@ -34,7 +34,7 @@ def worlds() -> tuple:
 
 
 def engine(*, is_full: bool) -> Engine:
-    """Of all effects, or of those that these worlds call for."""
+    """Engine of all effects, or of those that these worlds call for."""
     scenes = stack_worlds([world.scene for world in worlds()])
     return Engine(CAPACITY, effects=None if is_full else effects_of(scenes))
 

@@ -70,7 +70,7 @@ def regained_height(num_facets: int, radius: float, start: int, bowl_radius: flo
     return energy / gravity - lowest
 
 
-def sticking_blow(
+def sticking_impact(
     arm: np.ndarray, velocity: np.ndarray, spin: float, squared_radius: float
 ) -> tuple[np.ndarray, float]:
     """Velocity and spin after a body met something fixed at `arm` [2] m from its centre of mass and did not slip or

@@ -62,7 +62,7 @@ def test_recorded_angles_count_turns_also_between_sparse_samples():
 
 
 def spinning_pair(kind: str) -> BuiltWorld:
-    """Two bars that turn together about what both have of mass, from angles of two turns and a half."""
+    """Pair of bars that turn together about their common centre of mass, from angles of two turns and a half."""
     b = SceneBuilder(CAPACITY, gravity=(0, 0))
     start = 5 * math.pi
     bars = [
@@ -100,7 +100,7 @@ def arm(limits: tuple[float, float], drive: str = "velocity") -> BuiltWorld:
 @pytest.mark.parametrize("limit", [3.0, 3.5, 6.5, 20.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_limits_count_turns_where_they_span_so_many(limit: float, sign: float):
-    """Also once an external torque leans into them: the motor does."""
+    """Limits count turns under a motor that leans into them, too."""
     end = after(arm((-limit, limit)), 400, motor=sign)
     assert sign * end.angle[1] == pytest.approx(limit, abs=math.radians(0.5))
     assert abs(end.angular_velocity[1]) < 1e-3

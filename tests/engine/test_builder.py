@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import jax
@@ -9,6 +10,16 @@ import numpy as np
 import pytest
 
 from jax2d import Capacity, SceneBuilder, SceneError, SceneFullError, preset
+from jax2d.builder_options import (
+    BodyKeywords,
+    BodyOptions,
+    PrismaticKeywords,
+    PrismaticMotor,
+    RevoluteKeywords,
+    RevoluteMotor,
+    SpringKeywords,
+    SpringOptions,
+)
 from tests.engine.worlds import builder, run
 
 
@@ -201,3 +212,13 @@ def test_friction_coefficient_is_what_two_like_shapes_have(name: str):
 def test_filters_and_coefficients_that_are_none_are_refused(options: dict, message: str):
     with pytest.raises(SceneError, match=message):
         builder().add_circle(radius=1.0, **options)
+
+
+def test_keywords_that_an_editor_completes_are_the_fields_of_the_records() -> None:
+    for keywords, record in (
+        (BodyKeywords, BodyOptions),
+        (RevoluteKeywords, RevoluteMotor),
+        (PrismaticKeywords, PrismaticMotor),
+        (SpringKeywords, SpringOptions),
+    ):
+        assert set(keywords.__annotations__) == {field.name for field in dataclasses.fields(record)}

@@ -1,4 +1,4 @@
-"""What one process has compiled, the next one loads."""
+"""A process loads what another has compiled."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ print(step(world.scene, engine.initial_state(*world)))
 
 
 def compiled_files(folder: Path) -> dict[str, int]:
-    """When each file of the caches was written, but for the notes of when it was last read."""
+    """Times at which the files of the caches were written, but for the notes of when each was last read."""
     files = [file for file in folder.rglob("*") if file.is_file() and not file.name.endswith("-atime")]
     return {str(file.relative_to(folder)): file.stat().st_mtime_ns for file in files}
 

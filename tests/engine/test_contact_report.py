@@ -1,4 +1,4 @@
-"""What contacts are reported to have done, against mechanics: momentum, weights, bounces, friction; both backends."""
+"""Contact reports against mechanics: momentum, weights, bounces, friction; both backends."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def after(speed: float, offset: float, restitution: float, share: float) -> np.n
 @pytest.mark.parametrize("speed", [2.0, 5.0, 20.0])
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
 def test_disc_leaves_a_fixed_one_by_the_law_of_impact_and_without_spin(speed: float, restitution: float):
-    """At 5 m/s it left with 12 to 50 rad/s and three quarters of its speed when impulses were not central."""
+    """A disc at 5 m/s left with 12 to 50 rad/s and three quarters of its speed when impulses were not central."""
     offsets = (0.2, 0.5, 0.8)
     worlds = [world for offset in offsets for world in shots(speed, offset, restitution, fixed=True)]
     trajectories = record_worlds(engine("standard"), worlds, seconds=0.3 + 0.5 / speed)

@@ -142,7 +142,7 @@ def test_brake_holds_its_load_for_a_minute_without_creep(load: float):
     for (world, body), axis in ((arm(speed=1.0, max_torque=NEEDED / load, drive="brake"), "angle"),):
         m = motion(world, 0.0, 60.0)
         angle = getattr(m, axis)[:, body]
-        assert abs(angle[60]) < 3e-4  # settled: the hinge has yielded by 0.1 mm
+        assert abs(angle[60]) < 3e-4  # settled: the hinge has given way by 0.1 mm
         assert np.abs(angle[60:] - angle[60]).max() < 1e-7
     world, box = lift(speed=1.0, max_force=2 * G / load, drive="brake")
     height = motion(world, 0.0, 60.0).position[:, box, 1]
@@ -179,7 +179,7 @@ def test_servo_arrives_when_its_speed_says_and_does_not_overshoot(dt: float, con
     arrival = m.time[np.argmax(angle > way - 1e-3)]
     # Slowing down by half of torque / inertia takes speed^2 / (2 of that) more, and finding it out a step.
     assert arrival == pytest.approx(way / 0.8, abs=0.8 / (0.5 * 20 / INERTIA) + 1.5 * dt)
-    assert np.abs(m.angular_velocity[:, bar]).max() < 0.8 * 1.05  # the hinge yields at the start
+    assert np.abs(m.angular_velocity[:, bar]).max() < 0.8 * 1.05  # the hinge gives way at the start
 
 
 @pytest.mark.parametrize("dt", [1 / 30, 1 / 120])

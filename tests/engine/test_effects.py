@@ -183,7 +183,7 @@ def assert_same_bits(a, b):
     [("standard", "revolute_joints"), ("standard", "thrusters"), ("paper", "circle_pairs")],
 )
 def test_engine_for_the_effects_of_levels_gives_the_bits_of_the_full_engine(preset_name: str, lacking: str):
-    """Those of 96 random levels that do not call for an effect, on an engine without it."""
+    """Steps levels, of 96 random ones, that do not call for an effect on an engine without it."""
     scenes, start = some_levels("m", 96)
     controls = some_controls("m", 60, 96)
     worlds = np.flatnonzero(~np.asarray(called_for(scenes).flags)[:, EFFECTS.index(lacking)])

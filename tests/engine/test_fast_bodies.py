@@ -74,7 +74,7 @@ def thrust(b: SceneBuilder, phase: int) -> int:
 
 
 def convoy(b: SceneBuilder, phase: int) -> int:
-    """Two discs one behind the other at 80 m/s; the first bounces back into the second."""
+    """A convoy of two discs at 80 m/s; the first bounces back into the second."""
     b.add_circle(radius=0.1, position=(-1.2 - 80 / 60 * phase / PHASES, 0), velocity=(80, 0), restitution=1.0)
     return b.add_circle(radius=0.1, position=(-1.8 - 80 / 60 * phase / PHASES, 0), velocity=(80, 0))
 

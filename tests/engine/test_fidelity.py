@@ -10,8 +10,8 @@ import pytest
 
 from jax2d import PRESETS, preset
 from jax2d.fidelity.__main__ import main, parse
-from jax2d.fidelity.frontier import Record, pareto_set, points_of, slope
-from jax2d.fidelity.labels import setting_label
+from jax2d.fidelity.frontier import pareto_set, points_of, slope
+from jax2d.fidelity.records import Record, setting_label
 from jax2d.fidelity.report import beaten_scenes
 from jax2d.fidelity.simulator import Simulator
 from jax2d.fidelity.sweep import sweep

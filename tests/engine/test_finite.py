@@ -54,7 +54,7 @@ def tangle(seed: int) -> BuiltWorld:
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("name", ["standard", "draft", "fine"])
 def test_tangles_stay_finite(name: str):
-    """Impulses that a speed limit took back were asked for again: they grew to 1e24 N s, and the state was NaN."""
+    """Impulses that a speed limit took back were requested again: they grew to 1e24 N s, and the state was NaN."""
     engine = Engine(TANGLE, settings=preset(name))
     worlds = [tangle(seed) for seed in range(512)]
     scene, state = start_of(engine, worlds)
@@ -93,7 +93,7 @@ def loaded_chain() -> BuiltWorld:
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("name", ["standard", "draft", "fine"])
 def test_chain_of_links_a_thousandth_of_its_load_stays_finite(name: str):
-    """Links that spin fast in the middle of a pass were asked to keep their anchors on ever larger circles: NaN after
+    """Links that spin fast in the middle of a pass had to hold their anchors on ever larger circles: NaN after
     19 steps of `standard`. There it breaks; `fine` holds it."""
     (m,) = record_worlds(Engine(DRUM, settings=preset(name)), [loaded_chain()], seconds=2.0)
     for motion in (m.position, m.angle, m.velocity, m.angular_velocity):

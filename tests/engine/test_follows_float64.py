@@ -36,7 +36,7 @@ CALL = 30  # steps, and samples
 
 
 class Motion(NamedTuple):
-    """Of one world."""
+    """Motion of one world."""
 
     trajectory: Trajectory
     end: State
@@ -49,7 +49,7 @@ def engine(is_exact: bool) -> Engine:
 
 
 def follow(worlds: Sequence[BuiltWorld], is_exact: bool, steps: int = CALL, **acts: Any) -> list[Motion]:
-    """What at most BATCH worlds do in `steps`, whole calls. `acts`: of `Controls`, held for all of them."""
+    """Motion of at most BATCH worlds in `steps`, whole calls. `acts`: of `Controls`, held for all of them."""
     with jax.enable_x64(is_exact):
         one = engine(is_exact)
         scene, state = start_of(one, [*worlds, *[worlds[-1]] * (BATCH - len(worlds))])
@@ -147,7 +147,7 @@ def test_springs():
 
 
 def test_ball_leaves_what_a_platform_pushes_on_a_rod_with_twice_its_speed():
-    """In float64 too; test_springs.py has the kernel. Nothing but the disc can have moved the ball."""
+    """The law holds in float64 too; test_springs.py has the kernel. Nothing but the disc can have moved the ball."""
     world, disc, ball = ball_before_a_platform(CAPACITY)
     ((_, end),) = follow([world], is_exact=True)
     assert end.velocity[ball, 0] == pytest.approx(6.0, rel=0.02)
@@ -155,7 +155,7 @@ def test_ball_leaves_what_a_platform_pushes_on_a_rod_with_twice_its_speed():
 
 
 def test_disc_leaves_a_fixed_one_by_the_law_of_impact_and_without_spin():
-    """In float64 too; test_discs.py has the kernel."""
+    """The law holds in float64 too; test_discs.py has the kernel."""
     offsets, phases, speed, shot = (0.2, 0.5, 0.8), 5, 5.0, CAPACITY.polygons + 1
     worlds = [w for offset in offsets for w in shots(speed, offset, 1.0, True, phases=phases, capacity=CAPACITY)]
     for offset, motion in zip(np.repeat(offsets, phases), follow(worlds, is_exact=True), strict=True):
@@ -165,14 +165,14 @@ def test_disc_leaves_a_fixed_one_by_the_law_of_impact_and_without_spin():
 
 
 def test_a_disc_that_spins_between_two_others_stays_where_it_is():
-    """In float64 too."""
+    """The disc stays in float64 too."""
     worlds, height = spinning_between_two(CAPACITY)
     for motion in follow(worlds, is_exact=True):
         assert np.abs(motion.trajectory.position[:, CAPACITY.polygons + 2, 1] - height).max() < 1e-4
 
 
 def test_momentum_of_isolated_worlds_is_kept_to_the_rounding_of_float64():
-    """What is left in float32 is rounding: with twice the digits it is 1e-9 of it."""
+    """The rest in float32 is rounding: with twice the digits it is 1e-9 of it."""
     worlds = [world for family in FAMILIES for world in worlds_of(family, CAPACITY)[:4]]
     batches = [worlds[i : i + BATCH] for i in range(0, len(worlds), BATCH)]
     trajectories = [motion.trajectory for batch in batches for motion in follow(batch, is_exact=True)]

@@ -98,7 +98,8 @@ def test_standard_fails_in_no_other_figure(name: str):
 
 
 def test_far_stack_is_lost_to_the_rounding_of_positions_alone():
-    """At the origin, with positions rounded between steps as float32 rounds them at 10 km, it drifts just as far."""
+    """A stack at the origin, with positions rounded between steps as float32 rounds them at 10 km, drifts just as
+    far."""
     world, one = stack(15).world, Engine(LARGE)
     scene, state = stack_worlds([world.scene]), stack_worlds([one.initial_state(*world)])
     packed_scene, controls = one.pack_scene(scene), one.no_controls(1)
@@ -119,7 +120,7 @@ def test_far_stack_is_lost_to_the_rounding_of_positions_alone():
 
 
 def test_published_table_has_a_row_for_each_scene():
-    """What it says of each is what the tests above expect."""
+    """The table says of each scene what the tests above expect."""
     assert list(published_rows()) == NAMES, "print the table with `python -m jax2d.fidelity.hard_table`"
     assert FAILING["standard"] == set(STANDARD_FAILING)
     assert FAILING["fine"] == set()
@@ -171,7 +172,7 @@ def test_removing_a_heavy_top_body_adds_no_energy():
     freed, _ = record(one, world.scene, state, num_samples=300)
     stored = 9.81 * loaded.position[-1, boxes, 1].sum()  # J, potential energy of the boxes of 1 kg
     assert freed.energy(zero_at=freed.position[0]).max() < 0.01 * stored
-    assert freed.speed().max() < 0.5  # remembered impulses of the heavy body, taken back within the first step
+    assert freed.speed().max() < 0.5  # warm-start impulses of the heavy body, taken back within the first step
     assert freed.speed()[-1] < 1e-3
 
 

@@ -117,7 +117,7 @@ def test_reference_passes_impacts_on_alike():
 @pytest.mark.parametrize("num_hitting", [1, 2])
 @pytest.mark.parametrize("name", ["standard", "fine"])
 def test_newtons_cradle(name: str, num_hitting: int):
-    """As many balls as come leave, to the height that the first came from; the others stay."""
+    """The same number of balls leaves as comes, to the height that the first came from; the others stay."""
     swing, radius = 0.5, 0.1
     for dt in (1 / 60, 1 / 120):
         for gap in (0.0, 5e-4, 2e-3):

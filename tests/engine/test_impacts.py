@@ -1,4 +1,4 @@
-"""Blows with friction: judged by the formula for a body that sticks at one point, and by a scene's mirror image.
+"""Impacts with friction: judged by the formula for a body that sticks at one point, and by a scene's mirror image.
 
 Parts that are welded together land as the one body that they are. What several bodies do when they land on each other
 has no formula; but it is the same in a mirror and in any order of slots, and makes no energy."""
@@ -14,7 +14,7 @@ import pytest
 
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
 from jax2d.fidelity import Trajectory, record_worlds
-from tests.engine.oracle import rotation, sticking_blow
+from tests.engine.oracle import rotation, sticking_impact
 
 CAPACITY = Capacity(polygons=5, circles=1, joints=2, thrusters=0)
 FRICTION = 2.0
@@ -67,7 +67,7 @@ def error_of_landing(start: dict, m: Trajectory) -> tuple[float, float] | None:
     mean = [np.asarray(x, np.float64)[:, start["shapes"]].mean(1) for x in (m.position, m.velocity)]
     turns = [np.asarray(x, np.float64)[:, start["shapes"]].mean(1) for x in (m.angle, m.angular_velocity)]
     (position, velocities), (angle, spins) = mean, turns
-    hit = int(np.argmax(np.abs(velocities - velocity).max(1) > 1e-3))  # the first record after the blow
+    hit = int(np.argmax(np.abs(velocities - velocity).max(1) > 1e-3))  # the first record after the impact
     # Free flight to the moment at which a corner is on the floor.
     corners = box_corners(width, height)
     moments = np.linspace(0, 1 / 60, 400)
@@ -76,7 +76,7 @@ def error_of_landing(start: dict, m: Trajectory) -> tuple[float, float] | None:
     heights = np.sort(flight[k][:, 1])
     arm = flight[k][np.argmin(flight[k][:, 1])] - (position[hit - 1] + velocity * moments[k])
     squared_radius = (width**2 + height**2) / 12
-    after, turned = sticking_blow(arm, velocity, spin, squared_radius)
+    after, turned = sticking_impact(arm, velocity, spin, squared_radius)
     push = after - velocity
     closing = -(velocity + spin * np.array([-arm[1], arm[0]]))[1]
     if heights[0] > 1e-3 or heights[1] < 0.15 or abs(push[0]) > 0.9 * MU * push[1] or closing < 1:
@@ -87,7 +87,7 @@ def error_of_landing(start: dict, m: Trajectory) -> tuple[float, float] | None:
     return off / float(np.linalg.norm(velocity)), rises / closing
 
 
-# Parts that share a blow are the business of `fine` (`Settings.blow_passes`): it costs a fifth of the speed.
+# Parts share an impact in `fine` (`Settings.impact_passes`): it costs a fifth of the speed.
 @pytest.mark.also_gpu
 @pytest.mark.parametrize(
     ("name", "parts", "worst"), [("standard", 1, 0.04), ("fine", 1, 0.04), ("fine", 2, 0.04), ("fine", 3, 0.1)]
@@ -171,9 +171,10 @@ def gained(records: Sequence[Trajectory]) -> np.ndarray:
 @pytest.mark.also_gpu
 @pytest.mark.parametrize(("name", "most", "worst"), [("standard", 0.35, 0.7), ("fine", 0.01, 0.1)])
 @pytest.mark.parametrize("tilted", [False, True])
-def test_blows_make_no_energy(name: str, most: float, worst: float, tilted: bool):
-    """Of some 15 J/kg that they fall with. `fine` sways by what free flight does in a sub-step; `standard` stops what
-    hits alone, and a stack is then lifted by what it has not yet been told (`blow_passes=2`: 0.15, 4: 0.09 J/kg)."""
+def test_impacts_make_no_energy(name: str, most: float, worst: float, tilted: bool):
+    """Gains are of some 15 J/kg that the bodies fall with. `fine` sways by what free flight does in a sub-step;
+    `standard` stops what hits alone, and a stack is then lifted by an impulse that has not reached it yet
+    (`impact_passes=2`: 0.15, 4: 0.09 J/kg)."""
     worlds = [pile(seed, 1, False, tilted, 3)[0] for seed in range(64)]
     gains = np.sort(gained(record_worlds(engine(name), worlds, seconds=1.0)))
     assert gains[-4] < most and gains[-1] < worst, gains[-8:]

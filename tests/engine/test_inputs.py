@@ -1,4 +1,4 @@
-"""What an engine does with wrong input: one line that names the field, or a count where nothing can be raised."""
+"""Wrong input to an engine: one line that names the field, or a count where nothing can be raised."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from jax2d import Capacity, Controls, Engine, Scene, SceneBuilder, Settings, State, preset, stack_worlds
+from jax2d.builder_checks import SceneError
 from jax2d.fields import as_dict, with_fields
-from jax2d.given import SceneError
 from tests.engine.worlds import CAPACITY, builder, engine
 
 
@@ -410,7 +410,7 @@ def test_worlds_of_different_kinds_are_not_stacked():
     ],
 )
 def test_velocity_of_a_fixed_shape_is_refused_outside_jit_and_none_inside(backend: str, velocity: Any, spin: float):
-    """It stood still and gave its speed to what lay on it, or let it through."""
+    """The shape stood still and gave its speed to what lay on it, or let it through."""
     capacity = CAPACITY if backend == "warp" else Capacity(polygons=2, circles=0, joints=0, thrusters=0)
     b = SceneBuilder(capacity)
     floor = b.add_box(width=10, height=1, position=(0, -0.5), fixed=True)

@@ -1,4 +1,4 @@
-"""What must not change a simulation: the batch, the slot, the place, padding, a pause, the process."""
+"""Invariances of a simulation: the batch, the slot, the position, padding, a pause, the process."""
 
 from __future__ import annotations
 

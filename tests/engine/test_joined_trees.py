@@ -1,7 +1,7 @@
 """Trees of parts that joints hold together, of unequal masses, gain no energy: nothing drives them.
 
 A light part between heavy ones is what joints that are solved one after another do worst: an error that they cannot
-undo oscillates, and is fed by what undoes gaps (jax2d/yielding_joints.py). Energy is that of mechanics, in float64.
+undo oscillates, and is fed by what undoes gaps (jax2d/softened_joints.py). Energy is that of mechanics, in float64.
 test_follows_float64.py has the reference.
 """
 
@@ -102,11 +102,11 @@ def test_trees_gain_no_energy(solver: tuple[str, Engine], name: str, hangs: bool
 
 
 def test_stiff_joints_would_make_energy():
-    """With the frequency of other joints a light part between heavy ones has trees spin themselves up: what the rule is
-    for."""
+    """A light part between heavy ones has trees spin themselves up, with the frequency of other joints: the reason for
+    the rule."""
     settings = preset("standard")
     settings = settings.replace(
-        yielding_hertz_share=settings.joint_hertz_share, yielding_damping_ratio=settings.joint_damping_ratio
+        softened_hertz_share=settings.joint_hertz_share, softened_damping_ratio=settings.joint_damping_ratio
     )
     assert (gains(TREES["welded", False], Engine(CAPACITY, settings=settings)) > 1).sum() >= 3
 

@@ -203,7 +203,7 @@ def test_turning_rod_passes_no_ball():
 
 @pytest.mark.parametrize("speed", [0.5, 2.0, 10.0])
 def test_what_is_crushed_gives_way_and_does_not_explode(speed: float):
-    """No force stops a press: what it closes on leaves, at speeds of the order of its own."""
+    """A press is stopped by no force: what it closes on leaves, at speeds of the order of its own."""
     b = builder((0.0, 0.0))
     b.add_box(width=10, height=1, position=(0, -0.5), fixed=True)
     b.add_box(width=2, height=0.2, position=(0, 1.1), kinematic=True, velocity=(0, -speed))

@@ -124,7 +124,7 @@ def test_no_worlds_make_no_batch():
 def test_a_start_has_real_positions():
     scene = builder().build().scene
     nowhere: Any = None
-    refused(lambda: engine().initial_state(scene, nowhere), "position is None; give one place for each", ValueError)
+    refused(lambda: engine().initial_state(scene, nowhere), "position is None; give one point for each", ValueError)
     places = np.zeros((CAPACITY.shapes, 2))
     for given in (places + 1j, jnp.asarray(places + 1j), (places + 1j).tolist()):
         refused(lambda x=given: engine().initial_state(scene, x), "position has complex numbers", ValueError)
@@ -148,7 +148,7 @@ def test_numbers_of_steps_are_whole_numbers_of_any_kind(two: Any):
 
 
 def still() -> Trajectory:
-    """Two samples of a ball that lies still."""
+    """A ball that lies still, two samples."""
     b = SceneBuilder(Capacity(polygons=0, circles=1, joints=0, thrusters=0))
     b.add_circle(radius=1)
     scene, position, *_ = b.build()

@@ -1,4 +1,4 @@
-"""What a state amounts to, against values worked out by hand."""
+"""Measures of a state against values worked out by hand."""
 
 from __future__ import annotations
 

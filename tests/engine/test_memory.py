@@ -1,4 +1,4 @@
-"""What a world takes of memory, as computed from the layout and as it is."""
+"""Memory of a world, as computed from the layout and as it is."""
 
 from __future__ import annotations
 

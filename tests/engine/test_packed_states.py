@@ -91,7 +91,7 @@ def test_a_state_that_is_kept_is_not_written_over():
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("numbers", [5, 8])
 def test_what_is_in_shared_memory_changes_no_bit(numbers: int):
-    """On a CPU nothing is: there this shows that the kernel does not depend on it."""
+    """A CPU has no shared memory: there this shows that the kernel does not depend on it."""
     in_local = stacked_by_a_scan(engine())
     sharing = functools.partial(ffi.WarpBackend, options=CompileOptions(shared_record=numbers))
     for shared, local in zip(stacked_by_a_scan(Engine(CAPACITY, backend=sharing)), in_local, strict=True):

@@ -55,7 +55,7 @@ def depth_at(world: BuiltWorld, body: int, obstacle: int, position: np.ndarray, 
 
 
 def shots_at_an_end(speed: float, radius: float, thickness: float, is_box: bool) -> list[BuiltWorld]:
-    """At the last 60 cm of a fixed wall, from below and above, at 15 to 75 degrees to its face."""
+    """Shots at the last 60 cm of a fixed wall, from below and above, at 15 to 75 degrees to its face."""
     rng = np.random.default_rng(0)
     worlds = []
     for _ in range(SHOTS):
@@ -172,7 +172,7 @@ def test_disc_that_rolls_off_a_platform_goes_around_its_corner():
         worlds.append(b.build())
     for speed, m in zip(speeds, record_worlds(engine("standard"), worlds, seconds=1.5)):
         path = np.asarray(m.position[:, DISC], np.float64)
-        assert np.hypot(*path.T).min() > 0.197  # 3 mm of a contact that yields
+        assert np.hypot(*path.T).min() > 0.197  # 3 mm of a soft contact
         beyond = path[np.argmax(path[:, 0] > 0.1)]
         # From the edge on it turns about the corner, or has left it level: nothing holds it higher.
         # The plane of a contact is that of the step in which the centre passes the edge: it falls up to a step later.

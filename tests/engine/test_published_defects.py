@@ -1,4 +1,4 @@
-"""What the published Jax2D engine (1.0.2) gets wrong, each as a test that preset `standard` passes.
+"""Defects of the published Jax2D engine (1.0.2), each as a test that preset `standard` passes.
 
 The figures in the docstrings are the published engine's, measured on the same scenes.
 """
@@ -80,7 +80,8 @@ def tilted(b: SceneBuilder, *, left: float, right: float, friction: float = 0.0)
 
 
 def test_each_point_of_a_manifold_has_its_own_depth():
-    """Both get the deepest: the corner that only touches is pushed out as hard, and the box never levels."""
+    """The published engine gives both the deepest: the corner that only touches is pushed out as hard, and the box
+    never levels."""
     b = builder()
     floor(b)
     box = tilted(b, left=-0.02, right=-0.002)
@@ -91,7 +92,7 @@ def test_each_point_of_a_manifold_has_its_own_depth():
 
 
 def test_a_corner_that_does_not_penetrate_yet_is_a_contact_already():
-    """It is none: a box rocks from corner to corner before it rests."""
+    """The published engine finds none: a box rocks from corner to corner before it rests."""
     b = builder()
     floor(b)
     tilted(b, left=-0.001, right=0.004)
@@ -100,8 +101,8 @@ def test_a_corner_that_does_not_penetrate_yet_is_a_contact_already():
 
 
 def test_clipped_point_has_the_depth_at_which_it_was_clipped():
-    """It keeps the depth of the corner it was clipped from: a plank is thrown off a post that it hardly overlaps, and
-    the post's other edge is no contact, since the plank's other end is above it."""
+    """The published engine's point has the depth of the corner it was clipped from: a plank is thrown off a post that
+    it hardly overlaps, and the post's other edge is no contact, since the plank's other end is above it."""
     b = builder(gravity=(0, 0))
     b.add_box(width=0.2, height=1, position=(0, -0.5), fixed=True)
     for k in range(3):  # polygon slots 0 to 3 of the published package never collide with each other
@@ -168,7 +169,7 @@ def test_deep_overlap_is_undone_without_a_throw():
 
 
 def test_coincident_circles_come_apart():
-    """They stay together for ever."""
+    """The published engine leaves them together for ever."""
     b = builder(gravity=(0, 0))
     one, two = b.add_circle(radius=0.3), b.add_circle(radius=0.3)
     m = trajectory_of(b, 2.0)
@@ -187,7 +188,7 @@ def test_circle_centred_inside_a_polygon_leaves_by_the_nearest_face(x: float):
 
 @pytest.mark.parametrize("speed", [10.0, 15.0, 20.0, 90.0])
 def test_ball_does_not_tunnel_through_a_thin_wall(speed: float):
-    """Of 64 phases 12 % pass at 10 m/s, 50 % at 15 to 20, 88 % at 90."""
+    """The published engine lets 12 % of 64 phases pass at 10 m/s, 50 % at 15 to 20, 88 % at 90."""
     worlds = []
     for phase in range(64):
         b = builder(gravity=(0, 0))
@@ -244,7 +245,7 @@ def test_pendulum_keeps_its_swing(links: int, seconds: float, lost: float):
 
 @pytest.mark.parametrize("ratio", [47.0, 157.0])
 def test_heavy_ball_on_a_chain_hangs_still(ratio: float):
-    """At 47 times the mass of a link it swings by metres, at 157 times it explodes."""
+    """The published engine's ball swings by metres at 47 times the mass of a link, and explodes at 157 times."""
     b = HardSceneBuilder(floor=False)
     last = b.circle(0, 0, radius=0.1, fixed=True)
     for k in range(6):
@@ -271,7 +272,7 @@ def test_motor_of_any_power_runs_steadily(power: float):
 
 
 def test_welded_cantilever_comes_to_rest():
-    """It never settles."""
+    """The published engine's cantilever never settles."""
     (m,) = record_worlds(Engine(LARGE), [cantilever().world], seconds=20.0)
     fastest = [m.speed()[m.index_at(t) : m.index_at(t + 5)].max() for t in (0, 5, 10, 15)]
     assert (np.divide(fastest[1:], fastest[:-1]) < 0.5).all()

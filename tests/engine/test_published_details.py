@@ -135,7 +135,7 @@ def test_only_points_that_penetrate_are_points() -> None:
 
 
 def test_motors_act_all_at_once() -> None:
-    """Of three discs on a chain with equal motors the middle one gets as much from either side, whoever is first."""
+    """The middle one of three discs on a chain with equal motors gets as much from either side, whichever is first."""
     capacity = Capacity(polygons=0, circles=3, joints=2, thrusters=0)
     b = SceneBuilder(capacity)
     for i in range(3):
@@ -146,7 +146,7 @@ def test_motors_act_all_at_once() -> None:
     loaded = at_rest(world.position, world.angle)
     loaded = loaded._replace(inverse_inertia=jnp.full(3, 10.0))
     params = solver_numbers(preset("paper"))
-    none = joints.Remembered(
+    none = joints.WarmStart(
         joints.JointImpulses(jnp.zeros((2, 2)), *jnp.zeros((3, 2))), joints.SpringImpulses(*jnp.zeros((3, 0)))
     )
     controls = Controls(motor=jnp.ones(2), thruster=jnp.zeros(0))
@@ -172,7 +172,7 @@ def test_reference_bias() -> None:
 
 
 def test_clip_keeps_depth() -> None:
-    """As above: the corner 1 cm deep is clipped to x = 0.5, where the face is 7.33 mm deep."""
+    """The corner 1 cm deep is clipped to x = 0.5, where the face is 7.33 mm deep."""
     corners = ((-0.3, -0.002), (0.9, -0.01), (0.9, 1), (-0.3, 1))
     b = SceneBuilder(FOUR)
     b.add_box(width=1, height=1, position=(0, -0.5))
@@ -309,7 +309,7 @@ def test_batches_of_a_turn_are_solved_one_after_another() -> None:
 @pytest.mark.parametrize(
     ("batch_size", "kinds"), [(4, {"polygons", "polygon and circle", "circles"}), (5, {"circles"})]
 )
-def test_last_pair_of_a_kind_is_forgotten_unless_batches_are_full(batch_size: int, kinds: set[str]) -> None:
+def test_last_pair_of_a_kind_is_dropped_unless_batches_are_full(batch_size: int, kinds: set[str]) -> None:
     """10, 15 and 3 pairs: full in batches of 5, but for the circles'."""
     pairs = pair_list(MANY)
     nothing = jnp.zeros(len(pairs.point_a), bool)
@@ -317,9 +317,9 @@ def test_last_pair_of_a_kind_is_forgotten_unless_batches_are_full(batch_size: in
     r = rules("last_pair", batch_size=batch_size)
     seen = published_order.solve_order(nothing, scene, jnp.zeros(MANY.shapes, bool), pairs, MANY, r)
     assert seen is not None
-    forgotten = np.asarray(seen.is_forgotten)
+    dropped = np.asarray(seen.is_dropped)
     last = {"polygons": [(3, 4), (3, 4)], "polygon and circle": [(4, 7)], "circles": [(6, 7)]}
-    assert sorted(zip(pairs.point_a[forgotten], pairs.point_b[forgotten])) == sorted(
+    assert sorted(zip(pairs.point_a[dropped], pairs.point_b[dropped])) == sorted(
         pair for kind in kinds for pair in last[kind]
     )
 
@@ -366,7 +366,8 @@ def assert_agrees(steps: Steps, dtype: str) -> None:
 
 
 def test_steps_recorded_from_the_package_agree_to_rounding() -> None:
-    """Of all public levels of size M: one state as played and one stirred each, with remembered impulses, float64."""
+    """Compares two states of each public level of size M: one as played and one stirred each, with warm-start impulses,
+    float64."""
     steps = load(RECORDED)
     assert len(steps.contact_key) == 48
     assert np.sum(steps.contact_key >= 0) > 48

@@ -20,7 +20,7 @@ WORLDS, RAYS = 12, 64
 
 
 class Place(NamedTuple):
-    """Where shapes are: all that a question needs of a state."""
+    """Positions and angles of shapes: all that a query needs of a state."""
 
     position: Any
     angle: Any

@@ -25,8 +25,7 @@ from jax2d import (
     touch_matrix,
 )
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
-from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import SIZES, Level, Role
 
 OPTIMISED = True  # steps by the hundred: see tests/conftest.py
 
@@ -225,7 +224,7 @@ def assert_agreement(size: str, settings: Settings, scene: Any, state: State, co
 
 
 def rare_worlds() -> list[BuiltWorld]:
-    """What random levels seldom hold."""
+    """Worlds with what random levels seldom hold."""
     tiles, swing, limit, stack = (SceneBuilder(SIZES["m"]) for _ in range(4))
     for i in range(4):  # a box slides and a disc rolls over the seams of a tiled floor
         tiles.add_box(width=0.5, height=0.5, position=(0.5 * i, -0.25), fixed=True)
@@ -271,8 +270,8 @@ def test_kernel_and_reference_agree_where_special_rules_act() -> None:
 
 
 def test_kernel_and_reference_are_alike_over_episodes_and_chaos_separates_them() -> None:
-    """Two seconds of size M. How fast two runs part is a property of the worlds: kernel and reference part no faster
-    than the kernel from itself when it starts a tenth of a micrometre aside."""
+    """Runs two seconds of size M. How fast two runs part is a property of the worlds: kernel and reference part no
+    faster than the kernel from itself when it starts a tenth of a micrometre aside."""
     settings, num_steps, level = preset("standard"), 120, levels("m")
     kernel, kernel_touching = rollout("m", settings, "warp", num_steps)
     reference, reference_touching = rollout("m", settings, "xla", num_steps)

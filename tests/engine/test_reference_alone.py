@@ -1,4 +1,4 @@
-"""What only the reference in plain JAX has: derivatives, and contacts solved in batches."""
+"""Features of the reference in plain JAX alone: derivatives, and contacts solved in batches."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def gradient(name: str) -> Any:
 
 
 def slopes_along(name: str, x: dict, field: str, indices: Iterable[Any], *rest: Any) -> Iterator[float]:
-    """What `gradient` gives for these numbers of a field, one by one in forward mode."""
+    """Derivatives that `gradient` should give for these numbers of a field, one by one in forward mode."""
     nothing = jax.tree.map(jnp.zeros_like, x)
     for index in indices:
         along = nothing | {field: nothing[field].at[index].set(1.0)}
@@ -96,7 +96,7 @@ BOTH_SOLVERS = pytest.mark.parametrize("name", ["paper", pytest.param("standard"
 
 @BOTH_SOLVERS
 def test_derivatives_are_those_of_finite_differences(name: str) -> None:
-    """In forward mode; `test_reverse_mode_is_forward_mode` has the other."""
+    """Checks forward mode; `test_reverse_mode_is_forward_mode` has the other."""
     b, link, ball = arm_and_ball()
     with jax.enable_x64(True):
         case = gradient_case(b, name, motor=0.4, thruster=0.5)
@@ -133,7 +133,8 @@ def test_derivatives_are_finite_where_the_maths_has_corners(name: str) -> None:
 
 @BOTH_SOLVERS
 def test_reverse_mode_is_forward_mode(name: str) -> None:
-    """Also where the maths has corners: there a branch not taken gives reverse mode 0 times infinity, if let."""
+    """Modes agree where the maths has corners, too: there a branch not taken gives reverse mode 0 times infinity, if
+    let."""
     with jax.enable_x64(True):
         for b, acts in ((arm_and_ball()[0], (0.4, 0.5)), (corners(), (0.0, 0.0))):
             case = gradient_case(b, name, *acts)

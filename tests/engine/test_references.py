@@ -10,7 +10,8 @@ import pytest
 
 from jax2d import preset
 from jax2d.fidelity import references
-from jax2d.fidelity.frontier import NOT_ACCEPTED, Record, accepted, points_of, scenes_of_means
+from jax2d.fidelity.frontier import NOT_ACCEPTED, accepted, points_of, scenes_of_means
+from jax2d.fidelity.records import Record
 from jax2d.fidelity.reference_scenes import CAPACITY, REFERENCE_SCENES
 from jax2d.fidelity.references import SAMPLES_PER_SECOND, TRUST, StaleReference, signature, study_scenes
 from jax2d.fidelity.simulator import Scenario, Simulator

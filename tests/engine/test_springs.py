@@ -171,7 +171,7 @@ def test_row_of_rods_with_a_heavy_end_gains_no_energy(ratio: float):
 
 
 def test_spring_hits_as_hard_as_it_is_tight_and_a_ball_bounces_on_it():
-    """What bounces may have the energy that springs gave in the step."""
+    """Bounces may take the energy that springs gave in the step."""
     b = SceneBuilder(CAPACITY, gravity=(0, 0))
     wall = b.add_box(width=0.2, height=2, position=(2, 0), fixed=True, restitution=1)
     ball = b.add_circle(radius=0.1, position=(1.2, 0), density=DISC, restitution=1, friction=0)
@@ -211,7 +211,7 @@ def test_blow_is_shared_out_along_rods_in_the_step_in_which_it_falls(backend: st
     discs = [b.add_circle(radius=0.1, position=(0.5 * k, 0), density=DISC, friction=0) for k in (1, 2, 3)]
     for k, (one, other) in enumerate(itertools.pairwise(discs), start=1):
         b.add_rod(one, other, at_a=(0.5 * k, 0), at_b=(0.5 * k + 0.5, 0))
-    shared = preset("standard").replace(blow_passes=16)
+    shared = preset("standard").replace(impact_passes=16)
     world, one = b.build(), Engine(capacity, settings=shared, backend=backend)
     state, _ = one.step(world.scene, one.initial_state(*world), num_steps=2)
     speed = np.asarray(state.velocity[np.array([ball, *discs]), 0])

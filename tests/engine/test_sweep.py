@@ -88,7 +88,7 @@ def hovering() -> BuiltWorld:
 
 
 def with_nan(world: BuiltWorld) -> BuiltWorld:
-    """Two bodies are lost: one in place, one in velocity."""
+    """World with two lost bodies: one in position, one in velocity."""
     world.position[CAPACITY.polygons + 3, 0] = np.nan
     world.velocity[5] = np.nan
     return world
@@ -111,7 +111,8 @@ WORLDS = {
 
 @functools.cache
 def motion(preset_name: str, *, sweeps: bool) -> dict[str, np.ndarray]:
-    """All worlds as one batch, every field of state and touching after each of 240 steps: [step, world, ...]."""
+    """Motion of all worlds as one batch, every field of state and touching after each of 240 steps: [step, world,
+    ...]."""
     engine = engine_of(preset_name, sweeps=sweeps)
     worlds = [make() for make in WORLDS.values()]
     scene = stack_worlds([world.scene for world in worlds])

@@ -56,7 +56,7 @@ def test_pendulum_keeps_its_energy_for_a_minute(name: str, lost: float):
 @pytest.mark.also_gpu
 @pytest.mark.parametrize(("name", "lost"), [("standard", 0.35), ("fine", 0.05)])
 def test_double_pendulum_keeps_its_energy_for_a_minute(name: str, lost: float):
-    """Of `standard` before anchors' paths were foreseen: a half."""
+    """`standard` lost a half before anchors' paths were foreseen."""
     end, most = changes(name, [chain(angles) for angles in ([1.5, 1.5], [2.0, 2.5], [3.0, 2.0], [0.5, 0.7])], 60.0).T
     assert (end > -lost).all() and (most < 0.015).all(), (end, most)
 

@@ -1,4 +1,4 @@
-"""vmap over the engine: every mapped world is stepped, and as it is alone. Gradients, and batches of nobody."""
+"""vmap over the engine: every mapped world is stepped, and as it is alone. Gradients, and empty batches."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ def test_vmap_of_a_scan_over_packed_tables():
 )
 def test_a_batch_of_nobody_stays_one(backend: str, name: str, is_mapped: bool):
     one = engine(backend, name)
-    nobody = jax.tree.map(lambda x: x[:0], stacked(one, 0.0))
-    state, touching = (jax.vmap(one.step) if is_mapped else one.step)(*nobody)
+    empty = jax.tree.map(lambda x: x[:0], stacked(one, 0.0))
+    state, touching = (jax.vmap(one.step) if is_mapped else one.step)(*empty)
     assert state.position.shape == (0, CAPACITY.shapes, 2)
     assert touching.overflow.shape == (0,)
 

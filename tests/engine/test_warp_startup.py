@@ -1,4 +1,4 @@
-"""What Warp says when it starts reaches whoever runs a program, but for one line."""
+"""Warp's messages at start reach the user, but for one line."""
 
 from __future__ import annotations
 

@@ -95,3 +95,13 @@ def test_an_episode_starts_from_the_level_or_state_that_a_call_gives():
     np.testing.assert_allclose(goes_on["final_observation"], info["final_observation"], atol=1e-6)
     with pytest.raises(ValueError, match="no reset_fn; give a level or a state as override_reset_state"):
         env.reset(prng.key(0), params)
+
+
+def test_without_auto_reset_an_episode_that_ended_stays_where_it_is():
+    params = EnvParams(max_timesteps=1)
+    level = make_reset_fn_sample_kinetix_level(params, SMALL)(prng.key(1))
+    env = make_kinetix_env(ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, None, params, SMALL, auto_reset=False)
+    _, state = env.reset(prng.key(0), params, level)
+    obs, state, _, done, info = env.step(prng.key(0), state, 8, params)
+    assert done and state.time == 1
+    np.testing.assert_array_equal(obs, info["final_observation"])

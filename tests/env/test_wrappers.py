@@ -17,9 +17,9 @@ from gymnax.experimental.rollout import RolloutWrapper
 
 from jax2d.effects import Effects
 from kinetix_dist.env.environment import EnvConfig, Environment
+from kinetix_dist.env.level_pool import LevelPool
 from kinetix_dist.env.wrappers.gymnasium_env import KinetixEnv, KinetixVectorEnv
 from kinetix_dist.env.wrappers.gymnax_env import GymnaxEnv
-from kinetix_dist.env.wrappers.level_pool import LevelPool
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 

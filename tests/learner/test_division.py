@@ -20,7 +20,7 @@ def test_every_part_counts_once_and_the_first_devices_have_at_most_one_more(num_
         division = Division(num_parts, num_devices)
         assert division.parts[division.is_counted].tolist() == list(range(num_parts))
         counts = division.is_counted.sum(axis=1)
-        assert counts.max() == division.places and counts.min() >= counts.max() - 1 and np.all(np.diff(counts) <= 0)
+        assert counts.max() == division.slots and counts.min() >= counts.max() - 1 and np.all(np.diff(counts) <= 0)
         rows = np.arange(2 * num_parts)
         np.testing.assert_array_equal(
             rows[division.spread(rows.size)][division.gathered(division.parts.size * 2)], rows

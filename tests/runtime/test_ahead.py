@@ -114,7 +114,7 @@ def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs
 
 
 class _Handle:
-    """Of a process that answers nothing."""
+    """Handle of a process that answers nothing."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
@@ -123,8 +123,8 @@ class _Handle:
         self.calls.append(call)
 
 
-@pytest.mark.parametrize("works_beside", [False, True])
-def test_workers_that_work_beside_are_told_what_comes_first(works_beside):
+@pytest.mark.parametrize("works_in_background", [False, True])
+def test_workers_that_work_beside_are_told_what_comes_first(works_in_background):
     handle = _Handle()
 
     class Backend(LocalBackend):
@@ -139,10 +139,10 @@ def test_workers_that_work_beside_are_told_what_comes_first(works_beside):
             pass
 
     backend = Backend()
-    backend.works_beside = works_beside
+    backend.works_in_background = works_in_background
     config = tiny_config(num_updates=8)
     ColocatedTrainer(config, backend, []).start(7, None)
-    assert handle.calls == [("build", config, 7 if works_beside else None), ("start", None)]
+    assert handle.calls == [("build", config, 7 if works_in_background else None), ("start", None)]
 
 
 def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():

@@ -1,7 +1,7 @@
 """A disk that is full, cannot be written or hangs costs rows and events in time, never training.
 
 RLIMIT_FSIZE refuses what goes beyond a size, in the kernel and for all threads of this process: a full disk without a
-mount. The drill on a file system that is really full is slow and stands at the end.
+mount. The test on a file system that is really full is slow and stands at the end.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ from tensorboardX.proto.event_pb2 import Event
 from kinetix_dist.checkpoint import list_checkpoints, newest_good
 from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.evaluations import Recorder
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.reporting import RunReporter
@@ -111,7 +111,7 @@ def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(
         backend = LocalBackend()
         trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
         curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])
-        controller = Controller(config, run, trainer, curator, reporter)
+        controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter)
         controller.restore(resume=False)
         controller.train()
         controller.close()
@@ -287,7 +287,7 @@ def test_damaged_evaluations_and_metrics_are_set_aside_on_resume(finished_run, t
     assert [row["update"] for row in read_lines(path / "metrics" / "metrics.jsonl").rows] == [NUM_UPDATES + 1]
 
 
-DRILL = """
+FULL_DISK = """
 set -eu
 mount -t tmpfs -o size=6m tmpfs "$DISK"
 "$PYTHON" -m kinetix_dist.cli.main train --run "$DISK/run" --recipe tiny --evaluation.sets s/kick \
@@ -303,13 +303,13 @@ cp -r "$DISK/run" "$OUT/run"
 
 @pytest.mark.slow
 def test_a_file_system_of_6_mb_that_is_full_for_ten_seconds(tmp_path):
-    """In a mount namespace of its own; skipped where the machine gives none."""
+    """Runs in a mount namespace of its own; skipped where the machine gives none."""
     if subprocess.run(["unshare", "--map-root-user", "--mount", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no mount namespaces here")
     (tmp_path / "disk").mkdir()
     environment = {**os.environ, "PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu", "PYTHON": sys.executable}
     environment |= {"DISK": str(tmp_path / "disk"), "OUT": str(tmp_path)}
-    command = ["unshare", "--map-root-user", "--mount", "bash", "-c", DRILL]
+    command = ["unshare", "--map-root-user", "--mount", "bash", "-c", FULL_DISK]
     done = subprocess.run(command, env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=280)
     errors = (tmp_path / "stderr").read_text()
     assert done.returncode == 0, done.stderr + errors

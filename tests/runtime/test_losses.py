@@ -17,7 +17,7 @@ from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import RunFailedError, train
 from kinetix_dist.runtime.processes.failures import Losses, TooManyLossesError, WorkerLostError
-from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
@@ -49,7 +49,7 @@ def _train(config, path):
 
 @pytest.fixture(scope="module")
 def unbroken(tmp_path_factory):
-    """In this process: what a run with one worker has to reproduce."""
+    """Arrays of a run in this process, which a run with one worker has to reproduce."""
     path = tmp_path_factory.mktemp("unbroken") / "run"
     _train(_config(placement="local"), path)
     return final_arrays(path)
@@ -68,7 +68,7 @@ def _before_calls(monkeypatch, do):
 
 
 def test_what_a_loss_cut_off_is_repeated_whatever_the_run_was_at(unbroken, tmp_path, monkeypatch):
-    """In one process, which is lost in words only, and built again: the slow tests end processes."""
+    """One process stands for all: it is lost in words only, and built again. The slow tests end processes."""
     left = ["start", "start", "evaluate", "run_update", "snapshot", "record", "facts"]
 
     def lose(method, trainer):
@@ -100,7 +100,7 @@ class Killer:
             os.kill(pid, signal.SIGKILL)
 
     def install(self, monkeypatch):
-        """At the calls that a run makes; the calls themselves are made as ever, to a process that is dying."""
+        """Listens to the calls that a run makes; the calls themselves go to a process that is dying."""
         _before_calls(
             monkeypatch, lambda method, trainer: trainer._handles and self.at(method, trainer._handles[0].pid)
         )
@@ -214,7 +214,7 @@ def test_of_the_log_of_a_lost_process_and_of_its_group_the_end_is_kept(tmp_path)
 
 
 @dataclasses.dataclass(frozen=True)
-class LaterTicket(LocalTicket):
+class LaterTicket(LocalFuture):
     is_done: Callable[[], bool]
 
     def is_ready(self):
@@ -228,24 +228,24 @@ class BusyProcess(LocalBackend):
         super().__init__()
         self.plan, self.asked, self.done = None, [], 0
 
-    def spawn_beside(self, plan, build, *arguments):
+    def spawn_in_background(self, plan, build, *arguments):
         return self
 
-    def call_stamped(self, method, weights, policy_version, part, num_parts, probe, given):
+    def call_with_header(self, method, weights, policy_version, part, num_parts, probe, given):
         number = len(self.asked)
         self.asked.append(policy_version)
-        return LaterTicket({"seconds": 1.0, "probe": {}}, lambda: self.done > number), LocalTicket(policy_version)
+        return LaterTicket({"seconds": 1.0, "probe": {}}, lambda: self.done > number), LocalFuture(policy_version)
 
 
 def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
     process = BusyProcess()
     curator = CuratorClient(tiny_config(num_updates=1), process, [ProcessPlan(role="curator", index=0)])
     for version in (0, 3, 6, 9):
-        curator.request(LocalTicket(None), version, None, None)
+        curator.request(LocalFuture(None), version, None, None)
         assert curator.take(patience_s=-1.0) is None
         curator.cancel()
     assert process.asked == [0]
-    curator.request(LocalTicket(None), 12, None, None)
+    curator.request(LocalFuture(None), 12, None, None)
     process.done = 1
     curator.watch()
     assert process.asked == [0, 12]

@@ -19,7 +19,7 @@ from tests.runtime.train_process import LIMIT_S, TINY, events, rows, start, wait
 
 @pytest.fixture(scope="module")
 def head():
-    """With room for two processes; it lives as long as the tests do."""
+    """Head node with resources for two processes; it lives as long as the tests do."""
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
     yield cluster
     cluster.shutdown()
@@ -55,7 +55,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     listen = {"on_event": lambda kind, **details: told.append((kind, details)), "on_note": notes.append}
     resizing = Resizing(config, backend, placement, trainer, {"curator": _Placed()}, **listen)
     resizing.fit(3, stop)
-    assert not notes and not resizing.has_room_to_grow()  # nothing is lost
+    assert not notes and not resizing.can_grow()  # nothing is lost
 
     cluster.remove_node(node)
     resizing.fit(4, stop)
@@ -63,7 +63,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     assert told == [("resized", {"role": "worker", "before": 2, "now": 1, "update": 4})]
     assert "2 workers have no room: " in notes[0] and ", 1 lost; waits 0.5 s" in notes[0]
     assert "goes on with 1 worker instead of 2" in notes[-1]
-    assert not resizing.has_room_to_grow()
+    assert not resizing.can_grow()
     began = time.monotonic()
     with pytest.raises(PlacementError, match=r"has 3 processes, and the cluster 2 CPU slots: .*\(2 CPU .*, 1 lost;"):
         backend.reserve(placement)
@@ -71,7 +71,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     backend.reserve(trainer.placement)
 
     node = cluster.add_node(num_cpus=1)
-    _wait_until(resizing.has_room_to_grow)
+    _wait_until(resizing.can_grow)
     resizing.place(6, stop)
     assert resizing.size == 2 and told[-1][1]["now"] == 2
 
@@ -91,7 +91,7 @@ def _start(cluster, run, monkeypatch, *options):
 
 
 def _ended(process):
-    """What a run said on stderr after it was asked to stop."""
+    """Text on stderr of a run after a stop was requested."""
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=LIMIT_S)
     assert process.returncode == EXIT_STOPPED and "which is saved" in errors and "Traceback" not in errors, errors
@@ -154,7 +154,7 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
 
 
 def test_a_split_run_gives_up_rollout_actors_before_learners():
-    """Of two learners and three actors: all sizes that are tried, the largest first. No node is asked."""
+    """Two learners and three actors: all sizes that are tried, the largest first. No node is needed."""
     config = tiny_config(num_updates=1, placement="split", num_learners=2, num_rollout_actors=3, min_workers=2)
     told = {"on_event": lambda kind, **details: None, "on_note": lambda text: None}
     resizing = Resizing(config, None, plan_placement(config, num_gpus=0), _Placed(), {}, **told)

@@ -120,7 +120,7 @@ def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
 @pytest.mark.parametrize("name", [name for name in RECIPES if recipe(name).run.device == "gpu"])
 def test_recipes_for_gpus_evaluate_and_record_beside_training(name):
     config = recipe(name)
-    assert config.evaluates_beside and config.evaluation.every > 0 and config.recording.every > 0
+    assert config.evaluates_in_background and config.evaluation.every > 0 and config.recording.every > 0
     num_updates = config.run.total_env_steps // config.rollout.steps_per_update
     assert num_updates // config.evaluation.every >= 10 and num_updates // config.recording.every >= 3
     assert ("evaluator 0", 0) in [

@@ -1,4 +1,4 @@
-"""What goes wrong in the physics of a rollout is counted, reported and warned of once. Real engines, bad levels."""
+"""Faults in the physics of a rollout are counted, reported and warned of once. Real engines, bad levels."""
 
 import dataclasses
 import json
@@ -18,7 +18,7 @@ from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.totals import WARNINGS
-from kinetix_dist.runtime.processes.local import LocalBackend, LocalTicket
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.names import METRICS
 from tests.runtime.runs import QuietReporter, run_updates, tiny_config
@@ -60,7 +60,7 @@ def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
 
 
 def _sums(effects, weights):
-    """Of a rollout with an engine that has these effects alone, on levels with everything."""
+    """Sums of a rollout with an engine that has these effects alone, on levels with all effects."""
     config = tiny_config(num_updates=1)
     levels = dataclasses.replace(config.curriculum, name="fixed", levels="designed_s")
     config = dataclasses.replace(config, curriculum=levels)
@@ -88,7 +88,7 @@ class _PoisonedCurator(CuratorClient):
         refresh = super().take(patience_s=patience_s)
         assert refresh is not None
         if self.num_taken:
-            parts = [LocalTicket(_with_nan(part.fetch())) for part in refresh.parts]
+            parts = [LocalFuture(_with_nan(part.fetch())) for part in refresh.parts]
             refresh = dataclasses.replace(refresh, parts=parts)
         self.num_taken += 1
         return refresh

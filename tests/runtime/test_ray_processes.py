@@ -197,19 +197,19 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
 def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_timed(backend, restarted):
     (learner, actor), _ = restarted
     computing = learner.call("compute_until_handed", 60.0)
-    stamp, content = actor.call_stamped("give", 1 << 20)
+    stamp, content = actor.call_with_header("give", 1 << 20)
     (found,) = backend.gather([stamp])
     assert found["size"] == found["put"][0] == 1 << 20 and found["put"][1] > 0
-    handed = learner.call_beside("hand", content)
-    first = backend.first_of([computing, handed])
+    handed = learner.call_in_background("hand", content)
+    first = backend.first_ready([computing, handed])
     assert first and all(ticket is computing or ticket is handed for ticket in first)
     assert backend.gather([computing, handed]) == [1 << 20, None]
     with pytest.raises(ProcessFailedError, match="worker 1 failed"):
-        backend.gather([actor.call_stamped("give", -1)[0]])
+        backend.gather([actor.call_with_header("give", -1)[0]])
 
 
 def _stored_mib():
-    """What lies in the object store of this machine."""
+    """MiB in the object store of this machine."""
     summary = memory_summary(ray.get_runtime_context().gcs_address, stats_only=True)
     return int(re.search(r"Plasma memory usage (\d+) MiB", summary)[1])
 
@@ -225,17 +225,17 @@ def _wait_for(condition, seconds=PATIENCE_S):
 def test_answers_that_nobody_fetches_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
     (process,) = backend.spawn([ProcessPlan(role="rollout", index=0, env_vars=ON_CPU)], build_compiler, str(tmp_path))
     before = _stored_mib()
-    stamp, content = process.call_stamped("give_what_cannot_be_stored")
+    stamp, content = process.call_with_header("give_what_cannot_be_stored")
     for ticket in (stamp, content):
         with pytest.raises(ProcessFailedError, match="rollout 0 failed: TypeError: cannot pickle"):
             backend.gather([ticket])
     assert ray.get(process.actor.doing.remote()).what == "idle"  # the call is over for the process, too
-    stamp, content = process.call_stamped("give", 32 << 20)
+    stamp, content = process.call_with_header("give", 32 << 20)
     backend.gather([stamp])
     assert _stored_mib() == before + 32
     del content
     _wait_for(lambda: _stored_mib() == before)
-    stamp, content = process.call_stamped("give_and_hang", 32 << 20, str(tmp_path / "stored"))
+    stamp, content = process.call_with_header("give_and_hang", 32 << 20, str(tmp_path / "stored"))
     _wait_for((tmp_path / "stored").exists)
     assert _stored_mib() == before + 32 and not content.is_ready()
     os.kill(process.pid, signal.SIGKILL)
@@ -290,7 +290,7 @@ def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backen
 
 
 def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch):
-    """As long as somebody compiles: what hangs is noticed after the limit of the section."""
+    """The section may take as long as a process compiles: a hanging call is noticed after the limit of the section."""
     sections, now = Sections(), [1000.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     sections.limits = {"update": 10.0, "save": 5.0, "compile": 100.0}
@@ -307,7 +307,7 @@ def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch):
                 assert not sections.is_overdue
                 now[0] += 0.5
                 assert sections.is_overdue and not sections.extend()
-        sections.forget()
+        sections.reset()
 
 
 def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that():
@@ -336,7 +336,7 @@ def test_a_process_that_dies_while_nothing_is_asked_of_it_is_noticed_where_other
     os.kill(idle.pid, signal.SIGKILL)
     began = time.monotonic()
     with pytest.raises(WorkerLostError, match="rollout 0 died") as caught:
-        backend.first_of([working], beside=[idle])
+        backend.first_ready([working], beside=[idle])
     assert caught.value.process == "rollout 0" and time.monotonic() - began < 15.0
     with pytest.raises(WorkerLostError, match="rollout 0 died"):
         backend.check([idle])

@@ -19,11 +19,11 @@ from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_d
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level import sets
-from kinetix_dist.level.generator_config import LOCOMOTION_KINDS, GeneratorConfig, generator
+from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.phases import PhaseConfig
-from kinetix_dist.recipes import TASK_WEIGHTS, recipe
+from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.processes.local import LocalBackend
 from tests.helpers import REPOSITORY, python_path
@@ -90,7 +90,7 @@ def test_a_run_directory_that_cannot_be_written(capsys, tmp_path):
 
 
 def test_a_run_directory_without_a_name(capsys):
-    """As an unset variable gives."""
+    """An unset variable gives an empty name."""
     for name in ("", "."):
         assert "--run is empty or the current directory" in _refusal(capsys, "--recipe", "tiny", "--run", name)
 
@@ -268,11 +268,11 @@ def test_phases_of_a_file_go_with_fields_of_the_command_line(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "share"), [("pretrain_l", 0.45), ("pretrain_all", 0.45), ("pretrain_m", 0.0)])
-def test_recipes_that_draw_kinds_of_levels(name, share):
+def test_recipes_that_draw_mechanisms(name, share):
     generator = recipe(name).curriculum.generator
-    assert generator.locomotion_share == share
-    assert (generator.varied_share > 0) == ("snake" in generator.locomotion_kinds) == (share > 0)
-    assert generator.weight_of_kind == (TASK_WEIGHTS if share else dict.fromkeys(LOCOMOTION_KINDS, 1.0))
+    assert generator.mechanism_share == share
+    assert (generator.varied_share > 0) == ("snake" in generator.mechanism_families) == (share > 0)
+    assert generator.weight_of_family == (FAMILY_WEIGHTS if share else dict.fromkeys(LOCOMOTION_FAMILIES, 1.0))
     assert parse(["--recipe", name, "--curriculum.generator", "default"]).config.curriculum.generator == (
         GeneratorConfig()
     )
@@ -429,16 +429,16 @@ def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "size", "kinds"),
+    ("options", "size", "families"),
     [
-        (("--curriculum.generator", "runner"), "s", "unicycle, arm, turner, pendulum, or"),
-        (("--env.size", "m", "--curriculum.generator", "runner"), "m", "snake, cartpole"),
+        (("--curriculum.generator", "runner"), "s", "arm, pendulum, unicycle, turner, or"),
+        (("--env.size", "m", "--curriculum.generator", "runner"), "m", "cartpole, beam"),
         (("--env.size", "l", "--curriculum.generator", "car", "--curriculum.sizes", "s", "1", "l", "1"), "s", "arm"),
     ],
 )
-def test_a_kind_of_levels_that_a_size_has_no_room_for(capsys, options, size, kinds):
+def test_a_family_of_mechanisms_that_a_size_has_no_room_for(capsys, options, size, families):
     said = _refusal(capsys, *options)
-    assert f"levels of size '{size}' have room for none; add one of " in said and kinds in said
+    assert f"levels of size '{size}' have room for none; add one of " in said and families in said
     # Where there is room, whatever comes first on the command line.
     parse(["--recipe", "tiny", "--curriculum.generator", "runner", "--env.size", "l"])
     assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
@@ -479,7 +479,7 @@ def test_a_checkpoint_of_such_a_version_is_not_resumed_but_can_be_played(tmp_pat
     config = recipe("tiny")
     description = {"config": _old(to_dict(config)), "config_hash": "0", "training_seconds": 1.0}
     save_checkpoint(run.checkpoints, 2, {"a": np.zeros(1)}, description, keep=1)
-    controller = Controller(config, run, ColocatedTrainer(config, LocalBackend(), []), None, QuietReporter())
+    controller = Controller(config, run, Roles(trainer=ColocatedTrainer(config, LocalBackend(), [])), QuietReporter())
     with pytest.raises(CheckpointError, match=r"00000002 cannot be resumed: .* names the solver preset"):
         controller.restore(resume=True)
     run.close()
@@ -515,7 +515,7 @@ def test_the_command_keeps_off_gpus_before_it_reads_levels(options, tmp_path):
     code = (
         "import sys, jax\n"
         "from kinetix_dist.cli import main, train\n"
-        "from kinetix_dist.cli.errors import UserError\n"
+        "from kinetix_dist.errors import UserError\n"
         "def stop(config):\n"
         "    raise UserError(f'platforms {jax.config.jax_platforms}')\n"
         "train._check_levels = stop\n"

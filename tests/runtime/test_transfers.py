@@ -12,14 +12,14 @@ from kinetix_dist.messages import Trajectory
 from kinetix_dist.runtime.cores.rollout_core import Batch
 from kinetix_dist.runtime.cores.split_core import Staging
 from kinetix_dist.runtime.driver.work_buffer import UPDATES_IN_A_ROW, Stragglers, added, copy_metrics, straggler_metrics
-from kinetix_dist.runtime.processes.local import LocalTicket
+from kinetix_dist.runtime.processes.local import LocalFuture
 from kinetix_dist.telemetry.event_names import check_event
 from kinetix_dist.telemetry.names import COPIES, check_metrics
 from tests.runtime.split_program import split_config
 
 
 def _batch(first, last, num_steps=3):
-    """Of worlds `first` to `last`, each of whose numbers says which world it is."""
+    """Batch of worlds `first` to `last`, each of whose numbers says which world it is."""
     world = np.arange(first, last, dtype=np.float32)
     step = world + 100 * np.arange(num_steps, dtype=np.float32)[:, None]
     fields = {field.name: step for field in dataclasses.fields(Trajectory)}
@@ -33,7 +33,7 @@ def test_parts_that_come_in_any_order_lie_on_the_devices_in_that_of_their_worlds
     size, copied = config.rollout.worlds_per_group, []
     for part in reversed(range(num_parts)):
         groups = config.groups_of_part(part, num_parts)
-        content = LocalTicket((_batch(groups.start * size, groups.stop * size), None))
+        content = LocalFuture((_batch(groups.start * size, groups.stop * size), None))
         copied.append(staging.add(7, part, num_parts, content))
     batch, seen = staging.take(7)
     expected = _batch(0, config.rollout.num_envs)
@@ -46,14 +46,14 @@ def test_parts_that_come_in_any_order_lie_on_the_devices_in_that_of_their_worlds
 
 
 def test_a_learner_fetches_only_parts_that_hold_its_worlds():
-    """As the second of two learners: parts 0 and 1 of four are the other one's."""
+    """Second of two learners: parts 0 and 1 of four belong to the other."""
     config, mesh = split_config(num_rollout_actors=4), data_mesh(jax.devices()[:1])
     staging = Staging(config, mesh, Division(config.num_blocks, 1))
     half = config.rollout.num_envs // 2
     staging._own_rows = lambda config: np.arange(half, 2 * half)
     size, copied = config.rollout.worlds_per_group, []
     for part in range(4):
-        copied.append(staging.add(0, part, 4, LocalTicket((_batch(part * size, (part + 1) * size), None))))
+        copied.append(staging.add(0, part, 4, LocalFuture((_batch(part * size, (part + 1) * size), None))))
     assert [("store_get" in found) for found in copied] == [False, False, True, True]
     batch, _ = staging.take(0)
     np.testing.assert_array_equal(batch.last_value, np.arange(half, 2 * half))
@@ -83,7 +83,7 @@ def _told_of(batches, *, steps=(64, 64, 64), replaced_before=None):
     stragglers = Stragglers(lambda kind, **details: told.append((check_event(kind), details)))
     for update, seconds in enumerate(batches, start=1):
         if update == replaced_before:
-            stragglers.forget(1)
+            stragglers.reset(1)
         stragglers.add(update, [{"seconds": s, "num_env_steps": n} for s, n in zip(seconds, steps, strict=True)])
     assert all(kind == "straggler" for kind, _ in told)
     return [(details["process"], details["update"]) for _, details in told]

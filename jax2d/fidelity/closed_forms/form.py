@@ -1,4 +1,4 @@
-"""What the scenes with a formula have in common: their capacity, how one is declared, and how errors are taken.
+"""Declaration of scenes with a formula, their common capacity, and their errors.
 
     FORMS = ClosedForms()
 

@@ -22,7 +22,7 @@ def _bounce(b: SceneBuilder, restitution: float) -> int:
 
 
 def _heights(trajectory: Trajectory, ball: int) -> list[float]:
-    """Of the ball after each bounce, m."""
+    """Heights of the ball after each bounce, m."""
     return bounce_heights(trajectory.position[:, ball, 1] - 0.1, trajectory.velocity[:, ball, 1])
 
 

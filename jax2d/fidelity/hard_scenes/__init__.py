@@ -27,5 +27,5 @@ SUBJECTS = (stacks, overlaps, masonry, sliding, extremes, chains, structures, ma
 
 
 def hard_scenes() -> list[HardScene]:
-    """All of them, built, in the order of the published table."""
+    """Returns all hard scenes, built, in the order of the published table."""
     return list(by_name([scene for subject in SUBJECTS for scene in subject.scenes()]).values())

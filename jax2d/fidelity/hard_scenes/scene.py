@@ -1,11 +1,11 @@
-"""What the hard scenes have in common: how one is built, and the checks that say whether it passes.
+"""Builder of hard scenes, and the checks that a scene passes or fails.
 
     def single_box() -> HardScene:
         b = HardSceneBuilder()
         box = b.box(0, 1.5)
         return b.scene("single box", lambda trajectory: [Check("moves at, m/s", trajectory.speed()[-1], 1e-3)])
 
-Bodies are 1 m large, of density 1 and friction coefficient 0.6 unless said otherwise.
+Bodies are 1 m large, of density 1 and friction coefficient 0.6 unless given.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from jax2d.builder import BuiltWorld, Point, SceneBuilder
+from jax2d.builder import BuiltWorld, SceneBuilder
+from jax2d.builder_checks import Point
+from jax2d.builder_options import BodyKeywords, PrismaticKeywords, RevoluteKeywords
 from jax2d.fidelity.trajectory import Trajectory
 from jax2d.scene import Capacity
 from jax2d.settings import preset
@@ -58,30 +60,34 @@ class HardSceneBuilder:
         if floor:
             self.box(0, -0.5, width=200, fixed=True)
 
-    def box(self, x: float, y: float, *, width: float = 1.0, height: float = 1.0, **options: object) -> int:
-        """`options` as for `SceneBuilder.add_polygon`; so below."""
-        options = {"friction": self.mu} | options
-        return self.builder.add_box(width=width, height=height, position=self.point(x, y), **options)  # type: ignore[arg-type]
+    def box(
+        self, x: float, y: float, *, width: float = 1.0, height: float = 1.0, **options: Unpack[BodyKeywords]
+    ) -> int:
+        """Adds a box; `options` as for `SceneBuilder.add_polygon`; so below."""
+        options.setdefault("friction", self.mu)
+        return self.builder.add_box(width=width, height=height, position=self.point(x, y), **options)
 
-    def circle(self, x: float, y: float, *, radius: float = 0.5, **options: object) -> int:
-        options = {"friction": self.mu} | options
-        return self.builder.add_circle(radius=radius, position=self.point(x, y), **options)  # type: ignore[arg-type]
+    def circle(self, x: float, y: float, *, radius: float = 0.5, **options: Unpack[BodyKeywords]) -> int:
+        options.setdefault("friction", self.mu)
+        return self.builder.add_circle(radius=radius, position=self.point(x, y), **options)
 
-    def polygon(self, points: Sequence[Point], **options: object) -> int:
-        options = {"friction": self.mu} | options
-        return self.builder.add_polygon(points, position=self.point(0, 0), **options)  # type: ignore[arg-type]
+    def polygon(self, points: Sequence[Point], **options: Unpack[BodyKeywords]) -> int:
+        options.setdefault("friction", self.mu)
+        return self.builder.add_polygon(points, position=self.point(0, 0), **options)
 
-    def revolute(self, a: int, b: int, x: float, y: float, **options: object) -> int:
-        return self.builder.add_revolute_joint(a, b, at=self.point(x, y), **options)  # type: ignore[arg-type]
+    def revolute(self, a: int, b: int, x: float, y: float, **motor: Unpack[RevoluteKeywords]) -> int:
+        return self.builder.add_revolute_joint(a, b, at=self.point(x, y), **motor)
 
-    def prismatic(self, a: int, b: int, x: float, y: float, *, axis_angle: float = 0.0, **options: object) -> int:
-        return self.builder.add_prismatic_joint(a, b, at=self.point(x, y), axis_angle=axis_angle, **options)  # type: ignore[arg-type]
+    def prismatic(
+        self, a: int, b: int, x: float, y: float, *, axis_angle: float = 0.0, **motor: Unpack[PrismaticKeywords]
+    ) -> int:
+        return self.builder.add_prismatic_joint(a, b, at=self.point(x, y), axis_angle=axis_angle, **motor)
 
     def fixed_joint(self, a: int, b: int, x: float, y: float) -> int:
         return self.builder.add_fixed_joint(a, b, at=self.point(x, y))
 
     def keep_all_apart(self, bodies: Sequence[int]) -> None:
-        """None of them collides with another."""
+        """Lets all of these bodies pass through each other."""
         for a, b in itertools.combinations(bodies, 2):
             self.builder.keep_apart(a, b)
 
@@ -100,5 +106,5 @@ def drop(trajectory: Trajectory, body: int) -> float:
 
 
 def widest_gap(trajectory: Trajectory, limit: float, *, after: float = 0.0) -> Check:
-    """Of any joint, from `after` seconds on."""
+    """Check of the widest gap of any joint, from `after` seconds on."""
     return Check("joint gap, m", trajectory.joint_gaps()[trajectory.index_at(after) :].max(), limit)

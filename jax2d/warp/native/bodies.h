@@ -64,7 +64,7 @@ struct Bodies {
   KFN static bool has(const unsigned int* shapes, int i) { return (shapes[i / 32] >> (i % 32) & 1u) != 0u; }
   KFN bool is_active(int i) const { return has(present, i); }
   KFN bool moves(int i) const { return has(moving, i); }
-  // Something can push it: kinematic bodies move as they were told.
+  // Something can push it: kinematic bodies move at their own velocity.
   KFN bool is_dynamic(int i) const {
     return HAS_KINEMATIC_BODIES ? inverse_mass(i) > real(0) || inverse_inertia(i) > real(0) : moves(i);
   }

@@ -59,8 +59,8 @@ struct Bounces {
     linear -= carried;
     real after = before + linear + quadratic;
     if (after <= max_energy * (real(1) + ENERGY_ROUNDING)) return real(1);
-    real room = Math::max(max_energy - before, real(0));
-    real root = sqrtf(linear * linear + real(4) * quadratic * room);
+    real energy_left = Math::max(max_energy - before, real(0));
+    real root = sqrtf(linear * linear + real(4) * quadratic * energy_left);
     real share = quadratic > real(0) ? Math::clamp((root - linear) / (real(2) * quadratic), real(0), real(1)) : real(1);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;

@@ -17,7 +17,7 @@ struct Contact {
   real max_impulse;         // largest normal impulse in this step
   bool against_fixed;      // one of the two cannot be pushed
   bool against_kinematic;  // and moves
-  bool is_blow;            // they meet fast, and were apart before
+  bool is_impact;            // they meet fast, and were apart before
   bool is_second;          // of two points of one pair
   bool disc_on_face;       // b is a disc on a face of a
 };
@@ -103,17 +103,17 @@ struct Contacts {
           if (key == c.key) {
             c.impulse_normal = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s);
             c.impulse_tangent = old_impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * s + 1);
-            surfaces.remember(count - 1, old_impulses, s);
+            surfaces.load_impulse(count - 1, old_impulses, s);
             break;
           }
         }
         c.approach = normal_speed(bodies, c);
-        // What a blow next to it has left of an impulse would throw apart what it no longer holds.
-        if (SOFT_STEP && is_start && c.approach > LEAVING_SPEED) forget(count - 1);
-        // Discs have no corners to turn about: theirs are handed on (SHARES_BLOWS) or left to the next sub-step.
-        c.is_blow = SOFT_STEP && c.approach < -BLOW_SPEED && c.impulse_normal == real(0) && (SHARES_BLOWS || b < NUM_POLYGONS);
+        // What an impact next to it has left of an impulse would throw apart what it no longer holds.
+        if (SOFT_STEP && is_start && c.approach > MIN_SEPARATING_SPEED) reset_impulses(count - 1);
+        // Discs have no corners to turn about: theirs are handed on (SHARES_IMPACTS) or left to the next sub-step.
+        c.is_impact = SOFT_STEP && c.approach < -MIN_IMPACT_SPEED && c.impulse_normal == real(0) && (SHARES_IMPACTS || b < NUM_POLYGONS);
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
-        if (c.is_second) c.is_blow = list[count - 2].is_blow = c.is_blow || list[count - 2].is_blow;
+        if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact || list[count - 2].is_impact;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
         if (ahead) each_substep |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
       }
@@ -170,11 +170,11 @@ struct Contacts {
     return arm > real(0) && (arm * turn + geometry.predicted_travel[other]) * turn > reach;
   }
 
-  // What hits so fast that it would go through the thinner of the two in what is left of the step moves on as nobody
-  // foresaw: around a corner, or over an end.
+  // What hits so fast that it would go through the thinner of the two in what is left of the step moves on in ways that
+  // no prediction has: around a corner, or over an end.
   KFN static bool hits_hard(const Geometry& geometry, const Contact& c, real reach, real dt) {
-    real room = Math::max(c.separation, real(0)) + reach + SAFE_CORE_SHARE * Math::min(geometry.core[c.a], geometry.core[c.b]);
-    return -c.approach * dt > room;
+    real distance = Math::max(c.separation, real(0)) + reach + SAFE_CORE_SHARE * Math::min(geometry.core[c.a], geometry.core[c.b]);
+    return -c.approach * dt > distance;
   }
 
   // Whether two free discs bounce in what is left of the step and are beside each other's line when it ends: their
@@ -217,9 +217,9 @@ struct Contacts {
     return {c.arm_a.plus(gap, c.follows_b), c.arm_b.minus(gap, real(1) - c.follows_b)};
   }
 
-  KFN void forget(int k) {
+  KFN void reset_impulses(int k) {
     list[k].impulse_normal = list[k].impulse_tangent = real(0);
-    surfaces.forget(k);
+    surfaces.reset_impulses(k);
   }
 
   // All that contact k exerts, where the bodies are now.
@@ -230,8 +230,8 @@ struct Contacts {
     surfaces.warm_start(pair, k);
   }
 
-  // Whether the same impulse is to be expected again: not that of a blow or bounce.
-  KFN static bool lasts(const Contact& c) { return c.bounce == real(0) && !c.is_blow; }
+  // Whether the same impulse is to be expected again: not that of an impact or bounce.
+  KFN static bool lasts(const Contact& c) { return c.bounce == real(0) && !c.is_impact; }
 
   // On a kinematic body the place where the other's surface is, `ahead` seconds from now: in the middle of a sub-step the
   // velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out nor in.
@@ -265,7 +265,7 @@ struct Contacts {
 
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
-      if (!lasts(list[i])) forget(i);
+      if (!lasts(list[i])) reset_impulses(i);
       Pair pair = Pair::of(bodies, list[i].a, list[i].b);
       apply_impulses(bodies, pair, i);
       pair.write_back(bodies);
@@ -332,7 +332,7 @@ struct Contacts {
       // A disc that has not come yet is hit in the next step, by what then has left.
       if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && separation > real(0) && c.restitution > real(0) && c.max_impulse == real(0)) continue;
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
-      if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && c.is_blow) {
+      if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && c.is_impact) {
         // The impact went through here.
       } else if (separation > real(0)) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more
@@ -356,8 +356,8 @@ struct Contacts {
         converged &= update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
         mass = c.mass_normal;
       }
-      if (SHARES_BLOWS && active.again) c.is_blow = true;
-      if (c.is_blow && round == 0) {
+      if (SHARES_IMPACTS && active.again) c.is_impact = true;
+      if (c.is_impact && round == 0) {
         real change = solve_block(pair, c, arms, bias, surfaces.speed_of(i));
         if (change > (active.again ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
@@ -387,7 +387,7 @@ struct Contacts {
     }
   }
 
-  // Normal and friction of a blow together, as each changes the other's speed: it sticks, or slides at Coulomb's limit.
+  // Normal and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's limit.
   // Returns by how much (m/s) it changed a speed.
   KFN static real solve_block(Pair& pair, Contact& c, Arms arms, real bias, real wanted) {
     Vec2 tangent = c.normal.right();
@@ -431,12 +431,12 @@ struct Contacts {
   // contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone.
   // True if it has its speed, or no push can give it any more.
   KFN static bool update_secant_mass(Contact& c, real mass_of_pair, real vn, int round) {
-    real kept = Fast::divide(vn - c.approach, c.bounce - c.approach);
+    real gained = Fast::divide(vn - c.approach, c.bounce - c.approach);
     c.approach = vn;
     if (round == 1) return false;
-    if (Math::abs(vn - c.bounce) <= BOUNCE_TOLERANCE * c.bounce || Math::abs(kept) < MIN_KEPT_SHARE) return true;
-    bool is_seen = kept > real(0) && kept < MAX_SECANT_SHARE;
-    c.mass_normal = is_seen ? Fast::divide(c.mass_normal, Math::max(kept, MIN_SECANT_SHARE)) : mass_of_pair;
+    if (Math::abs(vn - c.bounce) <= BOUNCE_TOLERANCE * c.bounce || Math::abs(gained) < MIN_GAINED_SHARE) return true;
+    bool is_seen = gained > real(0) && gained < MAX_SECANT_SHARE;
+    c.mass_normal = is_seen ? Fast::divide(c.mass_normal, Math::max(gained, MIN_SECANT_SHARE)) : mass_of_pair;
     return false;
   }
 
@@ -514,7 +514,7 @@ struct Contacts {
       if (passes_on(c) && took_part) {
         real speed = normal_speed(bodies, c);
         c.bounce = speed > SETTLED_SPEED ? factor * speed : real(0);
-        c.is_blow = true;  // its impulse does not last
+        c.is_impact = true;  // its impulse does not last
       }
       any |= c.bounce > real(0);
     }
@@ -539,7 +539,7 @@ struct Contacts {
   }
 
   // One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and
-  // penetration bias in the numerator, accumulated impulse kept non-negative, friction by Coulomb's law.
+  // penetration bias in the numerator, accumulated impulse never negative, friction by Coulomb's law.
   KFN void solve_hard(Bodies& bodies, real correction_rate, real slop) {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];

@@ -22,9 +22,9 @@ struct ImpactPlane {
       out.separation = Math::max(Fast::divide(Math::abs(beside), speed) - r, real(0));
       return true;
     }
-    real room = away.dot(away) - r * r;
-    if (room <= real(0)) return false;  // it overlaps
-    real root = Fast::root(Math::max(along * along - squared * room, real(0)));
+    real clearance_squared = away.dot(away) - r * r;
+    if (clearance_squared <= real(0)) return false;  // it overlaps
+    real root = Fast::root(Math::max(along * along - squared * clearance_squared, real(0)));
     real seconds = Fast::divide(-along - root, squared);
     out.normal = (away + motion * seconds) * Fast::reciprocal(r);
     out.separation = out.normal.dot(away) - r;

@@ -1,6 +1,6 @@
 // Islands: bodies that contacts, joints and springs join, directly or by others that can be pushed.
 // What holds takes energy from an island, or none. Where one has more kinetic energy once it is relaxed than the sub-step
-// began with, when forces had acted and nothing had been solved, impulses are not solved yet, or those remembered from
+// began with, when forces had acted and nothing had been solved, impulses are not solved yet, or warm-start impulses from
 // another place of the bodies are far off; bodies that jam, and arms at their limits, do that. It is solved again, alone.
 
 struct Islands {
@@ -27,16 +27,16 @@ struct Islands {
     if (!bodies.is_dynamic(a) || !bodies.is_dynamic(b)) Bodies::add(anchored, of(bodies, a, b));
   }
 
-  // Forgets all impulses on bodies of `which`, in islands. What is anchored gets the velocities that the sub-step began
+  // Resets all impulses on bodies of `which`, in islands. What is anchored gets the velocities that the sub-step began
   // with. Elsewhere that would change angular momentum, since bodies have moved: impulses are taken back where they are.
-  KFN void forget(Bodies& bodies, Contacts& contacts, Joints& joints, const unsigned int* which) const {
+  KFN void reset_impulses(Bodies& bodies, Contacts& contacts, Joints& joints, const unsigned int* which) const {
     for (int k = 0; k < contacts.count; ++k) {
       int a = contacts.list[k].a, b = contacts.list[k].b;
       if (!Bodies::has(which, bodies.is_dynamic(a) ? a : b)) continue;
       Pair pair = Pair::reversed(bodies, a, b);
       contacts.apply_impulses(bodies, pair, k);
       pair.write_back(bodies);
-      contacts.forget(k);
+      contacts.reset_impulses(k);
     }
     for (int k = 0; k < joints.count; ++k) {
       int a = joints.list[k].a, b = joints.list[k].b;
@@ -44,7 +44,7 @@ struct Islands {
       Pair pair = Pair::reversed(bodies, a, b);
       joints.apply_impulses(bodies, pair, k);
       pair.write_back(bodies);
-      joints.forget(k);
+      joints.reset_impulses(k);
     }
     for (int k = 0; k < joints.springs.count; ++k) {
       int a = joints.springs.a_of(k), b = joints.springs.b_of(k);
@@ -52,7 +52,7 @@ struct Islands {
       Pair pair = Pair::reversed(bodies, a, b);
       joints.springs.apply_impulses(bodies, pair, k);
       pair.write_back(bodies);
-      joints.springs.forget(k);
+      joints.springs.reset_impulses(k);
     }
     for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
       int i = each.shape;

@@ -26,8 +26,8 @@ struct Joint {
   KFN bool is_prismatic() const {
     return HAS_PRISMATIC_JOINTS && ((!HAS_REVOLUTE_JOINTS && !HAS_FIXED_JOINTS) || kind_of(flags) == KIND_PRISMATIC);
   }
-  // One end is light, with more on its other side (yielding_joints.py).
-  KFN bool yields() const { return (flags >> JOINTS_YIELDS_SHIFT & 1) != 0; }
+  // One end is light, with more on its other side (softened_joints.py).
+  KFN bool is_softened() const { return (flags >> JOINTS_SOFTENED_SHIFT & 1) != 0; }
   KFN bool is_driven() const { return HAS_MOTORS && (flags & MOTOR_BIT) != 0; }
   KFN int drive() const { return HAS_BRAKES_AND_SERVOS ? flags >> JOINTS_DRIVE_SHIFT & JOINTS_DRIVE_MASK : DRIVE_VELOCITY; }
   KFN bool is_limited() const { return HAS_JOINT_LIMITS && (flags >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0; }
@@ -80,22 +80,22 @@ struct Joint {
     return added;
   }
 
-  KFN real lower_impulse(real room, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
-    return limit_impulse(room, speed, impulse_lower, soft, use_bias, max_return_speed);
+  KFN real lower_impulse(real clearance, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
+    return limit_impulse(clearance, speed, impulse_lower, soft, use_bias, max_return_speed);
   }
-  KFN real upper_impulse(real room, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
-    return limit_impulse(room, speed, impulse_upper, soft, use_bias, max_return_speed);
+  KFN real upper_impulse(real clearance, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
+    return limit_impulse(clearance, speed, impulse_upper, soft, use_bias, max_return_speed);
   }
 
-  // One-sided: room is what is left before the limit, speed that at which room grows.
-  KFN real limit_impulse(real room, real speed, real& accumulated, const Soft& soft, bool use_bias,
+  // One-sided: clearance is what is left before the limit, speed that at which clearance grows.
+  KFN real limit_impulse(real clearance, real speed, real& accumulated, const Soft& soft, bool use_bias,
                          real max_return_speed) const {
     real bias = real(0);
-    if (room > real(0)) {
-      bias = room * soft.inverse_h;
+    if (clearance > real(0)) {
+      bias = clearance * soft.inverse_h;
     } else if (use_bias) {
-      // Not softened: a strong motor would lean into a limit that yields.
-      bias = Math::max(soft.joint.bias_rate * room, -max_return_speed);
+      // Not softened: a strong motor would lean into a limit that gives way.
+      bias = Math::max(soft.joint.bias_rate * clearance, -max_return_speed);
     }
     real impulse = -axial_mass * (speed + bias);
     real total = Math::max(accumulated + impulse, real(0));

@@ -66,10 +66,10 @@ struct Joints {
     joint.impulse_upper = impulses.get(row + 4);
   }
 
-  // What a speed limit has taken back of what joints asked for, they would ask for again and again: impulses that grow
+  // Joints would request again and again what a speed limit has taken back: impulses that grow
   // without end.
-  KFN void forget_slowed(const Bodies& bodies) {
-    springs.forget_slowed(bodies);
+  KFN void reset_slowed(const Bodies& bodies) {
+    springs.reset_slowed(bodies);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
       if (!SOFT_STEP || !bodies.is_slowed(joint.a, joint.b)) continue;
@@ -153,7 +153,7 @@ struct Joints {
     }
   }
 
-  KFN void forget(int k) {
+  KFN void reset_impulses(int k) {
     list[k].impulse = {real(0), real(0)};
     list[k].angular_impulse = list[k].impulse_lower = list[k].impulse_upper = real(0);
   }
@@ -180,7 +180,7 @@ struct Joints {
       if (active.leaves_out(joint.a, joint.b)) continue;
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       Vec2 before = pair.velocity_b - pair.velocity_a;
-      Softness own = Softness::either(joint.yields(), soft.yielding, soft.joint);
+      Softness own = Softness::either(joint.is_softened(), soft.softened, soft.joint);
       if (joint.is_prismatic()) {
         joint.turn_arms(bodies);
         Slider slider = Slider::of(bodies, joint, local_axis[k]);
@@ -247,7 +247,7 @@ struct Joints {
   }
 
   // Angle and common point at once: one after the other, each undoes most of the other where the arms are long beside
-  // what the bodies' inertia is like, and what they remember for the next sub-step then grows.
+  // what the bodies' inertia is like, and what they warm-start the next sub-step with then grows.
   KFN static void solve_weld(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, const Softness& own,
                              bool use_bias) {
     real max_speed = soft.turn_back_speed;

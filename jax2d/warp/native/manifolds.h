@@ -92,8 +92,8 @@ struct Geometry {
 
   // A body that never did since `predict_travel` gets by less than half of `reach` farther. Spares two roots a body.
   KFN bool exceeds_prediction(const Bodies& bodies, int i, real reach) const {
-    real room = predicted_travel[i] + real(0.5) * reach - (extent[i] - core[i]) * Math::abs(bodies.omega(i)) * ahead;
-    return room < real(0) || bodies.velocity(i).dot(bodies.velocity(i)) * ahead * ahead > room * room;
+    real spare = predicted_travel[i] + real(0.5) * reach - (extent[i] - core[i]) * Math::abs(bodies.omega(i)) * ahead;
+    return spare < real(0) || bodies.velocity(i).dot(bodies.velocity(i)) * ahead * ahead > spare * spare;
   }
 
   // How far a surface gets by the end of the step, at most: a disc's does not leave its place by turning.

@@ -6,10 +6,10 @@ struct Springs {
   KFN int b_of(int) const { return 0; }
   KFN void load(const Bodies&, const Column&, const IntColumn&, const Column&, const Column&) {}
   KFN void load_impulses(const Column&) {}
-  KFN void forget_slowed(const Bodies&) {}
+  KFN void reset_slowed(const Bodies&) {}
   KFN void store(const Column&) const {}
   KFN void prepare(const Bodies&) {}
-  KFN void forget(int) {}
+  KFN void reset_impulses(int) {}
   KFN void apply_impulses(const Bodies&, Pair&, int) const {}
   KFN void warm_start(Bodies&) {}
   KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}

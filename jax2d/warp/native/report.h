@@ -1,4 +1,4 @@
-// What contacts did in the last step of a call, where an engine is asked for it: rows of OUT, one slot a contact.
+// What contacts did in the last step of a call, where an engine is built with report_contacts: rows of OUT, one slot a contact.
 //
 // Contacts may be found several times in a step. Impulses of one key add up, wherever in the step they acted, and a
 // contact that is gone before the end keeps its slot, so that the sum over slots is all that bodies exchanged. They add
@@ -36,7 +36,7 @@ struct Report {
     }
   }
 
-  // All remembered impulses act anew.
+  // All warm-start impulses act anew.
   KFN void warm_start(const Contacts& contacts) {
     for (int i = 0; i < contacts.count; ++i) acted[i] = {real(0), real(0)};
   }
@@ -56,7 +56,7 @@ struct Report {
   }
 
   // Where contacts are, midway between both surfaces as their bodies stand.
-  KFN void place(const Bodies& bodies, const Contacts& contacts) {
+  KFN void locate(const Bodies& bodies, const Contacts& contacts) {
     for (int i = 0; i < contacts.count; ++i) {
       const Contact& c = contacts.list[i];
       int s = slot[i];

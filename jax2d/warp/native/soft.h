@@ -17,7 +17,7 @@ struct Softness {
 
 // How a sub-step is solved.
 struct Soft {
-  Softness contact, fixed, joint, yielding;  // fixed: contacts with what cannot move
+  Softness contact, fixed, joint, softened;  // fixed: contacts with what cannot move
   real h, inverse_h;
   real bend_time;  // s, times a spin squared and an arm: speed that keeps an anchor on its circle
   real max_spin;   // faster nothing turns in the end, however fast it does while velocities are solved
@@ -25,19 +25,19 @@ struct Soft {
 
   KFN static Soft load(const Column& params) {
     return {Softness::load(params, PARAM_CONTACT_BIAS_RATE), Softness::load(params, PARAM_FIXED_BIAS_RATE),
-            Softness::load(params, PARAM_JOINT_BIAS_RATE), Softness::load(params, PARAM_YIELDING_BIAS_RATE), params.get(PARAM_H), real(1) / params.get(PARAM_H),
+            Softness::load(params, PARAM_JOINT_BIAS_RATE), Softness::load(params, PARAM_SOFTENED_BIAS_RATE), params.get(PARAM_H), real(1) / params.get(PARAM_H),
             real(0.5) * BEND_SHARE * params.get(PARAM_H), params.get(PARAM_MAX_ANGULAR_SPEED),
             params.get(PARAM_PUSH_OUT_SPEED), params.get(PARAM_JOINT_PULL_SPEED), params.get(PARAM_JOINT_TURN_SPEED)};
   }
 
-  // Of a limit along a line, one-sided: room is what is left before it, speed that at which room grows. It yields as
-  // joints do: rows of rods that do not, and light sliders that carry heavy ones, would gain energy.
-  KFN real limit_impulse(real room, real speed, real mass, real& accumulated, bool use_bias) const {
+  // Of a limit along a line, one-sided: clearance is what is left before it, speed that at which clearance grows. It is softened as
+  // joints are: rows of rods that do not, and light sliders that carry heavy ones, would gain energy.
+  KFN real limit_impulse(real clearance, real speed, real mass, real& accumulated, bool use_bias) const {
     real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
-    if (room > real(0)) {
-      bias = room * inverse_h;
+    if (clearance > real(0)) {
+      bias = clearance * inverse_h;
     } else if (use_bias) {
-      bias = Math::max(joint.bias_rate * room, -pull_speed);
+      bias = Math::max(joint.bias_rate * clearance, -pull_speed);
       mass_scale = joint.mass_scale;
       impulse_scale = joint.impulse_scale;
     }

@@ -104,7 +104,7 @@ struct Springs {
     }
   }
 
-  KFN void forget_slowed(const Bodies& bodies) {
+  KFN void reset_slowed(const Bodies& bodies) {
     for (int k = 0; k < count; ++k)
       if (bodies.is_slowed(list[k].a, list[k].b))
         list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0);
@@ -127,7 +127,7 @@ struct Springs {
       list[k].centre_gap = bodies.position[list[k].b] - bodies.position[list[k].a];
   }
 
-  KFN void forget(int k) { list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0); }
+  KFN void reset_impulses(int k) { list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0); }
 
   // All that spring k exerts, where the bodies are now.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {

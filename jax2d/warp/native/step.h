@@ -41,7 +41,7 @@ struct World {
         soft_step();
       else
         paper_step();
-      joints.forget_slowed(bodies);
+      joints.reset_slowed(bodies);
       joints.store(impulses);
       if (reports) report.end_step();
     }
@@ -66,7 +66,7 @@ struct World {
 
     bool every_substep = false;  // contacts are found in each, where those found once would not hold
     bool find = true, interrupted = false;
-    int interruptions = 0, max_passes = (int)(params.get(PARAM_BLOW_PASSES));
+    int interruptions = 0, max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
     for (int substep = 0; substep < substeps;) {
       // Each function is called once: what is inlined twice is twice the code.
       real left = every_substep ? h : h * (real)(substeps - substep);
@@ -96,7 +96,7 @@ struct World {
         if (reports) report.warm_start(contacts);
       }
       // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
-      // Where a speed limit takes back what stops a body, the rest of it is asked for again.
+      // Where a speed limit takes back what stops a body, the rest of it is solved again.
       // And where something hits, until all that it reaches has its share.
       bool was_limited = false;
       contacts.active.begin();
@@ -130,7 +130,7 @@ struct World {
   }
 
   // Solves without bias. The last time in a step what hit bounces: rounds go on until joints and other contacts have
-  // shared in it and every bounce has its speed. What is remembered for the next step is from before, since a bounce
+  // shared in it and every bounce has its speed. What the next step is warm-started with is from before, since a bounce
   // does not last.
   KFN void relax(Vec2 gravity, real h, bool is_last) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
@@ -143,17 +143,17 @@ struct World {
       bool with_friction = round > 0 && !friction_applied && (contacts.converged || round == rounds);
       for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0, contacts.active);
       contacts.solve_soft(bodies, soft, false, round, with_friction);
-      if (round == 0) {  // joints and other contacts share in a blow
-        if (contacts.active.repeat() && repeats++ < (int)(params.get(PARAM_BLOW_PASSES))) {
+      if (round == 0) {  // joints and other contacts share in an impact
+        if (contacts.active.repeat() && repeats++ < (int)(params.get(PARAM_IMPACT_PASSES))) {
           --round;
           continue;
         }
         contacts.active.begin();
-        bool would_forget = energy_passes + 1 == REMEMBERED_ENERGY_PASSES;
-        if (energy_passes < ENERGY_PASSES && gains_energy(h, would_forget ? FORGETTING_GAIN : real(0), energy_passes > 0)) {
+        bool would_reset = energy_passes + 1 == ENERGY_PASSES_BEFORE_RESET;
+        if (energy_passes < ENERGY_PASSES && gains_energy(h, would_reset ? RESET_GAIN : real(0), energy_passes > 0)) {
           ++energy_passes;
           contacts.active.is_restricted = true;
-          if (would_forget) islands.forget(bodies, contacts, joints, contacts.active.only);
+          if (would_reset) islands.reset_impulses(bodies, contacts, joints, contacts.active.only);
           --round;
           continue;
         }
@@ -203,7 +203,7 @@ struct World {
   // Notes who touched, and keeps the impulses for the contacts found next.
   KFN void finish_contacts() {
     record_touches();
-    if (reports) report.place(bodies, contacts);
+    if (reports) report.locate(bodies, contacts);
     contacts.store(keys, impulses);
     overflow += contacts.overflow;
   }

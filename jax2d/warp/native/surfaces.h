@@ -33,11 +33,11 @@ struct Surfaces {
     rolling_impulse[k] = total;
   }
 
-  KFN void forget(int k) {
+  KFN void reset_impulses(int k) {
     if (HAS_ROLLING_RESISTANCE) rolling_impulse[k] = real(0);
   }
 
-  KFN void remember(int k, const Column& old_impulses, int slot) {
+  KFN void load_impulse(int k, const Column& old_impulses, int slot) {
     if (HAS_ROLLING_RESISTANCE) rolling_impulse[k] = old_impulses.get(IMPULSE_ROLLING_IMPULSE + slot);
   }
 

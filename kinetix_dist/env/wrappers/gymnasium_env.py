@@ -1,5 +1,6 @@
 """The environment as gymnasium has it: `KinetixVectorEnv`, many worlds at once, and `KinetixEnv`, one.
 
+    envs = gymnasium.make_vec("kinetix-dist/S-v0", num_envs=64)        see kinetix_dist/gymnasium_envs.py
     envs = KinetixVectorEnv(EnvConfig(size="s", observation="flat"), levels, num_envs=64)
     obs, infos = envs.reset(seed=0)                                    each world draws one of the levels
     obs, rewards, terminations, truncations, infos = envs.step(envs.action_space.sample())
@@ -29,8 +30,8 @@ from jax2d.draw import draw
 from kinetix_dist.env.action_spaces import ActionSpace
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.level_pool import RANDOM, LevelPool, levels_of
 from kinetix_dist.env.records import StepInfo
-from kinetix_dist.env.wrappers.level_pool import LevelPool
 from kinetix_dist.level.level import Level
 
 INFO_FIELDS = ("solved", "failed", "timed_out", "unstable", "episode_return", "episode_length")
@@ -175,6 +176,36 @@ class KinetixEnv(gymnasium.Env):
     def render(self) -> np.ndarray | None:
         pictures = self._envs.render()
         return None if pictures is None else pictures[0]
+
+
+def make(
+    *,
+    size: str,
+    levels: str | Level = RANDOM,
+    num_levels: int = 256,
+    observation: str = "entity",
+    action_space: str = "multi_discrete",
+    render_mode: str | None = None,
+) -> KinetixEnv:
+    """One world, for `gymnasium.make("kinetix-dist/M-v0")`. levels: as `kinetix_dist.make` takes them."""
+    config = EnvConfig(size=size, observation=observation, action_space=action_space)
+    return KinetixEnv(config, levels_of(config, levels, num_levels=num_levels, seed=0)[0], render_mode=render_mode)
+
+
+def make_vec(
+    *,
+    size: str,
+    num_envs: int = 1,
+    levels: str | Level = RANDOM,
+    num_levels: int = 256,
+    observation: str = "entity",
+    action_space: str = "multi_discrete",
+    render_mode: str | None = None,
+) -> KinetixVectorEnv:
+    """Many worlds, for `gymnasium.make_vec("kinetix-dist/M-v0")`. levels: as `kinetix_dist.make` takes them."""
+    config = EnvConfig(size=size, observation=observation, action_space=action_space)
+    pool, _ = levels_of(config, levels, num_levels=num_levels, seed=0)
+    return KinetixVectorEnv(config, pool, num_envs=num_envs, render_mode=render_mode)
 
 
 def observation_space(env: Environment) -> spaces.Space:

@@ -24,8 +24,8 @@ from kinetix_dist import prng
 from kinetix_dist.env.action_spaces import ActionSpace
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.level_pool import LevelPool
 from kinetix_dist.env.records import EnvState, PreparedLevels
-from kinetix_dist.env.wrappers.level_pool import LevelPool
 from kinetix_dist.level.level import Level
 
 

@@ -98,11 +98,17 @@ class KinetixEnv(GymnaxEnv):
     """One world whose episodes start where `reset_fn` says, unless a call says otherwise."""
 
     def __init__(
-        self, config: EnvConfig, reset_fn: Callable[[Array], Level] | None, static_params: StaticEnvParams
+        self,
+        config: EnvConfig,
+        reset_fn: Callable[[Array], Level] | None,
+        static_params: StaticEnvParams,
+        *,
+        auto_reset: bool = True,
     ) -> None:
         some = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(config.capacity))
         super().__init__(config, some)
         self._reset_fn = reset_fn
+        self._auto_reset = auto_reset
         self.static_env_params = static_params
 
     @property
@@ -127,15 +133,20 @@ class KinetixEnv(GymnaxEnv):
         env_params: Any = None,
         override_reset_state: Level | KinetixState | None = None,
     ) -> tuple[Any, Any, Array, Array, dict]:
-        """(observation, state, reward, done, info). Where done, observation and state are those of a new episode."""
+        """(observation, state, reward, done, info). Where done, observation and state are those of a new episode.
+
+        Without `auto_reset` they are the last ones of the episode, and the caller calls `reset`.
+        """
         params = self._check(env_params)
         step_key, reset_key = prng.split(key)
         last_obs, next_state, reward, terminated, info = self.step_env(step_key, state, action, params)
         truncated = self.is_truncated(next_state, params)
         done = terminated | truncated
+        info |= {"terminated": terminated, "truncated": truncated, "final_observation": last_obs}
+        if not self._auto_reset:
+            return last_obs, next_state, reward, done, info
         first = self._start(reset_key, override_reset_state)
         obs, next_state = jax.tree.map(lambda new, old: jnp.where(done, new, old), first, (last_obs, next_state))
-        info |= {"terminated": terminated, "truncated": truncated, "final_observation": last_obs}
         return obs, next_state, reward, done, info
 
     def reset_env(self, key: Array, params: Any) -> tuple[Any, KinetixState]:
@@ -163,8 +174,13 @@ def make_kinetix_env(
     reset_fn: Callable[[Array], Level] | None,
     env_params: EnvParams | None = None,
     static_env_params: StaticEnvParams | None = None,
+    auto_reset: bool = True,
 ) -> KinetixEnv:
-    """An environment that draws a level for every episode. reset_fn None: each `reset` and `step` is given one."""
+    """An environment that draws a level for every episode.
+
+    reset_fn: None, where each `reset` and `step` is given a level. auto_reset: a `step` that ends an episode begins the
+    next one; without it `step` needs no level.
+    """
     params, static = env_params or EnvParams(), static_env_params or StaticEnvParams()
     config = EnvConfig(
         size=static.size,
@@ -174,7 +190,7 @@ def make_kinetix_env(
         action_space=action_type.value,
         observation=observation_type.value,
     )
-    return KinetixEnv(config, reset_fn, static)
+    return KinetixEnv(config, reset_fn, static, auto_reset=auto_reset)
 
 
 def make_reset_fn_sample_kinetix_level(

@@ -1,4 +1,4 @@
-"""What an action does to a level that is being built."""
+"""Effect of an action on a level that is being built."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
-from kinetix_dist.level.construction.places import (
+from kinetix_dist.level.construction.allowed import (
     anchor_point,
     attachment,
     held_at,
@@ -41,15 +41,17 @@ from kinetix_dist.level.draft import (
     Draft,
     DrivenJoints,
     DrivenThrusters,
+    Ends,
+    MotorAndLimits,
     Shapes,
     first_free,
-    hinge_or_weld,
+    joint_row,
     read_slot,
     write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.level import Role
 from kinetix_dist.level.proposals import box_or_triangle, shape_mass
-from kinetix_dist.level.roles import Role
 
 _AT = {name: number for number, name in enumerate(HEADS)}
 
@@ -79,7 +81,7 @@ def apply_action(
 def _described(
     building: Construction, step: Array, choice: dict[str, Array], draws: Array, config: GeneratorConfig
 ) -> tuple[Shapes, Array]:
-    """The shape, at the origin, and where a joint would be on it."""
+    """The described shape, at the origin, and the point of a joint on it."""
     is_box = is_one_of(choice["what"], BOXES)
     limit = config.max_shape_size / 2.0 / math.sqrt(2.0)
     longest = limit * max(1.0, config.large_rectangle_scale)
@@ -117,7 +119,7 @@ def _with_shape(
     capacity: Capacity,
     config: GeneratorConfig,
 ) -> Draft:
-    """The draft with the described shape, and its joint; without it where it fits nowhere."""
+    """The draft with the described shape and its joint, unless it fits nowhere."""
     draft, polygons = building.draft, capacity.polygons
     shapes = draft.shapes
     is_box, is_joined = is_one_of(building.what, BOXES), is_one_of(building.what, JOINED)
@@ -147,44 +149,37 @@ def _with_shape(
     holds = (jnp.arange(capacity.shapes) == target) & do & is_joined
     after = dataclasses.replace(after, num_joints=after.num_joints + holds)
     both_boxes = is_box & (target < polygons)
-    joint = _joint(building, choice, draws, slot, target, partner, anchor_partner, both_boxes, config)
+    ends = Ends(a=target, b=slot, anchor_a=anchor_partner, anchor_b=building.own_anchor)
+    joint = _joint(ends, building.shape.angle - partner.angle, choice, draws, both_boxes, config)
     joints = write_slot(draft.driven_joints, first_free(draft.joints.active), joint, do & is_joined)
     return dataclasses.replace(draft, shapes=after, driven_joints=joints)
 
 
 def _joint(
-    building: Construction,
+    ends: Ends,
+    rest_angle: Array,
     choice: dict[str, Array],
     draws: Array,
-    slot: Array,
-    target: Array,
-    partner: Shapes,
-    anchor_partner: Array,
     both_boxes: Array,
     config: GeneratorConfig,
 ) -> DrivenJoints:
-    """From the partner to the new shape; `derive` puts the ends into their order."""
+    """A joint from the partner to the new shape; `derive` puts the ends into their order."""
     is_weld, is_driven = choice["motor"] == Motor.WELD, choice["motor"] == Motor.DRIVEN
     limit = jnp.where(both_boxes, jnp.array(LIMITS_RAD, jnp.float32)[choice["limits"]], 0.0)
     strongest = jnp.where(both_boxes, config.motor_power_max, config.wheel_power_max)
     weakest = jnp.minimum(config.motor_power_min, strongest)
     speed = _within(choice["speed"], draws[5], NUM_SPEEDS, config.motor_speed_min, config.motor_speed_max)
     power = _within(choice["strength"], draws[6], NUM_STRENGTHS, weakest, strongest)
-    return hinge_or_weld(
-        is_weld=is_weld,
-        rest_angle=building.shape.angle - partner.angle,
+    hinge = MotorAndLimits(
         motor_on=is_driven,
-        motor_speed=speed,
-        motor_power=power,
+        speed=speed,
+        power=power,
         has_limits=limit > 0,
         lower_limit=-limit,
         upper_limit=limit,
         colour=choice["colour"],
-        a=target,
-        b=slot,
-        anchor_a=anchor_partner,
-        anchor_b=building.own_anchor,
     )
+    return joint_row(ends, is_weld, rest_angle, hinge)
 
 
 def _with_thruster(draft: Draft, choice: dict[str, Array], draws: Array, do: Array, config: GeneratorConfig) -> Draft:

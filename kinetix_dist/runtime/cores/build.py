@@ -1,10 +1,10 @@
-"""What each kind of process is built from, inside that process: `build(index, number of processes, config)`.
+"""Builders of cores, called inside their processes: `build(index, number of processes, config)`.
 
 build_worker    worlds and a learner shard      colocated placement, and all of local mode
 build_learner   a learner shard                 split placement
 build_rollout   a part of the worlds            split placement
 build_curator   scoring of levels               both
-build_evaluator evaluations and recordings      both, where they are asked for during training
+build_evaluator evaluations and recordings      both, where they are due during training
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import gc
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.evaluator import EvaluatorCore
 from kinetix_dist.runtime.cores.split_core import RolloutWorker
 from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
-from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
 # Tracing makes millions of objects that stay: looking for garbage among them at Python's own intervals takes 6 % of the
 # CPU seconds from the start of a process to its first update, with all programs in the cache.
@@ -59,7 +59,7 @@ def build_evaluator(index: int, num_processes: int, config: TrainConfig) -> Eval
 
 
 def _prepare_process(config: TrainConfig) -> None:
-    """What comes before anything is built."""
+    """Prepares a process, before anything is built."""
     gc.set_threshold(*GC_THRESHOLD)
     import_plugins(config.run.plugins)
     enable_compile_cache(config.run.compile_cache)

@@ -1,4 +1,4 @@
-"""What a curator holds: a curriculum that refreshes, from parameters and a key. Plain JAX on the devices it has."""
+"""Core of a curator: a curriculum that refreshes, from parameters and a key. Plain JAX on the devices it has."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class CuratorCore:
     def __init__(self, config: TrainConfig) -> None:
         self._config = config
         self._playing = Playing(config, data_mesh())
-        self._playing.curriculum(config)  # what cannot be loaded is found before anything is asked for
-        self._params: Any = None  # shapes of what refreshes were asked for with
+        self._playing.curriculum(config)  # a level set that cannot be loaded is found before the first request
+        self._params: Any = None  # shapes of the parameters of requests
         self._prepared: Curriculum | None = None  # whose probe is compiled
 
     def refresh(
@@ -49,7 +49,7 @@ class CuratorCore:
         return {"seconds": time.monotonic() - began, "probe": played}, refreshed
 
     def compile_ahead(self, params: Any, policy_version: int) -> None:
-        """What the refresh of that version takes longest to compile."""
+        """Compiles the programs of the refresh of that version which take longest."""
         self._curriculum(policy_version).compile_refresh(params)
 
     def prepare(self, policy_version: int) -> None:
@@ -62,6 +62,7 @@ class CuratorCore:
             curriculum.compile_probe(self._params, self._config.curriculum_log.probe_levels)
 
     def _curriculum(self, policy_version: int) -> Curriculum:
-        """Of the phase in which the refresh is to be adopted, so that its first buffer has the levels of that phase."""
+        """Curriculum of the phase in which the refresh is adopted, so that its first buffer has the levels of that
+        phase."""
         config = self._config
         return self._playing.curriculum(config.schedule.at(config.curriculum.adopted_at(policy_version)).config)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,12 +32,12 @@ from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.messages import LevelOutcome, StaticInput, Trajectory
 from kinetix_dist.models.policy import init_params
-from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
+from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
 from kinetix_dist.runtime.cores.run_names import ANTAGONIST, CURRICULUM, TEACHER, one_level, stream
 
 
 class PpoAgents:
-    """Those of one run, which learn on the devices of a mesh."""
+    """PPO agents of one run, which learn besides the policy on the devices of a mesh (`curator/agents.py`)."""
 
     def __init__(self, config: TrainConfig, env: Environment, policy: nn.Module, mesh: Mesh) -> None:
         self._config = config
@@ -48,44 +48,39 @@ class PpoAgents:
     def student(self) -> PpoAgent:
         env = self._env
         obs = jax.eval_shape(lambda: some_observation(self._config, env))
-        return self._agent(
-            self._policy, env.observation, env.action_distribution, obs, self._config.ppo, stream_number=ANTAGONIST
-        )
+        interface = AgentInterface(env.observation, env.action_distribution, obs)
+        return self._agent(self._policy, interface, self._config.ppo, stream_number=ANTAGONIST)
 
     def teacher(self, policy: nn.Module, distribution: ActionDistribution, obs: Any, **ppo: Any) -> PpoAgent:
         settings = dataclasses.replace(self._config.ppo, **ppo)
-        return self._agent(policy, _OfNoEnvironment(), distribution, obs, settings, stream_number=TEACHER)
+        interface = AgentInterface(_NoEnvironment(), distribution, obs)
+        return self._agent(policy, interface, settings, stream_number=TEACHER)
 
     def static_input(self, levels: Level) -> StaticInput:
         env, is_masked = self._env, self._config.ppo.mask_unbound_heads
         bound = env.action_space.bound_heads(levels) if is_masked else None
         return StaticInput(obs=env.observation.static(levels), bound_heads=bound)
 
-    def _agent(
-        self,
-        policy: nn.Module,
-        observation: Observation,
-        distribution: ActionDistribution,
-        obs: Any,
-        ppo: PpoConfig,
-        *,
-        stream_number: int,
-    ) -> PpoAgent:
+    def _agent(self, policy: nn.Module, interface: AgentInterface, ppo: PpoConfig, *, stream_number: int) -> PpoAgent:
         key = stream(self._config.run.seed, stream_number)
-        return PpoAgent(
-            policy, observation, distribution, obs, ppo, self._mesh, num_blocks=self._config.num_blocks, key=key
-        )
+        return PpoAgent(policy, interface, ppo, self._mesh, num_blocks=self._config.num_blocks, key=key)
+
+
+class AgentInterface(NamedTuple):
+    """Input and output of an agent's policy."""
+
+    observation: Observation
+    distribution: ActionDistribution  # of its actions
+    obs: Any  # shapes of what the policy takes, [1, ...]
 
 
 class PpoAgent:
-    """See `Agent`. obs: shapes; num_blocks: of worlds, see `TrainConfig.num_blocks`; key: typed, consumed."""
+    """See `Agent`. num_blocks: of worlds, see `TrainConfig.num_blocks`; key: typed, consumed."""
 
     def __init__(
         self,
         policy: nn.Module,
-        observation: Observation,
-        distribution: ActionDistribution,
-        obs: Any,
+        interface: AgentInterface,
         ppo: PpoConfig,
         mesh: Mesh,
         *,
@@ -93,9 +88,7 @@ class PpoAgent:
         key: Array,
     ) -> None:
         self._policy = policy
-        self._observation = observation
-        self._distribution = distribution
-        self._obs = obs
+        self._observation, self._distribution, self._obs = interface
         self._ppo = ppo
         self._mesh = mesh
         self._num_blocks = num_blocks
@@ -110,12 +103,12 @@ class PpoAgent:
     ) -> tuple[LearnerState, dict[str, Array]]:
         if self._division.is_even:
             return self._update(state, static, trajectory, last_value)
-        places = self._division.spread(last_value.shape[0])
+        slots = self._division.spread(last_value.shape[0])
         static, trajectory = (
-            jax.tree.map(lambda x: x[places], static),
-            jax.tree.map(lambda x: x[:, places], trajectory),
+            jax.tree.map(lambda x: x[slots], static),
+            jax.tree.map(lambda x: x[:, slots], trajectory),
         )
-        return self._update(state, static, trajectory, last_value[places])
+        return self._update(state, static, trajectory, last_value[slots])
 
     # Made by those alone who learn: rollout actors may have more devices than there are blocks.
 
@@ -130,7 +123,7 @@ class PpoAgent:
         )
 
 
-class _OfNoEnvironment(Observation):
+class _NoEnvironment(Observation):
     """All that a teacher sees changes from step to step, and no physics moves it."""
 
     gives = "construction"
@@ -146,7 +139,7 @@ class _OfNoEnvironment(Observation):
 
 
 def some_observation(config: TrainConfig, env: Environment) -> Any:
-    """What a policy takes, of any level of the run: [1, ...], for shapes."""
+    """Observation that a policy takes, of any level of the run: [1, ...], for shapes."""
     prepared = env.prepare(one_level(config))
     return env.observe(prepared, prepared.initial_obs)
 
@@ -157,7 +150,7 @@ def make_curriculum(config: TrainConfig, env: Environment, policy: Any, mesh: Me
     It holds no state, and is the same for runs of equal settings. One that is given levels reads them each time.
     """
     arguments = settings_of_programs(config), env, policy, mesh, config.curriculum_class
-    return _built(*arguments) if config.curriculum.levels else _kept(*arguments)
+    return _built(*arguments) if config.curriculum.levels else _cached(*arguments)
 
 
 def _built(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, kind: type[Curriculum]) -> Curriculum:
@@ -181,7 +174,7 @@ def _built(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, kind:
     return kind(tools)
 
 
-_kept = functools.lru_cache(maxsize=MAX_KEPT)(_built)
+_cached = functools.lru_cache(maxsize=MAX_CACHED)(_built)
 
 
 class CurriculumState:
@@ -190,7 +183,7 @@ class CurriculumState:
     def __init__(self, curriculum: Curriculum, mesh: Mesh) -> None:
         self._mesh = mesh
         self.set_curriculum(curriculum)
-        self.placed: Any = None  # on the devices
+        self.on_devices: Any = None  # on the devices
         self._values: Any = None  # the same as numpy
 
     def set_curriculum(self, curriculum: Curriculum) -> None:
@@ -199,14 +192,14 @@ class CurriculumState:
         self._observe = _observe_program(curriculum, self._mesh)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
-        """From a checkpoint's arrays or afresh."""
+        """Starts from a checkpoint's arrays, or afresh."""
         stored = select_arrays(arrays or {}, CURRICULUM)
         if stored:
-            self._place(self.restored(stored))
+            self._set(self.restored(stored))
         elif self._curriculum.refreshes:
-            self._place(None)  # the first refresh comes before the first levels
+            self._set(None)  # the first refresh comes before the first levels
         else:
-            self._place(jax.device_get(jax.jit(self._curriculum.init)()))  # one program, not hundreds of small ones
+            self._set(jax.device_get(jax.jit(self._curriculum.init)()))  # one program, not hundreds of small ones
 
     def restored(self, arrays: Mapping[str, np.ndarray]) -> Any:
         """A state from arrays of a checkpoint, as numpy."""
@@ -214,37 +207,37 @@ class CurriculumState:
 
     def adopt(self, parts: Sequence[Any]) -> None:
         """parts: of a refresh, in order."""
-        self._place(jax.device_get(self._curriculum.adopt(self.values, self._curriculum.join(parts))))
+        self._set(jax.device_get(self._curriculum.adopt(self.values, self._curriculum.join(parts))))
 
     def observe(
         self, proposal: Proposal, outcome: LevelOutcome, *, env_steps: int, division: Division | None = None
     ) -> None:
-        """proposal, outcome: replicated, each world once, or sharded over the mesh, in all places of `division`.
+        """proposal, outcome: replicated, each world once, or sharded over the mesh, in all slots of `division`.
         env_steps: of the run before this update, by which agents of the curriculum anneal."""
-        state = at_env_steps(self.placed, replicate(clock(env_steps), self._mesh))
-        self.placed, self._values = self._observe(state, proposal, outcome, division), None
+        state = at_env_steps(self.on_devices, replicate(clock(env_steps), self._mesh))
+        self.on_devices, self._values = self._observe(state, proposal, outcome, division), None
 
     @property
     def values(self) -> Any:
         """The state as numpy."""
         if self._values is None:
-            self._values = local_values(self.placed)
+            self._values = local_values(self.on_devices)
         return self._values
 
     @property
     def shapes(self) -> Any:
-        """Of `placed`, with its shardings; also before the start and a first refresh."""
+        """Shapes of `on_devices`, with its shardings; also before the start and a first refresh."""
         return shapes_of_replicated(jax.eval_shape(self._curriculum.init), self._mesh)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
         metrics = self._curriculum.metrics(self.values, num_updates)
         return {name: float(np.asarray(value)) for name, value in metrics.items()}
 
-    def _place(self, values: Any) -> None:
-        self._values, self.placed = values, replicate(values, self._mesh)
+    def _set(self, values: Any) -> None:
+        self._values, self.on_devices = values, replicate(values, self._mesh)
 
 
-@functools.lru_cache(maxsize=MAX_KEPT)
+@functools.lru_cache(maxsize=MAX_CACHED)
 def _observe_program(curriculum: Curriculum, mesh: Mesh) -> Callable[..., Any]:
     """(state, proposal, outcome, division) -> the next state."""
 

@@ -7,7 +7,6 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import flax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,17 +18,14 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.exported_update import exported_update
 from kinetix_dist.learner.sharding import local_values, replicate, shapes_of_replicated
 from kinetix_dist.learner.state import LearnerState, at_env_steps, clock
-from kinetix_dist.learner.update import make_update
+from kinetix_dist.learner.update import exported_update, make_update
 from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.curriculum_state import some_observation
-from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
+from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
 from kinetix_dist.runtime.cores.run_names import INIT, LEARNER, OPTIMIZER, PARAMS, SHUFFLE, START, stream
-from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
-from kinetix_dist.telemetry.kept_shapes import kept_shapes
 
 
 class LearnerCore:
@@ -46,7 +42,7 @@ class LearnerCore:
         self.state: LearnerState | None = None
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
-        """From a checkpoint's arrays, or afresh from the seed, or afresh with the parameters of another run."""
+        """Starts from a checkpoint's arrays, or afresh from the seed, or afresh with the parameters of another run."""
         given = select_arrays(arrays or {}, START)
         if arrays is not None and not given:
             state = unflatten_arrays(self.shapes, select_arrays(arrays, LEARNER))
@@ -62,7 +58,7 @@ class LearnerCore:
         self.state = replicate(state, self._mesh)
 
     def set_ppo(self, ppo: PpoConfig) -> None:
-        """What updates are made with from now on; an update of other settings is compiled when it is first made."""
+        """Sets the settings of updates from now on; an update of other settings is compiled when it is first made."""
         if ppo == self._ppo:
             return
         self._ppo = ppo
@@ -72,7 +68,7 @@ class LearnerCore:
 
     @functools.cached_property
     def shapes(self) -> LearnerState:
-        """Of `state`, with its shardings; also before the start."""
+        """Shapes of `state`, with its shardings; also before the start."""
         return shapes_of_replicated(_shapes_of_state(self._config, self._env, self._policy), self._mesh)
 
     @property
@@ -86,17 +82,17 @@ class LearnerCore:
         return self.state.released
 
     def learn(self, static: Any, trajectory: Any, last_value: Array, *, env_steps: int) -> dict[str, Array]:
-        """From worlds in all places of the division. env_steps: of the run before this update."""
+        """Learns from worlds in all slots of the division. env_steps: of the run before this update."""
         state = at_env_steps(self.state, replicate(clock(env_steps), self._mesh))
         self.state, metrics = self._update(state, static, trajectory, last_value)
         return metrics
 
     def compile(self, static: Any, trajectory: Any, last_value: Any) -> None:
-        """For `learn` from arrays like these, of which shapes and shardings are enough."""
+        """Compiles `learn` for arrays like these, of which shapes and shardings are enough."""
         self._update.lower(self.shapes, static, trajectory, last_value).compile()
 
 
-@functools.lru_cache(maxsize=MAX_KEPT)
+@functools.lru_cache(maxsize=MAX_CACHED)
 def _init_program(config: TrainConfig, env: Environment, policy: Any) -> Callable[[], LearnerState]:
     return jax.jit(lambda: initial_state(config, env, policy))
 
@@ -114,18 +110,5 @@ def _initial_params(config: TrainConfig, env: Environment, policy: Any) -> Any:
 
 
 def _shapes_of_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
-    """Of `initial_state`; those of parameters from the compile cache, unless code from elsewhere makes them."""
-
-    def trace() -> Any:
-        return jax.eval_shape(lambda: _initial_params(config, env, policy))
-
-    if config.run.plugins or not are_of_this_project(policy, env.observation):
-        params = trace()
-    else:
-        made_from = flax.__version__, type(policy).__module__, policy, told_apart(env.observation), config.env
-        params = kept_shapes(made_from, trace)
-
-    def state(params: Any) -> LearnerState:
-        return config.ppo.initial_state(params, stream(config.run.seed, SHUFFLE))
-
-    return jax.eval_shape(state, params)
+    """Of `initial_state`."""
+    return jax.eval_shape(lambda: initial_state(config, env, policy))

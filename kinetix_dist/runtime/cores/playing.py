@@ -82,8 +82,11 @@ T = TypeVar("T")
 
 
 class Playing:
-    """Of one process. groups, division: see `RolloutCore`. Methods take the configuration of a phase, and give the same
-    object until one differs in what that depends on."""
+    """Environment, curriculum and rollout of one process. groups, division: see `RolloutCore`.
+
+    Methods take the configuration of a phase, and give the same object until one differs in what the object depends on.
+
+    """
 
     def __init__(
         self, config: TrainConfig, mesh: Mesh, *, groups: range | None = None, division: Division | None = None
@@ -96,19 +99,19 @@ class Playing:
         self.policy = make_policy(config.policy, self.environment(config).action_distribution.head_sizes)
 
     def environment(self, config: TrainConfig) -> Environment:
-        return self._kept("environment", (config.env, config.curriculum), lambda: make_environment(config))
+        return self._cached("environment", (config.env, config.curriculum), lambda: make_environment(config))
 
     def curriculum(self, config: TrainConfig) -> Curriculum:
         # What learns in `observe` does so by the settings of the policy.
         learns_by = config.ppo if config.curriculum_class.observes else None
-        return self._kept(
+        return self._cached(
             "curriculum",
             (config.env, config.curriculum, config.rollout, learns_by),
             lambda: make_curriculum(config, self.environment(config), self.policy, self._mesh),
         )
 
     def rollout(self, config: TrainConfig) -> RolloutCore:
-        return self._kept(
+        return self._cached(
             "rollout",
             (config.env, config.curriculum, config.rollout),
             lambda: rollout_core(
@@ -122,7 +125,7 @@ class Playing:
             ),
         )
 
-    def _kept(self, name: str, made_for: Any, make: Callable[[], T]) -> T:
+    def _cached(self, name: str, made_for: Any, make: Callable[[], T]) -> T:
         found = self._made.get(name)
         if found is None or found[0] != made_for:
             found = self._made[name] = made_for, make()

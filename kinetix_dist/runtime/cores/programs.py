@@ -20,7 +20,7 @@ from concurrent.futures import Future
 from kinetix_dist.config import EvaluationConfig, RecordingConfig, RunConfig, TrainConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
-MAX_KEPT = 8  # of each kind, those used last
+MAX_CACHED = 8  # of each kind, those used last
 
 
 def settings_of_programs(config: TrainConfig) -> TrainConfig:
@@ -39,12 +39,12 @@ MIN_CORES = 8
 
 
 def has_cores() -> bool:
-    """Whether this process has cores enough to compile several programs at a time."""
+    """Says whether this process has cores enough to compile several programs at a time."""
     return len(os.sched_getaffinity(0)) >= MIN_CORES
 
 
 class Ahead:
-    """Jobs that compile. What they compiled is found in memory by whoever calls the same jit function with the same
+    """Jobs that compile. A later call of the same jit function finds the program in memory, given the same
     shapes and shardings, which neither traces nor compiles it again."""
 
     def __init__(self) -> None:

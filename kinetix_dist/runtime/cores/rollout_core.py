@@ -12,32 +12,33 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.actors.random_starts import after_random_actions
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.buffer_share import members
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.exported_on_mesh import exported_on_mesh
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
 from kinetix_dist.level.fit import size_numbers
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
-from kinetix_dist.runtime.cores.programs import MAX_KEPT, settings_of_programs
-from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, STARTS, stream
-from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
+from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
+from kinetix_dist.models.kernels.support import traced_for
+from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
+from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
+from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, stream
 
-KIND = "rollouts"  # folder in the compile cache
+CACHE = "rollouts"  # folder in the program cache
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
 SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
-BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and place of `Proposal.source`
+BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and slot of `Proposal.source`
 
 
 class Batch(NamedTuple):
-    """What the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded.
+    """Batch that the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded.
 
-    Worlds lie in all places of a division, see `Division.spread`.
+    Worlds lie in all slots of a division, see `Division.spread`.
+
     """
 
     static: Any  # `StaticInput`
@@ -48,8 +49,8 @@ class Batch(NamedTuple):
 class RolloutCore:
     """Plays the worlds of `groups` of every update.
 
-    division: of blocks of these groups over the devices of the mesh, by default of single ones. made_from: all that the
-    program depends on beside the sources of this project, see `exported`; None: it is traced in every process.
+    division: of blocks of these groups over the devices of the mesh, by default of single ones. key: of its
+    program in the program cache; None: it is traced in every process.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class RolloutCore:
         *,
         groups: range,
         division: Division | None = None,
-        made_from: str | None = None,
+        key: ProgramKey | None = None,
     ) -> None:
         self.division = division or Division(len(groups), mesh.devices.size)
         self._config = config
@@ -73,7 +74,7 @@ class RolloutCore:
         self._first_group = groups.start
         self._groups_per_part = len(groups) // self.division.num_parts
         # Here: a program that is read prepares no levels.
-        env.check_memory(self.division.places * self._groups_per_part * config.rollout.worlds_per_group)
+        env.check_memory(self.division.slots * self._groups_per_part * config.rollout.worlds_per_group)
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._mesh = mesh
         self._batch_specs = Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds)
@@ -86,14 +87,12 @@ class RolloutCore:
         def rollout(params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
             return on_mesh(params, state, num_updates)
 
-        self.program = (
-            jax.jit(rollout) if made_from is None else exported_on_mesh(KIND, made_from, rollout, mesh, **specs)
-        )
+        self.program = jax.jit(rollout) if key is None else exported_on_mesh(rollout, key, mesh, **specs)
 
     def play(self, params: Any, state: Any, num_updates: int) -> tuple[Batch, Seen | None, dict[str, Any]]:
         """(what is learned from, what the curriculum sees if it observes, sums over all worlds) of one update.
 
-        state: of the curriculum. The first two lie in all places of the division; what is there once more is in no sum.
+        state: of the curriculum. The first two lie in all slots of the division; repeated worlds are in no sum.
         """
         return self.program(params, state, jnp.uint32(num_updates))
 
@@ -130,26 +129,14 @@ class RolloutCore:
         static = StaticInput(
             obs=prepared.static_obs, bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None
         )
-        numbers, start = members(groups, worlds_per_group), env.reset(prepared)
-        if config.rollout.random_start_share:
-            start = after_random_actions(
-                env,
-                prepared,
-                *start,
-                prng.fold_in(stream(config.run.seed, STARTS), num_updates),
-                numbers,
-                share=config.rollout.random_start_share,
-                max_steps=config.rollout.random_start_steps,
-            )
+        worlds = Worlds(prepared, *env.reset(prepared), members(groups, worlds_per_group), static.bound_heads)
         played = unroll(
             policy,
             params,
             env,
-            Worlds(prepared, *start),
+            worlds,
             play_key,
             config.rollout.num_steps,
-            numbers=numbers,
-            bound_heads=static.bound_heads,
             keep_timeouts=config.ppo.bootstrap_timeouts,
         )
         seen = None
@@ -157,7 +144,7 @@ class RolloutCore:
             seen = dataclasses.replace(proposal, source=None), self._summarised(played)
         batch = Batch(static, played.trajectory, played.last_value)
         batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
-        is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.places)
+        is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.slots)
         sums = sums_of(played.outcome, played.trajectory.rewards, is_counted)
         # Also where no outcomes.jsonl is written: another program may round otherwise.
         source = proposal.source if proposal.source is not None else jnp.zeros(is_counted.shape, jnp.int32)
@@ -187,24 +174,29 @@ def rollout_core(
     that a curriculum is given: then the program is traced in every process.
     """
     settings = settings_of_programs(config)
-    parts = env.observation, env.action_space, env.action_distribution
-    is_told = not config.run.plugins and not config.curriculum.levels
-    made_from = None
-    if is_told and are_of_this_project(*parts, policy, curriculum):
-        told = *map(told_apart, parts), (type(policy).__module__, policy), type(curriculum)
-        made_from = repr((settings, env.variants, *told, groups, division))
-    return _kept(settings, env, policy, curriculum, mesh, groups=groups, division=division, made_from=made_from)
+    parts = env.observation, env.action_space, env.action_distribution, policy, type(curriculum)
+    key = None
+    if is_cacheable(*parts) and not config.run.plugins and not config.curriculum.levels:
+        key = ProgramKey(
+            kind=CACHE,
+            module=__name__,
+            parts=parts,
+            depends_on=(settings, env.variants, groups, division),
+            at_trace=traced_for,
+            custom_calls=CUSTOM_CALLS,
+        )
+    return _cached(settings, env, policy, curriculum, mesh, groups=groups, division=division, key=key)
 
 
-_kept = functools.lru_cache(maxsize=MAX_KEPT)(RolloutCore)
+_cached = functools.lru_cache(maxsize=MAX_CACHED)(RolloutCore)
 
 
-def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
-    """Of each group the first `kept` worlds, those that the policy learns from."""
+def worlds_trained(batch: Batch, num_groups: int, num_trained: int) -> Batch:
+    """The first `num_trained` worlds of each group, those that the policy learns from."""
     size = batch.last_value.shape[0] // num_groups
-    if kept == size:
+    if num_trained == size:
         return batch
-    world = members(jnp.arange(num_groups), size, kept)
+    world = members(jnp.arange(num_groups), size, num_trained)
     return Batch(
         jax.tree.map(lambda x: x[world], batch.static),
         jax.tree.map(lambda x: x[:, world], batch.trajectory),
@@ -213,7 +205,8 @@ def worlds_trained(batch: Batch, num_groups: int, kept: int) -> Batch:
 
 
 def sums_of(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
-    """What the metrics need, over the worlds of all devices, each once. An attempt is the first episode of a world."""
+    """Sums that the metrics need, over the worlds of all devices, each once. An attempt is the first episode of a
+    world."""
     outcome, rewards = jax.tree.map(lambda x: jnp.where(is_counted, x, 0), (outcome, rewards))
     local = {
         "finished": outcome.num_finished.sum(),

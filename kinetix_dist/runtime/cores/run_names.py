@@ -34,7 +34,7 @@ def one_level(config: TrainConfig) -> Level:
 
 
 # Folded into the key of the seed, then whatever varies within a stream.
-INIT, LEVELS, PLAY, SHUFFLE, CURATE, TEACHER, ANTAGONIST, PROBE, STARTS = range(9)
+INIT, LEVELS, PLAY, SHUFFLE, CURATE, TEACHER, ANTAGONIST, PROBE = range(8)
 
 
 def stream(seed: int, number: int) -> Array:

@@ -60,12 +60,14 @@ class RolloutWorker:
         self._schedule = config.schedule
         self._groups = config.groups_of_part(index, num_parts)
         self._playing = Playing(config, mesh, groups=self._groups)
-        self._playing.rollout(config)  # what cannot be divided or loaded is found before anything is asked for
+        self._playing.rollout(
+            config
+        )  # groups that cannot be divided, or levels that cannot be loaded, are found before the first call
 
     def play(
         self, update: int, policy_version: int, params: Any, state: Any
     ) -> tuple[dict[str, Any], tuple[Batch, Any]]:
-        """(stamp, (batch, what the curriculum observes of it or None) as numpy) of this part of batch `update`.
+        """(header, (batch, what the curriculum observes of it or None) as numpy) of this part of batch `update`.
 
         state: of the curriculum.
         """
@@ -80,7 +82,7 @@ class RolloutWorker:
             batch, seen, sums = jax.device_get(played)
             copied += [batch, seen]
         content = _each_world_once(rollout.division, batch, seen)
-        stamp = {
+        header = {
             "update": update,
             "policy_version": policy_version,
             "num_env_steps": len(self._groups) * config.rollout.steps_per_group,
@@ -88,7 +90,7 @@ class RolloutWorker:
             "copies": copies.found,
             "seconds": time.monotonic() - began,
         }
-        return stamp, content
+        return header, content
 
 
 def _each_world_once(division: Division, batch: Batch, seen: Any) -> tuple[Batch, Any]:
@@ -110,7 +112,7 @@ class Stored(Protocol):
 
 
 class Staging:
-    """Of one learner process. `add` may be called in another thread than `take`."""
+    """Batches on their way in one learner process. `add` may be called in another thread than `take`."""
 
     def __init__(self, config: TrainConfig, mesh: Mesh, division: Division) -> None:
         self._config = config
@@ -126,14 +128,14 @@ class Staging:
         coming = self._coming.setdefault(update, _Coming())
         worlds = self._config.schedule.at(update).config
         own = self._own_rows(worlds)
-        places, rows = _here(own, worlds, part, num_parts)
-        if places.size or self._observes:
+        slots, rows = _here(own, worlds, part, num_parts)
+        if slots.size or self._observes:
             with copies.timed("store_get") as copied:
                 batch, seen = content.fetch()
                 copied += [batch, seen]
-            if places.size:
+            if slots.size:
                 with copies.timed("host_layout") as copied:
-                    copied += coming.put(batch, places, rows, len(own))
+                    copied += coming.put(batch, slots, rows, len(own))
             coming.seen[part] = seen
         coming.num_parts += 1
         if coming.num_parts == num_parts:
@@ -144,20 +146,20 @@ class Staging:
         return copies.found
 
     def take(self, update: int) -> tuple[Batch, Any]:
-        """(batch on the devices, in the places of the division; what the curriculum observes, replicated, or None)."""
+        """(batch on the devices, in the slots of the division; what the curriculum observes, replicated, or None)."""
         return self._ready.pop(update)
 
     def _own_rows(self, config: TrainConfig) -> np.ndarray:
-        """Numbers of the worlds in the places of this process."""
+        """Numbers of the worlds in the slots of this process."""
         return own_rows(self._mesh, self._division, config.num_trained_envs)
 
     def _in_order(self, coming: _Coming) -> tuple[Batch, Any]:
-        """As numpy."""
+        """The batch as numpy, its parts in order."""
         seen = [coming.seen[part] for part in sorted(coming.seen)] if self._observes else []
         return coming.batch, jax.tree.map(lambda *xs: np.concatenate(xs), *seen) if seen else None
 
     def _placed(self, batch: Batch, seen: Any) -> tuple[Batch, Any]:
-        """On the devices, when it is there."""
+        """The batch on the devices, once it is there."""
         static, trajectory, last_value = batch
         placed = Batch(
             shard_worlds(static, self._mesh),
@@ -168,12 +170,12 @@ class Staging:
 
 
 def _here(own: np.ndarray, config: TrainConfig, part: int, num_parts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of a part: which of its worlds are among `own`, as (places there, rows of the part)."""
-    worlds_a_group = config.num_trained_envs // config.rollout.num_groups
+    """Worlds of a part that are among `own`, as (slots there, rows of the part)."""
+    worlds_per_group = config.num_trained_envs // config.rollout.num_groups
     groups = config.groups_of_part(part, num_parts)
-    first = groups.start * worlds_a_group
-    places = np.flatnonzero((own >= first) & (own < groups.stop * worlds_a_group))
-    return places, own[places] - first
+    first = groups.start * worlds_per_group
+    slots = np.flatnonzero((own >= first) & (own < groups.stop * worlds_per_group))
+    return slots, own[slots] - first
 
 
 class _Coming:
@@ -182,26 +184,26 @@ class _Coming:
     def __init__(self) -> None:
         self.num_parts = 0  # so far
         self.seen: dict[int, Any] = {}  # by part
-        self._leaves: list[np.ndarray] = []  # of the batch, with worlds in the places of this process
+        self._leaves: list[np.ndarray] = []  # of the batch, with worlds in the slots of this process
         self._tree: Any = None
 
     @property
     def batch(self) -> Batch:
         return jax.tree.unflatten(self._tree, self._leaves)
 
-    def put(self, batch: Batch, places: np.ndarray, rows: np.ndarray, num_places: int) -> list[np.ndarray]:
-        """Rows of a part into these places. Returns what was copied: nothing where the part is all there is."""
+    def put(self, batch: Batch, slots: np.ndarray, rows: np.ndarray, num_slots: int) -> list[np.ndarray]:
+        """Rows of a part into these slots. Returns what was copied: nothing where the part is all there is."""
         leaves, self._tree = jax.tree.flatten(batch)
-        if np.array_equal(rows, np.arange(num_places)) and len(batch.last_value) == num_places:
+        if np.array_equal(rows, np.arange(num_slots)) and len(batch.last_value) == num_slots:
             self._leaves = leaves
             return []
         axes = jax.tree.leaves(_axis_of_worlds(batch))
         if not self._leaves:
-            shapes = [_with_length(leaf.shape, axis, num_places) for leaf, axis in zip(leaves, axes, strict=True)]
+            shapes = [_with_length(leaf.shape, axis, num_slots) for leaf, axis in zip(leaves, axes, strict=True)]
             self._leaves = [np.empty(shape, leaf.dtype) for shape, leaf in zip(shapes, leaves, strict=True)]
         copied = [leaf[_at(axis, rows)] for leaf, axis in zip(leaves, axes, strict=True)]
         for whole, axis, piece in zip(self._leaves, axes, copied, strict=True):
-            whole[_at(axis, places)] = piece
+            whole[_at(axis, slots)] = piece
         return copied
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, SIZES_PLAYED
 
-PLACES = "buffer"  # the source of levels that are counted one by one, place by place
+BUFFER = "buffer"  # the source of levels that are counted one by one, slot by slot
 
 
 def training_metrics(
@@ -43,18 +43,18 @@ def training_metrics(
 
 def _by_source(played: Mapping[str, Any], sources: Sequence[str]) -> dict[str, float]:
     """Solve rates by where levels come from; nothing where all come from one source."""
-    solved, attempts = (_with_places_summed(played[name], len(sources)) for name in ("solved", "attempts"))
-    names = [*sources, PLACES][: len(attempts)]
+    solved, attempts = (_with_slots_summed(played[name], len(sources)) for name in ("solved", "attempts"))
+    names = [*sources, BUFFER][: len(attempts)]
     if len(names) < 2:
         return {}
     return {f"train/solve_rate_of_{name}": rate for name, rate in zip(names, _rates(solved, attempts), strict=True)}
 
 
-def _with_places_summed(counts: Any, num_sources: int) -> np.ndarray:
-    """[sources], and one more where there are places of a buffer."""
+def _with_slots_summed(counts: Any, num_sources: int) -> np.ndarray:
+    """[sources], and one more where there are slots of a buffer."""
     counts = np.asarray(counts, np.float64)
-    places = counts[num_sources:]
-    return np.append(counts[:num_sources], places.sum()) if places.size else counts
+    slots = counts[num_sources:]
+    return np.append(counts[:num_sources], slots.sum()) if slots.size else counts
 
 
 def _by_size(played: Mapping[str, Any]) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""What a process that learns holds: a learner with evaluation, and in the colocated placement worlds beside it."""
+"""Cores of processes that learn: a learner with evaluation, and in the colocated placement worlds with it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values
+from kinetix_dist.program_cache import compile_seconds
 from kinetix_dist.runtime.cores import programs
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
@@ -25,7 +26,6 @@ from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, RolloutCore
 from kinetix_dist.runtime.cores.run_names import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.split_core import Copies, Staging, Stored
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
-from kinetix_dist.telemetry.compile_time import compile_seconds
 
 
 class LearnerWorker:
@@ -45,28 +45,28 @@ class LearnerWorker:
         self._staging = Staging(config, mesh, self._learner.division)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
-        """From a checkpoint's arrays or afresh."""
+        """Starts from a checkpoint's arrays, or afresh."""
         self._learner.start(arrays)
         self._state.start(arrays)
 
     def weights(self) -> Any:
-        """That act."""
+        """Parameters that act."""
         return local_values(self._learner.params)
 
     def released(self) -> Any:
-        """For evaluation and scoring: see `LearnerState.released`."""
+        """Parameters for evaluation and scoring: see `LearnerState.released`."""
         return local_values(self._learner.released)
 
     def curriculum_state(self) -> Any:
-        """As numpy: what rollout actors propose levels from."""
+        """State of the curriculum as numpy, from which rollout actors propose levels."""
         return self._state.values
 
     def probe(self, num_levels: int) -> Any:
-        """As numpy: levels of the buffer in use, which the next refresh plays again; None where there is no buffer."""
+        """Levels of the buffer in use as numpy, which the next refresh plays again; None where there is no buffer."""
         return self._curriculum.probe(self._state.values, num_levels)
 
     def refresh_input(self) -> Any:
-        """As numpy: what the next refresh works from, see `Curriculum.refresh_input`."""
+        """Input of the next refresh as numpy, see `Curriculum.refresh_input`."""
         return jax.device_get(self._curriculum.refresh_input(self._state.values))
 
     def state_from(self, arrays: Mapping[str, np.ndarray]) -> Any:
@@ -74,7 +74,7 @@ class LearnerWorker:
         return self._state.restored(arrays)
 
     def adopt(self, *parts: Any) -> None:
-        """What curators worked out, in order."""
+        """Adopts parts of a refresh, in order."""
         self._state.adopt(parts)
 
     def stage(self, update: int, part: int, num_parts: int, content: Stored) -> dict[str, tuple[int, float]]:
@@ -84,7 +84,7 @@ class LearnerWorker:
     def learn(self, num_updates: int, *sums: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
         """Learns from the batch that was staged for this update; sums: of its parts, as `RolloutCore.play` gives them.
 
-        (stamp, new weights). stamp: "metrics", "seconds" and "copies". Weights come from the first process alone.
+        (header, new weights). header: "metrics", "seconds" and "copies". Weights come from the first process alone.
         """
         began = time.monotonic()
         self._enter_phase_of(num_updates)
@@ -94,14 +94,14 @@ class LearnerWorker:
         if seen is not None:
             self._state.observe(*seen, env_steps=env_steps)
         metrics = self._metrics(num_updates, jax.tree.map(lambda *xs: sum(xs), *sums), local_values(metrics))
-        stamp = {"metrics": metrics, "seconds": time.monotonic() - began}
+        header = {"metrics": metrics, "seconds": time.monotonic() - began}
         copies = Copies()
         weights = None
         if jax.process_index() == 0:
             with copies.timed("weights_to_host") as copied:
                 weights = self.weights()
                 copied.append(weights)
-        return stamp | {"copies": copies.found}, weights
+        return header | {"copies": copies.found}, weights
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
@@ -114,7 +114,7 @@ class LearnerWorker:
         return self._evaluator.record(self.released(), num_rollouts, num_updates)
 
     def facts(self) -> dict[str, Any]:
-        """What a report says of this process."""
+        """Facts of this process for the report."""
         device = self._mesh.devices.flat[0]
         devices = {"platform": device.platform, "kind": device.device_kind, "count": int(self._mesh.devices.size)}
         return {"device": devices, "compile_seconds": round(compile_seconds(), 1)}
@@ -186,13 +186,13 @@ class Worker(LearnerWorker):
 
     @functools.cached_property
     def _curator(self) -> CuratorCore:
-        """Of a run whose workers score levels."""
+        """Curator of a run whose workers score levels."""
         return CuratorCore(self._config)
 
     def refresh(
         self, params: Any, policy_version: int, part: int, num_parts: int, probe: Any = None, given: Any = None
     ) -> tuple[dict[str, Any], Any]:
-        """As a curator does it, see `CuratorCore.refresh`, on the devices of this process alone."""
+        """Refreshes as a curator does, see `CuratorCore.refresh`, on the devices of this process alone."""
         self._refresh_programs.wait()
         self._after_update = None  # compiled by what follows
         return self._curator.refresh(params, policy_version, part, num_parts, probe, given)
@@ -206,14 +206,14 @@ class Worker(LearnerWorker):
         began = time.monotonic()
         self._update_programs.wait()
         rollout = self._playing.rollout(self._enter_phase_of(num_updates))
-        batch, seen, sums = rollout.play(self._learner.params, self._state.placed, num_updates)
+        batch, seen, sums = rollout.play(self._learner.params, self._state.on_devices, num_updates)
         sums = local_values(sums)  # waits for the rollout
         played = time.monotonic()
         env_steps = self._config.schedule.env_steps(num_updates)
         learner_metrics = local_values(self._learner.learn(*batch, env_steps=env_steps))
         if seen is not None:
             self._state.observe(*seen, env_steps=env_steps, division=rollout.division)
-            jax.block_until_ready(self._state.placed)  # a curriculum may learn, too
+            jax.block_until_ready(self._state.on_devices)  # a curriculum may learn, too
         learned = time.monotonic()
         if self._after_update is not None:
             self._refresh_programs.begin(self._after_update)

@@ -1,5 +1,5 @@
-"""What drives a run: begin with `controller.py`. `training_run.train` is the way in, for the commands.
+"""Driver of a run: begin with `controller.py`. Other packages call `runtime.train`.
 
-Called by `kinetix_dist/cli/` and by tests; nothing else. It puts together what `cores/` computes and what `processes/`
-starts, and owns the run directory.
+Puts together what `cores/` computes and what `processes/` starts, and owns the run directory.
+
 """

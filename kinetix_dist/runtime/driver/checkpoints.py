@@ -171,19 +171,19 @@ MADE_AT_THE_END = ("evaluation", "recording")  # sections that change no number 
 
 
 def finished_report(path: Path, config: TrainConfig) -> dict[str, Any] | None:
-    """Report of the run in `path` where `config` asks for no more than it has done, and its last checkpoint is good.
+    """Report of the run in `path` where `config` needs no more than it has done, and its last checkpoint is good.
 
-    None where training goes on, where other evaluations or recordings than those stored are asked for, or where the
+    None where training goes on, where the config has other evaluations or recordings than those stored, or where the
     report or the last checkpoint is missing or damaged: resuming makes them again. Reads only.
     """
     report = read_report(path / "report.json")
     if report is None:
         return None
-    stored, asked = read_json(path / "config.json")["config"], to_dict(config)
+    stored, wanted = read_json(path / "config.json")["config"], to_dict(config)
     if not has_same_numbers(config, stored, report["config_hash"]):
         return None
     stored = translated(stored, for_playing=True)
-    if any(stored.get(section) != asked[section] for section in MADE_AT_THE_END):
+    if any(stored.get(section) != wanted[section] for section in MADE_AT_THE_END):
         return None
     if not is_over(config.run, env_steps=report["env_steps"], training_seconds=report["training_seconds"]):
         return None
@@ -195,13 +195,13 @@ def finished_report(path: Path, config: TrainConfig) -> dict[str, Any] | None:
 # Of `policy`: parameters have the same shapes whatever these are, or are added (models/added_layers.py).
 _FUNCTION = ("network", "num_heads", "max_qk_norm", "num_layers")
 LINEAGE = "lineage"  # in the description of a checkpoint: where it comes from, the oldest first
-# Of a checkpoint's description, what its children keep of it.
-_KEPT = ("config_hash", "num_updates", "env_steps", "training_seconds")
+# Of a checkpoint's description, what its children inherit.
+_INHERITED = ("config_hash", "num_updates", "env_steps", "training_seconds")
 
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """What a new run takes of an earlier one."""
+    """Parts of an earlier run that a new run takes."""
 
     arrays: dict[str, np.ndarray] | None = None  # for `Trainer.start` at update 0; None: all from the seed
     lineage: tuple[Mapping[str, Any], ...] = ()
@@ -211,7 +211,7 @@ class Start:
 def starting_point(config: TrainConfig) -> Start:
     """Raises CheckpointError, one line, where there is no such checkpoint, where it is of another network (but for
     layers that this run has more of) or of other settings of the engine, or where it holds no optimiser, or one of
-    fewer layers, and that is asked for."""
+    fewer layers, and that is requested."""
     if not config.run.start_from:
         return Start()
     path = Path(config.run.start_from)
@@ -259,10 +259,10 @@ def starting_point(config: TrainConfig) -> Start:
 
 
 def lineage_from(checkpoint: Checkpoint) -> tuple[Mapping[str, Any], ...]:
-    """Of what starts from this checkpoint: its own ancestors, then itself."""
+    """Lineage of what starts from this checkpoint: its own ancestors, then itself."""
     description = checkpoint.description
     itself = {"checkpoint": str(checkpoint.path), "recipe": description["config"]["run"]["name"]}
-    itself |= {name: description[name] for name in _KEPT if name in description}
+    itself |= {name: description[name] for name in _INHERITED if name in description}
     return (*description.get(LINEAGE, ()), itself)
 
 

@@ -14,12 +14,12 @@ import numpy as np
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_worker
 from kinetix_dist.runtime.driver.roles import Refresh
-from kinetix_dist.runtime.processes.backend import Backend, Handle, Ticket
+from kinetix_dist.runtime.processes.backend import Backend, Future, Handle
 from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
 
 def learning_devices(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Of what a process that learns says of itself."""
+    """Devices that learn, from the facts of a process that does."""
     device = facts["device"]
     return {"devices": device["count"], "platform": device["platform"], "kind": device["kind"]}
 
@@ -42,41 +42,41 @@ class ColocatedTrainer:
         self._handles = []
         # While they compile, a checkpoint gets to them, the first evaluation is worked out, or curators work out a
         # refresh that was in flight.
-        ahead_of = num_updates if self.backend.works_beside else None
+        ahead_of = num_updates if self.backend.works_in_background else None
         self._handles = self.backend.spawn(self._plans, build_worker, self._config, ahead_of)
         self._all("start", None if arrays is None else self.backend.put(dict(arrays)))
 
     def place(self, placement: Placement) -> None:
         self._plans = placement.of("worker")
 
-    def weights(self) -> Ticket:
+    def weights(self) -> Future:
         return self._handles[0].call("released")
 
     def adopt(self, parts: Sequence[Any]) -> None:
         self._all("adopt", *parts)
 
-    def probe(self, num_levels: int) -> Ticket:
+    def probe(self, num_levels: int) -> Future:
         return self._handles[0].call("probe", num_levels)
 
-    def refresh_input(self) -> Ticket:
+    def refresh_input(self) -> Future:
         return self._handles[0].call("refresh_input")
 
     def refresh(self, weights: Any, policy_version: int, probe: Any, given: Any) -> Refresh:
-        """What a curator would work out, see `Curator.request`, by the workers: waits for it."""
+        """Refreshes on the workers, as a curator would (see `Curator.request`); waits for it."""
         has_parts, curriculum = self._config.curriculum_class.shares_refresh, self._config.curriculum
         num_parts = min(len(self._handles), curriculum.num_batches) if has_parts else 1
         last = num_parts - 1  # it has no more batches to score than the others
         calls = [
-            handle.call_stamped(
+            handle.call_with_header(
                 "refresh", weights, policy_version, part, num_parts, probe if part == last else None, given
             )
             for part, handle in enumerate(self._handles[:num_parts])
         ]
-        stamps = self.backend.gather([stamp for stamp, _ in calls])
-        if probe is None and self._config.curriculum_log.probe_levels and self.backend.works_beside:
+        headers = self.backend.gather([header for header, _ in calls])
+        if probe is None and self._config.curriculum_log.probe_levels and self.backend.works_in_background:
             # A later one has. Its program is compiled, once, while updates go on; what fails there fails again.
-            self._handles[last].call_beside("prepare_refresh", policy_version + curriculum.refresh_every)
-        return Refresh.of([part for _, part in calls], stamps)
+            self._handles[last].call_in_background("prepare_refresh", policy_version + curriculum.refresh_every)
+        return Refresh.of([part for _, part in calls], headers)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         answers = self._all("run_update", num_updates)

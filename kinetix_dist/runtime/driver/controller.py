@@ -38,7 +38,7 @@ from kinetix_dist.runtime.driver.checkpoints import LINEAGE, Saver, newest_check
 from kinetix_dist.runtime.driver.evaluations import (
     Evaluated,
     Evaluations,
-    EvaluationsHere,
+    InlineEvaluations,
     evaluation_metrics,
     summaries,
 )
@@ -66,6 +66,16 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Roles:
+    """Roles that a controller drives."""
+
+    trainer: Trainer
+    curator: Curator | None = None
+    evaluations: Evaluations | None = None  # during training, in the background; None: the trainer makes them
+    resizing: Resizing | None = None  # None: the run keeps its number of processes
+
+
 class Controller:
     """Drives one run in one run directory."""
 
@@ -73,23 +83,19 @@ class Controller:
         self,
         config: TrainConfig,
         run: RunDirectory,
-        trainer: Trainer,
-        curator: Curator | None,
+        roles: Roles,
         reporter: Reporter,
         *,
         on_rollouts: Callable[[list[Any]], None] = lambda rollouts: None,
         stop: StopSignals | None = None,
-        evaluations: Evaluations | None = None,
-        resizing: Resizing | None = None,
         began: float | None = None,
     ) -> None:
-        """evaluations: those during training, beside it; None: the trainer makes them. began: the session, by
-        time.monotonic; None: now."""
+        """began: the session, by time.monotonic; None: now."""
         self._data = RunData(config, run, reporter)
         self.config = config
         self.run = run
-        self.trainer = trainer
-        self._curator = curator
+        self.trainer = roles.trainer
+        self._curator = roles.curator
         self.reporter = reporter
         self.clock = RoleClock()
         self.stop = stop or StopSignals()
@@ -100,20 +106,18 @@ class Controller:
         self._warmup_before = 0.0  # s of it, see `warmup_seconds`
         self._warmup: float | None = None  # s of this session; None: its first update is not done
         self.training_seconds_at_end = 0.0
-        self.backend = trainer.backend
+        self.backend = roles.trainer.backend
         self._on_rollouts = on_rollouts
-        self._refreshes = Refreshes(
-            config, run, reporter, trainer, curator, clock=self.clock, stop=self.stop, data=self._data
-        )
+        self._refreshes = Refreshes(config, self._data, roles.trainer, roles.curator, clock=self.clock, stop=self.stop)
         self._physics = PhysicsWatch()
         self._losses = Losses(
-            limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note, on_log=run.keep_log
+            limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note, on_log=run.try_write_log
         )
         self.backend.losses = self._losses
         self._section = self.backend.sections.section
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)
-        self._evaluations = evaluations or EvaluationsHere(config, self._evaluate, self._record)
-        self._resizing = resizing
+        self._evaluations = roles.evaluations or InlineEvaluations(config, self._evaluate, self._record)
+        self._resizing = roles.resizing
         self._lost: list[Loss] = []  # since the last new result
         self._update_seconds = 0.0  # of the last update
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)
@@ -145,7 +149,7 @@ class Controller:
     def train(self) -> None:
         """Updates until the configured end; saves a checkpoint there.
 
-        Raises StoppedError at the end of an update in which that was asked for, after a checkpoint is saved, and
+        Raises StoppedError at the end of an update in which a stop was requested, after a checkpoint is saved, and
         NotFiniteError where nothing can be learned.
         """
         self.reporter.phase("compiling")
@@ -166,11 +170,11 @@ class Controller:
         return summaries(rates)
 
     def record(self, num_rollouts: int) -> None:
-        """Hands rollouts of the current policy to whoever writes them."""
+        """Records rollouts of the current policy and hands them to `on_rollouts`."""
         self._repeated(lambda: self._record(num_rollouts))
 
     def facts(self) -> dict[str, Any]:
-        """What the processes say of themselves, for the report."""
+        """Facts of the processes, for the report."""
         return self._repeated(self._facts)
 
     @property
@@ -183,12 +187,12 @@ class Controller:
 
     @property
     def warmup_seconds(self) -> float:
-        """Of the training time: until the first update of each session was done, for which programs are compiled."""
+        """Part of the training time before the first update of each session was done: programs are compiled in it."""
         return self._warmup_before + (self.clock.elapsed if self._warmup is None else self._warmup)
 
     @property
     def wall_seconds(self) -> float:
-        """Of all sessions, from the start of each to its last checkpoint or report."""
+        """Wall time of all sessions, from the start of each to its last checkpoint or report."""
         return self._before.wall_seconds + time.monotonic() - self._began
 
     @property
@@ -270,10 +274,10 @@ class Controller:
             self._report(metrics)  # there is no time for more: evaluations and recordings in between are left out
             return
         seconds = self.training_seconds - self.warmup_seconds
-        told = self._evaluations.after_update(self.num_updates, seconds, self.clock, is_last=self._is_over())
-        for evaluated in told:
+        evaluations = self._evaluations.after_update(self.num_updates, seconds, self.clock, is_last=self._is_over())
+        for evaluated in evaluations:
             metrics |= evaluation_metrics(evaluated.rates, evaluated.update)
-            self._tell_of(evaluated)
+            self._report_evaluation(evaluated)
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
         # What the updates that are skipped began from is what to go back to.
         is_well = self._skipped.in_a_row == 0
@@ -288,13 +292,13 @@ class Controller:
             self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
 
     def _begin_phase(self) -> None:
-        """Where this update, or the batch that is played meanwhile, is the first of a phase: programs are compiled."""
+        """Begins a phase where this update, or the batch played meanwhile, is its first: programs are compiled."""
         if self._schedule.beginning(self.num_updates + self.trainer.policy_lag) is not None:
-            self.backend.sections.forget()
+            self.backend.sections.reset()
         phase = self._schedule.beginning(self.num_updates)
         if phase is None:
             return
-        self.backend.sections.forget()
+        self.backend.sections.reset()
         about = {"phase": phase.number, "update": self.num_updates, "env_steps": self.env_steps}
         self.run.event("phase_began", **about, changed=phase.changed)
         changes = ", ".join(f"{name} {value}" for name, value in phase.changed.items())
@@ -303,7 +307,7 @@ class Controller:
             "what it changes is compiled now (runtime/compile_seconds)"
         )
 
-    def _tell_of(self, evaluated: Evaluated) -> None:
+    def _report_evaluation(self, evaluated: Evaluated) -> None:
         update, rates = evaluated.update, evaluated.rates
         self._data.evaluated("training", update, rates, reported_at=self.num_updates)
         seconds = round(evaluated.seconds, 3)
@@ -350,7 +354,7 @@ class Controller:
                 self.reporter.note(f"update {self.num_updates} was skipped: no gradient was finite")
 
     def _go_back(self) -> None:
-        """To the last checkpoint, after too many updates were skipped in a row."""
+        """Goes back to the last checkpoint, after too many updates were skipped in a row."""
         left_at = self.num_updates
         try:
             with self._section("recover"):
@@ -441,7 +445,7 @@ class Controller:
             self._data.start({}, {}, num_updates=0)
             self._refreshes.start({}, {})
             self._evaluations.start({}, {})
-            self._refreshes.ask_for_first()
+            self._refreshes.request_first()
             return
         description = checkpoint.description
         self.num_updates = self._saver.saved_at = description["num_updates"]
@@ -473,9 +477,9 @@ class Controller:
                 error = again
 
     def _grow(self) -> None:
-        """Where nodes have come back and this update is saved: nothing has to be done again."""
+        """Gives the run more processes where nodes came back and this update is saved: nothing has to be done again."""
         is_saved = _is_due(self.config.run.checkpoint_every, self.num_updates)
-        if self._resizing is None or not is_saved or not self._resizing.has_room_to_grow():
+        if self._resizing is None or not is_saved or not self._resizing.can_grow():
             return
         self._saver.wait()
         if self._saver.saved_at != self.num_updates:
@@ -494,7 +498,7 @@ class Controller:
 
     def _restart(self) -> None:
         """Everything from the newest good checkpoint."""
-        self.backend.sections.forget()
+        self.backend.sections.reset()
         self._refreshes.cancel()
         self._saver.wait()
         self._start_from(newest_checkpoint(self.run, self.config, self.reporter))

@@ -2,7 +2,7 @@
 
 | consumes | weights of the updates at which one is due |
 |---|---|
-| produces | solve rates, in the metrics of a later update and stamped with theirs; rollouts, which `Recorder` writes |
+| produces | solve rates, in the metrics of a later update, with their update; rollouts, which `Recorder` writes |
 | waits for | nothing; after the last update, for all that was requested |
 | bound | MAX_WAITING requests, since each holds weights: one beyond that is left out, with an event |
 
@@ -28,7 +28,7 @@ from kinetix_dist.runtime.cores.run_names import nested
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.totals import RoleClock
-from kinetix_dist.runtime.processes.backend import ProcessBeside, resolve
+from kinetix_dist.runtime.processes.backend import BackgroundProcess, resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.recording import Rollout
@@ -36,7 +36,7 @@ from kinetix_dist.telemetry.sinks.mcap import McapSink
 
 MAX_WAITING = 4
 POLL_S = 0.02
-EVALUATING = "evaluating"  # arrays of a checkpoint: weights of what was asked for
+EVALUATING = "evaluating"  # arrays of a checkpoint: weights of the requests
 EVALUATE, RECORD = "evaluate", "record"
 LOOKED_UNTIL = "evaluations_looked_until"  # in a checkpoint: s of training after its warm-up, see `Due`
 
@@ -57,8 +57,8 @@ class Evaluated:
     seconds: float
 
 
-class Evaluations(ProcessBeside):
-    """Of one run."""
+class Evaluations(BackgroundProcess):
+    """Evaluations and recordings of one run by the evaluator process."""
 
     def __init__(
         self,
@@ -77,23 +77,23 @@ class Evaluations(ProcessBeside):
         self._jobs: list[_Job] = []  # the first one is what the process is at
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """As a checkpoint has it; afresh where both are empty."""
+        """Starts as a checkpoint says; afresh where both are empty."""
         self._call = None  # what the process is at is not waited for any more
         self._due.start(description)
-        asked = description.get("evaluations_in_flight", [])
-        weights = [nested(select_arrays(arrays, f"{EVALUATING}/{index}")) for index in range(len(asked))]
+        requested = description.get("evaluations_in_flight", [])
+        weights = [nested(select_arrays(arrays, f"{EVALUATING}/{index}")) for index in range(len(requested))]
         put = self._backend.put
-        self._jobs = [_Job(kind, update, put(tree)) for (kind, update), tree in zip(asked, weights, strict=True)]
+        self._jobs = [_Job(kind, update, put(tree)) for (kind, update), tree in zip(requested, weights, strict=True)]
 
     def after_update(self, num_updates: int, seconds: float, clock: RoleClock, *, is_last: bool) -> list[Evaluated]:
         """Asks for what is due. One evaluation that has come since, if any; after the last update waits for all.
 
         seconds: of training after its warm-up."""
         with self._backend.sections.section("evaluate"), clock.role("evaluate"):
-            self._ask_for_due(num_updates, seconds)
+            self._request_due(num_updates, seconds)
             return self._collected(must_wait=is_last)
 
-    def _ask_for_due(self, num_updates: int, seconds: float) -> None:
+    def _request_due(self, num_updates: int, seconds: float) -> None:
         due = self._due.after(num_updates, seconds)
         if not due:
             return
@@ -108,7 +108,7 @@ class Evaluations(ProcessBeside):
         evaluated: list[Evaluated] = []
         while self._jobs and (must_wait or not evaluated):
             if self._call is None:
-                self._ask()
+                self._send()
             if self._is_answered(must_wait=must_wait):
                 evaluated += self._taken()
             elif must_wait:
@@ -118,16 +118,16 @@ class Evaluations(ProcessBeside):
         return evaluated
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {"evaluations_in_flight": [[job.kind, job.update] for job in self._jobs], **self._due.description()}
 
     def in_flight(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
         return flatten_arrays({EVALUATING: {str(i): resolve(job.weights) for i, job in enumerate(self._jobs)}})
 
-    def _ask(self) -> None:
+    def _send(self) -> None:
         job = self._jobs[0]
-        self._call = self._started(build_evaluator).call_stamped(job.kind, job.weights, job.update)
+        self._call = self._started(build_evaluator).call_with_header(job.kind, job.weights, job.update)
 
     def _is_answered(self, *, must_wait: bool) -> bool:
         assert self._call is not None
@@ -141,26 +141,26 @@ class Evaluations(ProcessBeside):
     def _taken(self) -> list[Evaluated]:
         assert self._call is not None
         job = self._jobs[0]
-        stamp, content = self._backend.gather(self._call)
+        header, content = self._backend.gather(self._call)
         self._jobs.pop(0)
         self._call = None
         self._note_recovery()
         if job.kind == RECORD:
             self._on_rollouts(content)
             return []
-        return [Evaluated(update=job.update, rates=content, seconds=stamp["seconds"])]
+        return [Evaluated(update=job.update, rates=content, seconds=header["seconds"])]
 
     def _replace(self, error: WorkerLostError) -> None:
         """The next look starts another process, which does again what this one was at."""
         error.process, error.section = self._plan.name, "evaluate"
         self.stop()
-        if self._backend.has_lost_room:  # it went with its node: the whole run is placed again
+        if self._backend.has_lost_resources:  # it went with its node: the whole run is placed again
             raise error
         self._losses.append(self._backend.losses.lost(error))
         self._backend.sections.begin_again()
 
 
-class EvaluationsHere:
+class InlineEvaluations:
     """The same by the trainer while training waits: local mode has no other process."""
 
     def __init__(
@@ -198,8 +198,12 @@ class EvaluationsHere:
 
 
 class Due:
-    """What of EVALUATE and RECORD is due after an update. What was due by time at an update that was saved without
-    looking, since the run was stopped in it, is due at the next."""
+    """Schedule: which of EVALUATE and RECORD are due after an update.
+
+    An evaluation that came due by time at an update which was saved without looking, since the run was stopped in it,
+    is due at the next.
+
+    """
 
     def __init__(self, config: TrainConfig) -> None:
         self._every = {EVALUATE: config.evaluation.every, RECORD: config.recording.every}
@@ -207,16 +211,19 @@ class Due:
         self._seconds: float | None = None  # up to where it was looked
 
     def start(self, description: Mapping[str, Any]) -> None:
-        """As a checkpoint has it; afresh where it has nothing."""
+        """Starts as a checkpoint says; afresh where it has nothing."""
         self._seconds = description.get(LOOKED_UNTIL)
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {LOOKED_UNTIL: self._seconds}
 
     def after(self, num_updates: int, seconds: float) -> list[str]:
-        """Of so many updates; seconds: of training after its warm-up. Evaluations by time are due at the first update
-        at or after each multiple of every_seconds."""
+        """Kinds due after so many updates; seconds: of training after its warm-up.
+
+        Evaluations by time are due at the first update at or after each multiple of every_seconds.
+
+        """
         due = [kind for kind, every in self._every.items() if every and num_updates % every == 0]
         every, before, self._seconds = self._every_seconds, self._seconds, seconds
         if every and before is not None and seconds // every > before // every:
@@ -225,7 +232,7 @@ class Due:
 
 
 def evaluation_metrics(rates: Mapping[str, Mapping[str, Any]], num_updates: int) -> dict[str, float]:
-    """By the names of `telemetry.names`. rates: by level set, of the weights after so many updates."""
+    """Metrics of an evaluation (`telemetry.names`). rates: by level set, of the weights after so many updates."""
     metrics = {
         f"evaluation/{name}/{metric}": rate[field]
         for name, rate in rates.items()

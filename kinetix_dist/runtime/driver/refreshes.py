@@ -1,7 +1,7 @@
 """Refreshes of the curriculum: requested, worked out, taken and adopted.
 
     Refreshes (the schedule)  --request(weights of version k)-->  CuratorClient: `run.num_curators` CuratorProcesses
-                              <--take(): Refresh----------------   or CurationByWorkers (`run.num_curators` 0)
+                              <--take(): Refresh----------------   or WorkerCurator (`run.num_curators` 0)
     Refreshes  --adopt(parts)-->  trainer;  Adoptions keeps the update in adoptions.json
 
 A refresh requested at update k is adopted at update k + adopt_after, whatever the timing: training waits for a curator
@@ -38,12 +38,12 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import build_curator
 from kinetix_dist.runtime.cores.run_names import nested
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.roles import Curator, Refresh, Reporter, Trainer
+from kinetix_dist.runtime.driver.roles import Curator, Refresh, Trainer
 from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import StopSignals
 from kinetix_dist.runtime.driver.totals import RoleClock
-from kinetix_dist.runtime.processes.backend import Backend, ProcessBeside, Ticket, resolve
+from kinetix_dist.runtime.processes.backend import Backend, BackgroundProcess, Future, resolve
 from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
@@ -51,7 +51,11 @@ NEVER = math.inf
 
 
 class Adoptions:
-    """By policy version of the refresh: the update that first used it, or NEVER."""
+    """Updates that first used each refresh, or NEVER, by its policy version: adoptions.json of a run.
+
+    The record is part of what a run's numbers depend on: computing again, after a loss or with --resume, follows it.
+
+    """
 
     def __init__(self, run: RunDirectory) -> None:
         self._run = run
@@ -86,41 +90,39 @@ def _are_adoptions(content: Any) -> bool:
     )
 
 
-# Arrays of a checkpoint: weights of the refresh that was in flight, and what it works from beside them.
+# Arrays of a checkpoint: weights of the refresh that was in flight, and its other input.
 PENDING, PENDING_INPUT = "pending", "pending_input"
 # s that a curator at work may be silent, since its process can be short of a core; or an update, where that is longer
 MIN_PATIENCE_S = 3.0
-MAX_EARLY_S = 5.0  # that a refresh may hold up a checkpoint, also of a run that was asked to stop
+MAX_EARLY_S = 5.0  # that a refresh may hold up a checkpoint, also of a run that is to stop
 
 
 class Refreshes:
-    """Of one run. Without a curator nothing is ever asked for."""
+    """Schedule of the refreshes of one run. Without a curator none is ever requested."""
 
     def __init__(
         self,
         config: TrainConfig,
-        run: RunDirectory,
-        reporter: Reporter,
+        data: RunData,
         trainer: Trainer,
         curator: Curator | None,
         *,
         clock: RoleClock,
         stop: StopSignals,
-        data: RunData,
     ) -> None:
         self._config = config.curriculum
         self._schedule = config.schedule
         self._has_input = config.curriculum_class.refreshes_from_state
         self._log = config.curriculum_log
         self._data = data
-        self._run = run
-        self._reporter = reporter
+        self._run = data.run
+        self._reporter = data.reporter
         self._trainer = trainer
         self._curator = curator
         self._clock = clock
         self._stop = stop
         self._section = trainer.backend.sections.section
-        self._adoptions = Adoptions(run)
+        self._adoptions = Adoptions(data.run)
         # Refresh in flight: policy version, weights, what it works from or None.
         self._pending: tuple[int, Any, Any] | None = None
         self._is_stale = False
@@ -130,7 +132,7 @@ class Refreshes:
         self._taken_in: dict[tuple[int, bool], float] = {}
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """As a checkpoint has it; afresh where both are empty. What was in flight is asked for again."""
+        """Starts as a checkpoint says; afresh where both are empty. A refresh that was in flight is requested again."""
         self._pending, self._taken_in = None, {}
         self._curated_for = description.get("curated_for", -1)
         self._is_stale = description.get("buffer_is_stale", False)
@@ -140,10 +142,14 @@ class Refreshes:
             given = nested(select_arrays(arrays, PENDING_INPUT))
             self._request(version, nested(select_arrays(arrays, PENDING)), given or None)
 
-    def ask_for_first(self) -> None:
-        """Of a run that begins, before its first update: a curator starts, compiles and scores while others do. Where
-        nothing is done at the same time, that would only come before the first evaluation."""
-        if self._curator is not None and self._curator.works_beside:
+    def request_first(self) -> None:
+        """Requests the first refresh of a new run before its first update: a curator starts, compiles and scores
+        meanwhile.
+
+        Where nothing is done at the same time, that would only come before the first evaluation.
+
+        """
+        if self._curator is not None and self._curator.works_in_background:
             self._request(0, self._trainer.weights(), None)
 
     def cancel(self) -> None:
@@ -153,15 +159,18 @@ class Refreshes:
 
     @property
     def may_be_early(self) -> bool:
-        """Whether what is to be done before the next update may as well be done before a checkpoint: nothing is worked
-        out beside training, no batch is drawn ahead, and a refresh that would have to be waited for has all programs
-        compiled and is quick."""
-        if self._curator is None or self._curator.works_beside or self._trainer.policy_lag or self._has_input:
+        """Says whether the refresh before the next update may as well be made before a checkpoint.
+
+        So it is where no process works in the background, no batch is drawn ahead, and a refresh that would have to be
+        waited for has all programs compiled and is quick.
+
+        """
+        if self._curator is None or self._curator.works_in_background or self._trainer.policy_lag or self._has_input:
             return False
         return self._pending is None or self._taken_in.get(self._programs(self._pending[0]), math.inf) < MAX_EARLY_S
 
     def _programs(self, policy_version: int) -> tuple[int, bool]:
-        """What decides which programs a refresh runs: the phase that it is for, and whether it has a probe."""
+        """Key of the programs that a refresh runs: the phase that it is for, and whether it has a probe."""
         phase = self._schedule.at(self._config.adopted_at(policy_version))
         return phase.number, self._has_probe(policy_version)
 
@@ -169,14 +178,14 @@ class Refreshes:
         return self._log.has_probe(policy_version // self._config.refresh_every)
 
     def curate(self, num_updates: int, *, update_seconds: float) -> None:
-        """Before update `num_updates`, once: asks for a refresh and adopts one. update_seconds: of the update
+        """Before update `num_updates`, once: requests a refresh and adopts one. update_seconds: of the update
         before."""
         if self._curator is None or self._curated_for == num_updates:
             return
         self._curator.watch()
-        is_asked_for = self._pending is not None and self._pending[0] == num_updates
+        is_requested = self._pending is not None and self._pending[0] == num_updates
         self._adopt_if_due(num_updates, update_seconds)
-        if self._config.is_refresh_due(num_updates) and not is_asked_for:
+        if self._config.is_refresh_due(num_updates) and not is_requested:
             self._give_up_late(num_updates)
             given = self._trainer.refresh_input() if self._has_input and num_updates else None
             self._request(num_updates, self._trainer.weights(), given)
@@ -192,7 +201,7 @@ class Refreshes:
             self._adoptions.record(version, NEVER)
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {
             "curated_for": self._curated_for,
             "refresh_in_flight": self._pending[0] if self._pending is not None else None,
@@ -222,7 +231,7 @@ class Refreshes:
     def _request(self, policy_version: int, weights: Any, given: Any) -> None:
         assert self._curator is not None
         self._pending = (policy_version, weights, given)
-        if not policy_version and not self._curator.works_beside:
+        if not policy_version and not self._curator.works_in_background:
             self._reporter.phase("curating")
         with self._clock.role("curate"):
             # Of the buffer that is in use now: what this refresh replaces.
@@ -238,7 +247,7 @@ class Refreshes:
         recorded = self._adoptions.get(version)
         if drawn_next < (recorded if recorded is not None else self._config.adopted_at(version)):
             return
-        if version == 0 and self._curator.works_beside:
+        if version == 0 and self._curator.works_in_background:
             self._reporter.phase("curating")
         # Without a first buffer there is nothing to play, and what is recorded is repeated as it was.
         must_wait = version == 0 or recorded is not None
@@ -264,7 +273,7 @@ class Refreshes:
     def _may_stop(self) -> AbstractContextManager[None]:
         """Waiting can be broken off at a signal; what this process or the workers are in the middle of is finished."""
         assert self._curator is not None
-        return self._stop.interruptible() if self._curator.works_beside else nullcontext()
+        return self._stop.interruptible() if self._curator.works_in_background else nullcontext()
 
     def _note_late(self, version: int, num_updates: int) -> None:
         if not self._is_stale:
@@ -273,7 +282,7 @@ class Refreshes:
         self._is_stale = True
 
     def _give_up_late(self, num_updates: int) -> None:
-        """A refresh that has not come when the next one is asked for."""
+        """Gives up a refresh that has not come when the next one is due."""
         if self._pending is None:
             return
         assert self._curator is not None
@@ -296,8 +305,8 @@ class CuratorClient:
         self.place(plans)
 
     @property
-    def works_beside(self) -> bool:
-        return self._backend.works_beside
+    def works_in_background(self) -> bool:
+        return self._backend.works_in_background
 
     def place(self, plans: Sequence[ProcessPlan]) -> None:
         self.processes = [
@@ -313,7 +322,7 @@ class CuratorClient:
             process.request(stored, policy_version, probe if process is self.processes[-1] else None, given)
         self._missing, self._parts = set(self.processes), {}
 
-    def _stored(self, content: Any) -> Ticket:
+    def _stored(self, content: Any) -> Future:
         return content if hasattr(content, "fetch") else self._backend.put(content)
 
     def watch(self) -> None:
@@ -333,15 +342,15 @@ class CuratorClient:
                 time.sleep(POLL_S)
         if not self._parts:
             return None
-        parts, stamps = zip(*(self._parts[process] for process in self.processes), strict=True)
+        parts, headers = zip(*(self._parts[process] for process in self.processes), strict=True)
         self._parts = {}
-        return Refresh.of(parts, stamps)
+        return Refresh.of(parts, headers)
 
     def cancel(self) -> None:
         for process in self.processes:
             process.cancel()
-        self._missing: set[CuratorProcess] = set()  # of what was asked for last, those that have not answered
-        self._parts: dict[CuratorProcess, tuple[Ticket, dict[str, Any]]] = {}  # those that have: parts, stamps
+        self._missing: set[CuratorProcess] = set()  # those that have not answered the last request
+        self._parts: dict[CuratorProcess, tuple[Future, dict[str, Any]]] = {}  # those that have: parts, headers
 
     def facts(self) -> list[dict[str, Any]]:
         return [fact for process in self.processes for fact in process.facts()]
@@ -351,53 +360,54 @@ class CuratorClient:
             process.stop()
 
 
-class CuratorProcess(ProcessBeside):
+class CuratorProcess(BackgroundProcess):
     """Part `part` of `num_parts` of every refresh."""
 
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan, *, part: int, num_parts: int) -> None:
         super().__init__(config, backend, plan)
         self._part, self._num_parts = part, num_parts
         # Of the refresh that is wanted: weights, version, levels to play again or None, what it works from or None.
-        self._asked: tuple[Ticket, int, Any, Any] | None = None
+        self._requested: tuple[Future, int, Any, Any] | None = None
         self._is_wanted = False  # whether what the process is at is the refresh that is wanted
         self.is_late = False  # it was lost or waited for in vain, and has not answered since
 
-    def request(self, weights: Ticket, policy_version: int, probe: Any, given: Any) -> None:
+    def request(self, weights: Future, policy_version: int, probe: Any, given: Any) -> None:
         """Starts a refresh; does not wait where there is a process to do it."""
         self.cancel()
-        self._asked = (weights, policy_version, probe, given)
+        self._requested = (weights, policy_version, probe, given)
         if self._call is None:
-            self._ask()
+            self._send()
         else:
             self._look()
 
     def watch(self) -> None:
-        """Replaces a process that died, without waiting; what it was asked for is asked for again."""
+        """Replaces a process that died, without waiting; its request is made again."""
         if self._call is not None:
             self._look()
 
-    def poll(self, patience_s: float | None) -> tuple[Ticket, dict[str, Any]] | None:
-        """What was asked for and its stamp, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
+    def poll(self, patience_s: float | None) -> tuple[Future, dict[str, Any]] | None:
+        """Part of the refresh and its timing, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
 
         The process `is_late` where it was lost, or is silent for more than `patience_s`.
+
         """
         assert self._call is not None
-        stamp, refreshed = self._call
-        is_ready = self._is_wanted and stamp.is_ready()
+        header, refreshed = self._call
+        is_ready = self._is_wanted and header.is_ready()
         silence = self._look()
         if is_ready and silence is not None:
-            return refreshed, self._taken(stamp)
+            return refreshed, self._taken(header)
         if patience_s is not None and (silence is None or silence > patience_s):
             self.is_late = True
         return None
 
     def cancel(self) -> None:
-        """What was asked for is not wanted any more."""
-        self._asked, self._is_wanted = None, False
+        """Gives up the refresh that was requested."""
+        self._requested, self._is_wanted = None, False
 
     def facts(self) -> list[dict[str, Any]]:
-        """Of its process; that it was lost is a fact too, since training does not depend on it."""
-        if self._handle is None or not self._backend.works_beside:
+        """Facts of its process; a loss is one too, since training does not depend on it."""
+        if self._handle is None or not self._backend.works_in_background:
             return []
         try:
             return self._backend.facts([self._handle])
@@ -405,7 +415,7 @@ class CuratorProcess(ProcessBeside):
             return [{"process": self._plan.name, "lost": str(error)}]
 
     def _look(self) -> float | None:
-        """For how long (s) the process has been silent; None where it is lost, and replaced by now."""
+        """Seconds for which the process has been silent; None where it is lost, and replaced by now."""
         assert self._call is not None
         try:
             silence = self._silence(is_waited_for=True)
@@ -420,52 +430,54 @@ class CuratorProcess(ProcessBeside):
         if is_answered and not self._is_wanted:
             self._call = None
             self.is_late = False  # it is at work again, and waited for
-            if self._asked is not None:
-                self._ask()
+            if self._requested is not None:
+                self._send()
         return silence
 
-    def _taken(self, stamp: Ticket) -> dict[str, Any]:
-        taken = self._backend.gather([stamp])[0]
+    def _taken(self, header: Future) -> dict[str, Any]:
+        taken = self._backend.gather([header])[0]
         self._prepare()
-        self._call = self._asked = None
+        self._call = self._requested = None
         self._is_wanted = self.is_late = False
         self._note_recovery()
         return taken
 
     def _prepare(self) -> None:
-        """Has a process that was not asked to play a probe, as none is in the first refresh, compile that while it has
+        """Compiles the probe in a process that has not played one, as in the first refresh, while it has
         nothing to do, once. Nobody waits for it, and what fails there fails again where it is waited for."""
-        assert self._asked is not None and self._handle is not None
-        _, policy_version, probe, _ = self._asked
+        assert self._requested is not None and self._handle is not None
+        _, policy_version, probe, _ = self._requested
         takes_probes = self._part == self._num_parts - 1 and self._config.curriculum_log.probe_levels > 0
-        if takes_probes and probe is None and self._backend.works_beside:
+        if takes_probes and probe is None and self._backend.works_in_background:
             self._handle.call("prepare", policy_version + self._config.curriculum.refresh_every)
 
-    def _ask(self) -> None:
-        assert self._asked is not None
-        weights, policy_version, probe, given = self._asked
+    def _send(self) -> None:
+        assert self._requested is not None
+        weights, policy_version, probe, given = self._requested
         part = (self._part, self._num_parts)
-        self._call = self._started(build_curator).call_stamped("refresh", weights, policy_version, *part, probe, given)
+        self._call = self._started(build_curator).call_with_header(
+            "refresh", weights, policy_version, *part, probe, given
+        )
         self._is_wanted = True
 
     def _replace(self, error: WorkerLostError) -> None:
-        """Starts another process and asks again, without waiting for either."""
+        """Starts another process and requests again, without waiting for either."""
         error.process, error.section = self._plan.name, "curate"
-        if self._backend.has_lost_room:  # it went with its node: the whole run is placed again
+        if self._backend.has_lost_resources:  # it went with its node: the whole run is placed again
             self.stop()
             raise error
         self._losses.append(self._backend.losses.lost(error))
         self.is_late = True
         self.stop()
-        if self._asked is None:  # the next request starts it
+        if self._requested is None:  # the next request starts it
             return
-        weights, policy_version, *others = self._asked
+        weights, policy_version, *others = self._requested
         put, again = self._backend.put, [resolve(other) for other in others]
         # Their first copies may be gone.
         probe, given = (None if other is None else put(other) for other in again)
-        self._asked = put(resolve(weights)), policy_version, probe, given
+        self._requested = put(resolve(weights)), policy_version, probe, given
         self._backend.sections.begin_again()
-        self._ask()
+        self._send()
 
 
 class _Request(NamedTuple):
@@ -477,10 +489,10 @@ class _Request(NamedTuple):
     given: Any
 
 
-class CurationByWorkers:
-    """Of a run whose workers learn and play."""
+class WorkerCurator:
+    """Curator of a run whose workers learn, play and score: a `roles.Curator` without a process of its own."""
 
-    works_beside = False
+    works_in_background = False
 
     def __init__(self, trainer: ColocatedTrainer) -> None:
         self._trainer = trainer
@@ -493,9 +505,9 @@ class CurationByWorkers:
         pass
 
     def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
-        """Works out what was asked for."""
+        """Works out the refresh that was requested."""
         del patience_s, meanwhile
-        assert self._request is not None, "a refresh is taken after it was asked for"
+        assert self._request is not None, "a refresh is requested before it is taken"
         refresh = self._trainer.refresh(*self._request)
         self._request = None
         return refresh

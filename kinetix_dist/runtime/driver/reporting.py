@@ -19,15 +19,14 @@ from types import ModuleType
 from typing import Any
 
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.driver.run_files import LineFile, SinkNews
-from kinetix_dist.telemetry.json_lines import read_lines
+from kinetix_dist.runtime.driver.run_files import LineFile, SinkEvents
+from kinetix_dist.telemetry.json_lines import read_lines, utc_text
 from kinetix_dist.telemetry.names import check_metrics
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, RowSink
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 from kinetix_dist.telemetry.sinks.prometheus import PrometheusSink
 from kinetix_dist.telemetry.status import RUNNING, STATUS, Status, write_status
-from kinetix_dist.telemetry.utc import utc_text
 
 DROPPED_ROWS, DROPPED_WRITES = "telemetry/dropped_rows", "telemetry/dropped_writes"
 
@@ -47,10 +46,10 @@ class RunReporter:
         self._dropped_before = 0  # by files that are closed
         self._last_update = 0
         self._importing: threading.Thread | None = None
-        self._news = SinkNews(run, self.note)
-        # A file on a full disk, or a pipe that nobody reads any more.
-        self._shown: BackgroundSink[Callable[[], None]] = BackgroundSink("console", _Calls, self._news.put)
-        self._status = RunStatus(run, total_env_steps=total_env_steps, tell=self._news.put)
+        self._sink_events = SinkEvents(run, self.note)
+        # A file on a full disk, or a pipe without a reader.
+        self._shown: BackgroundSink[Callable[[], None]] = BackgroundSink("console", _Calls, self._sink_events.put)
+        self._status = RunStatus(run, total_env_steps=total_env_steps, on_event=self._sink_events.put)
 
     @property
     def session(self) -> int:
@@ -83,21 +82,21 @@ class RunReporter:
             self._served.write(num_updates, row)
         self._show(self._console.set_seconds_left, seconds_left)
         self._show(self._console.write, num_updates, row)
-        self._news.tell(self._last_update)
+        self._sink_events.report(self._last_update)
 
     def ended(self, state: str, error: str | None = None) -> None:
-        """What status.json says from now on: a state of `telemetry.status`, and the line that the command ends with."""
+        """Sets the end in status.json: a state of `telemetry.status`, and the line that the command ends with."""
         self._status.ended(state, error)
 
     def close(self) -> None:
         self._close_files()
         self._status.close()
-        self._news.tell(self._last_update)
+        self._sink_events.report(self._last_update)
         if self._served is not None:
             self._served.close()
         self._show(self._console.close)
         self._shown.close()
-        self._news.tell(self._last_update)
+        self._sink_events.report(self._last_update)
 
     def _open_files(self, num_updates: int, *, env_steps: int) -> list[BackgroundSink]:
         """Nothing is touched before the first row, and then by the threads: whatever goes wrong there stays there."""
@@ -106,11 +105,11 @@ class RunReporter:
         def open_rows(is_first: bool) -> JsonlSink:
             return JsonlSink(path, resume_at=num_updates - 1 if is_first else None)
 
-        rows = LineFile(self._run.path, open_rows, self._news.put, path)
+        rows = LineFile(self._run.path, open_rows, self._sink_events.put, path)
         points = _Points(self._run.metrics, purge_after=env_steps)
         return [
-            BackgroundSink(path.name, rows.open, self._news.put),
-            BackgroundSink("TensorBoard", points.open, self._news.put),
+            BackgroundSink(path.name, rows.open, self._sink_events.put),
+            BackgroundSink("TensorBoard", points.open, self._sink_events.put),
         ]
 
     def _num_dropped(self) -> int:
@@ -132,7 +131,7 @@ class _Calls:
         del update
         try:
             call()
-        except SystemExit as end:  # rich's, where nobody is at the other end of a pipe any more
+        except SystemExit as end:  # rich's, where a pipe has no reader any more
             raise BrokenPipeError("nobody reads the console any more") from end
 
     def close(self) -> None:
@@ -162,7 +161,7 @@ def _tensorboard() -> ModuleType:
 
 
 def _import_tensorboard() -> None:
-    """What keeps it from being imported is raised again, and told, where a file is opened."""
+    """Imports TensorBoard; an error is raised again, and reported, where a file is opened."""
     with contextlib.suppress(Exception):
         _tensorboard()
 
@@ -172,9 +171,11 @@ STARTED = "run_started"  # the event that sessions are counted by
 
 
 class RunStatus:
-    """Of one session. No call waits for the disk."""
+    """status.json of one session. No call waits for the disk."""
 
-    def __init__(self, run: RunDirectory, *, total_env_steps: int, tell: Callable[[str, dict[str, Any]], None]) -> None:
+    def __init__(
+        self, run: RunDirectory, *, total_env_steps: int, on_event: Callable[[str, dict[str, Any]], None]
+    ) -> None:
         """total_env_steps: at which the run ends; 0: it ends by time."""
         earlier = sum(row.get("event") == STARTED for row in read_lines(run.events).rows)
         now = utc_text()
@@ -193,7 +194,7 @@ class RunStatus:
         )
         self._written_at = 0.0  # s of time.monotonic()
         self._updated_at: float | None = None
-        self._sink: BackgroundSink[Status] = BackgroundSink(STATUS, lambda: _Sink(run.status), tell, patience_s=0.0)
+        self._sink: BackgroundSink[Status] = BackgroundSink(STATUS, lambda: _Sink(run.status), on_event, patience_s=0.0)
         self._write()
 
     @property

@@ -1,11 +1,12 @@
-"""How many workers (or rollout actors and learners) a run has: as many as asked for, and fewer while nodes are lost.
+"""Number of workers (or rollout actors and learners) of a run: as many as requested, and fewer while nodes are lost.
 
 consumes      nodes of the cluster
-produces      a placement that they have room for
-waits for     a lost node, `run.node_wait_seconds`; then, where fewer than `run.min_workers` have room, for any
+produces      a placement that they have resources for
+waits for     a lost node, `run.node_wait_seconds`; then, where fewer than `run.min_workers` fit, for any
 unblocked by  a node that comes, or a stop
 
 A run of another size goes on from a checkpoint, and is not bit for bit the unbroken one.
+
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ NOTE_AFTER_S = 3.0  # what ended processes held is free a little after their end
 
 
 class Resizing:
-    """Of a run on Ray. Where processes are lost and their nodes are not, it does nothing."""
+    """Resizing of a run on Ray. Where processes are lost and their nodes are not, it does nothing."""
 
     def __init__(
         self,
@@ -42,22 +43,22 @@ class Resizing:
         backend: RayBackend,
         placement: Placement,
         trainer: Trainer,
-        beside: Mapping[str, CuratorClient | Evaluations],
+        background: Mapping[str, CuratorClient | Evaluations],
         *,
         on_event: Callable[..., None],
         on_note: Callable[[str], None],
     ) -> None:
-        """placement: that of the run as it was asked for. beside: what works beside the trainer, by role."""
+        """placement: that of the run as it was requested. background: processes besides the trainer, by role."""
         self._backend = backend
         self._trainer = trainer
-        self._beside = beside
+        self._background = background
         self._on_event = on_event
         self._on_note = on_note
         self._roles = ("rollout", "learner") if config.run.placement == "split" else ("worker",)
-        # What is asked for is fixed now: a cluster that has lost its GPUs is no reason to go on without them.
+        # The request is fixed now: a cluster that has lost its GPUs is no reason to go on without them.
         device = "cpu" if placement.processes[0].gpu is None else "gpu"
         self._config = dataclasses.replace(config, run=dataclasses.replace(config.run, device=device))
-        self._asked = self._placed = placement
+        self._requested = self._placed = placement
 
     @property
     def size(self) -> int:
@@ -69,42 +70,44 @@ class Resizing:
 
         Raises StopRequested where that comes while it waits.
         """
-        if not self._backend.has_lost_room:
+        if not self._backend.has_lost_resources:
             return
         wait_s = self._config.run.node_wait_seconds
         self._on_note(
-            f"nodes were lost, and {self._in_words(self._placed)} have no room: {nodes_in_words()}; waits {wait_s:g} s "
+            f"nodes were lost, and {self._in_words(self._placed)} do not fit: {nodes_in_words()}; waits {wait_s:g} s "
             "(run.node_wait_seconds)"
         )
         if self._came_back(wait_s, stop):
             return
         self.place(update, stop)
 
-    def has_room_to_grow(self) -> bool:
-        """Whether a run that was made smaller can have more processes again."""
-        if self.size == self._asked_size:
+    def can_grow(self) -> bool:
+        """Says whether a run that was made smaller can have more processes again."""
+        if self.size == self._requested_size:
             return False
         return self._largest(least=self.size + 1) is not None
 
     def place(self, update: int, stop: StopSignals) -> None:
-        """Ends all processes and gives the run as many places as there is room for; waits where that is too few."""
+        """Ends all processes and gives the run as many processes as fit; waits where that is too few."""
         self._trainer.stop()
-        for part in self._beside.values():
+        for part in self._background.values():
             part.stop()
         self._backend.release()
-        before, began, is_told = self._placed, time.monotonic(), False
+        before, began, is_noted = self._placed, time.monotonic(), False
         while True:
             placement = self._largest(least=self._least)
             if placement is not None and self._is_reserved(placement):
                 break
-            if not is_told and time.monotonic() > began + NOTE_AFTER_S:
-                is_told = True
-                least = counted(min(self._config.run.min_workers, len(self._asked.of(self._roles[0]))), self._roles[0])
-                self._on_note(f"{least} (run.min_workers) have no room: {nodes_in_words()}; waits for a node")
+            if not is_noted and time.monotonic() > began + NOTE_AFTER_S:
+                is_noted = True
+                least = counted(
+                    min(self._config.run.min_workers, len(self._requested.of(self._roles[0]))), self._roles[0]
+                )
+                self._on_note(f"{least} (run.min_workers) do not fit: {nodes_in_words()}; waits for a node")
             _pause(stop)
         self._placed = placement
         self._trainer.place(placement)
-        for role, part in self._beside.items():
+        for role, part in self._background.items():
             part.place(placement.of(role))
         for role in self._roles:
             was, now = len(before.of(role)), len(placement.of(role))
@@ -115,7 +118,7 @@ class Resizing:
 
     def _came_back(self, wait_s: float, stop: StopSignals) -> bool:
         deadline = time.monotonic() + wait_s
-        while self._backend.has_lost_room:
+        while self._backend.has_lost_resources:
             if time.monotonic() > deadline:
                 return False
             _pause(stop)
@@ -129,23 +132,23 @@ class Resizing:
         return True
 
     def _largest(self, *, least: int) -> Placement | None:
-        """The largest one that there is room for, of `least` processes or more of the roles that change."""
-        room = self._backend.room()
+        """The largest one that there is resources for, of `least` processes or more of the roles that change."""
+        resources = self._backend.resources()
         for config in self._smaller_and_smaller(least):
             try:
-                placement = plan_placement(config, num_gpus=room.gpus)
+                placement = plan_placement(config, num_gpus=resources.gpus)
             except PlacementError:
                 continue
-            if room.holds(needed_by(placement)):
+            if resources.holds(needed_by(placement)):
                 return placement
         return None
 
     def _smaller_and_smaller(self, least: int) -> Iterator[TrainConfig]:
-        """Configurations from the size that was asked for down; of the same size, those with more learners first."""
-        asked, run = _sizes(self._asked, self._roles), self._config.run
-        first, *others = asked.values()
+        """Configurations from the requested size down; of the same size, those with more learners first."""
+        requested, run = _sizes(self._requested, self._roles), self._config.run
+        first, *others = requested.values()
         least_first = min(run.min_workers, first)
-        for size in range(self._asked_size, least - 1, -1):
+        for size in range(self._requested_size, least - 1, -1):
             for num_learners in range(others[0], 0, -1) if others else [0]:
                 number = size - num_learners
                 if least_first <= number <= first:
@@ -157,12 +160,12 @@ class Resizing:
                     yield dataclasses.replace(self._config, run=dataclasses.replace(run, **found))
 
     @property
-    def _asked_size(self) -> int:
-        return sum(_sizes(self._asked, self._roles).values())
+    def _requested_size(self) -> int:
+        return sum(_sizes(self._requested, self._roles).values())
 
     @property
     def _least(self) -> int:
-        return min(self._config.run.min_workers, len(self._asked.of(self._roles[0]))) + len(self._roles) - 1
+        return min(self._config.run.min_workers, len(self._requested.of(self._roles[0]))) + len(self._roles) - 1
 
     def _in_words(self, placement: Placement) -> str:
         return " and ".join(counted(number, role) for role, number in _sizes(placement, self._roles).items())

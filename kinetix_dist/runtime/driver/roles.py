@@ -1,4 +1,4 @@
-"""What the controller drives, as protocols: a trainer, a curator and a reporter."""
+"""Protocols that the controller drives: a trainer, a curator and a reporter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kinetix_dist.runtime.processes.placement import Placement
 
 
 class Trainer(Protocol):
-    """Whatever plays and learns."""
+    """Plays and learns."""
 
     policy_lag: int
     dropped_steps: int
@@ -39,10 +39,10 @@ class Trainer(Protocol):
         """Levels of the buffer in use, or a reference to them, for `Curator.request`."""
 
     def refresh_input(self) -> Any:
-        """What a refresh works from beside the policy, or a reference to it, for `Curator.request`."""
+        """Input of a refresh besides the policy, or a reference to it, for `Curator.request`."""
 
     def check(self) -> None:
-        """Raises WorkerLostError where one of its processes is lost while nothing is asked of it. Does not wait."""
+        """Raises WorkerLostError where one of its processes is lost while no call waits for it. Does not wait."""
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """All arrays that `start` needs to go on from here bit for bit."""
@@ -54,55 +54,60 @@ class Trainer(Protocol):
         """Rollouts of the current policy on the evaluation sets (`telemetry.recording.Rollout`)."""
 
     def topology(self) -> dict[str, Any]:
-        """What computes, for checkpoints: "placement", "processes", and "devices", "platform", "kind" that learn."""
+        """Hardware that computes, for checkpoints: "placement", "processes", and "devices", "platform", "kind" that
+        learn."""
 
     def facts(self) -> dict[str, Any]:
-        """For the report: "device" (platform, kind and number of those that learn), "compile_seconds", "processes"."""
+        """Facts for the report: "device" (platform, kind and number of those that learn), "compile_seconds",
+        "processes"."""
 
     def stop(self) -> None: ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Refresh:
-    """What curators worked out."""
+    """Refresh of a curriculum, as curators worked it out."""
 
     parts: Sequence[Any]  # for the curriculum to join and adopt, of each curator: a reference to it
     seconds: float  # that the slowest took
     probe: Mapping[str, np.ndarray]  # what became of levels of the buffer before, see `Curriculum.play_probe`
 
     @classmethod
-    def of(cls, parts: Sequence[Any], stamps: Sequence[Mapping[str, Any]]) -> Refresh:
-        """stamps: of each part, as `CuratorCore.refresh` gives them; the last one's process played the probe."""
-        return cls(parts=parts, seconds=max(stamp["seconds"] for stamp in stamps), probe=stamps[-1]["probe"])
+    def of(cls, parts: Sequence[Any], headers: Sequence[Mapping[str, Any]]) -> Refresh:
+        """headers: of each part, as `CuratorCore.refresh` gives them; the last one's process played the probe."""
+        return cls(parts=parts, seconds=max(header["seconds"] for header in headers), probe=headers[-1]["probe"])
 
 
 class Curator(Protocol):
-    """Whatever refreshes the curriculum: processes beside training, each with a part of it, or those that train."""
+    """Refreshes the curriculum: processes in the background, each with a part of it, or those that train."""
 
-    works_beside: bool  # while training goes on
+    works_in_background: bool  # while training goes on
 
     def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
-        """Asks for a refresh and does not wait: processes beside training begin now, those that train when it is
+        """Requests a refresh and does not wait: processes in the background begin now, those that train when it is
         taken. probe, given: of `Trainer.probe` and `Trainer.refresh_input`, or None."""
 
     def watch(self) -> None:
-        """Replaces processes beside training that died, without waiting; their parts are asked for again."""
+        """Replaces processes in the background that died, without waiting; their parts are requested again."""
 
     def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
-        """What was asked for last; waits for it. None where a process was lost, or is silent for `patience_s`:
-        whoever asks again later does not wait. patience_s None: waits as long as it takes, over losses too.
-        meanwhile: called again and again; what it raises ends the wait."""
+        """Waits for the refresh that was requested last. None where a process was lost, or is silent for `patience_s`.
+
+        patience_s: None: waits as long as it takes, over losses too. meanwhile: called again and again; an error that
+        it raises ends the wait.
+
+        """
 
     def cancel(self) -> None: ...
 
     def facts(self) -> list[dict[str, Any]]:
-        """For the report, of its processes; nothing where it shares that of the trainer."""
+        """Facts of its processes for the report; none where it shares that of the trainer."""
 
     def stop(self) -> None: ...
 
 
 class Reporter(Protocol):
-    """Where progress goes: console and metric files."""
+    """Destination of progress: console and metric files."""
 
     def phase(self, name: str) -> None: ...
 

@@ -28,7 +28,7 @@ from kinetix_dist.runtime.cores.run_names import CURRICULUM
 from kinetix_dist.runtime.driver.reporting import DROPPED_WRITES
 from kinetix_dist.runtime.driver.roles import Refresh, Reporter
 from kinetix_dist.runtime.driver.run_directory import EVALUATIONS, PROCESSES, RunDirectory
-from kinetix_dist.runtime.driver.run_files import LineFile, SinkNews, SnapshotSink, UnfinishedSnapshot
+from kinetix_dist.runtime.driver.run_files import LineFile, SinkEvents, SnapshotSink, UnfinishedSnapshot
 from kinetix_dist.telemetry.curriculum_log import (
     ALL_EPISODES_FORMAT,
     BUFFER,
@@ -37,10 +37,9 @@ from kinetix_dist.telemetry.curriculum_log import (
     REFRESH,
     is_outcomes,
 )
-from kinetix_dist.telemetry.json_lines import Row
+from kinetix_dist.telemetry.json_lines import Row, utc_text
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, close_sinks
 from kinetix_dist.telemetry.sinks.jsonl import LinesSink
-from kinetix_dist.telemetry.utc import utc_text
 
 FORMAT = 1  # of evaluations.jsonl and processes.jsonl
 RANDOM_POLICY = "random_policy"  # a phase in evaluations.jsonl
@@ -59,16 +58,17 @@ _FILES: dict[str, tuple[Callable[[Row], bool], Callable[[Row, int], bool]]] = {
 
 
 class RunData:
-    """Of one run. All methods are for the thread that drives it."""
+    """Files of one run for dashboards. All methods are for the thread that drives it."""
 
     def __init__(self, config: TrainConfig, run: RunDirectory, reporter: Reporter) -> None:
         self._config = config
-        self._run = run
+        self.run = run
+        self.reporter = reporter
         self._curriculum: type[Curriculum] = config.curriculum_class
         log = config.curriculum_log
         self._has_snapshots = log.max_snapshots > 0
         self._window = OutcomeWindow(self._curriculum.sources, log.outcomes_every) if log.outcomes_every else None
-        self._news = SinkNews(run, reporter.note)
+        self._sink_events = SinkEvents(run, reporter.note)
         self._sinks: dict[Path, BackgroundSink[Any]] = {}
         self._num_dropped = 0  # by sinks that are closed
         # Updates done when this session, or the part of it since the last loss, began; -1: with nothing, evaluations
@@ -80,19 +80,19 @@ class RunData:
         self._pids: set[tuple[str, int]] = set()  # in the last line
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
-        """As a checkpoint has it, taken after so many updates; afresh where both are empty. What is later in the files
-        is removed."""
+        """Starts as a checkpoint says, taken after so many updates; afresh where both are empty. Later rows are
+        removed."""
         self._close_sinks()
         self._resume_at = num_updates if num_updates or self._has_evaluated else -1
         self._is_curated = description.get("curated_for") == num_updates
-        for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
-            if os.path.exists(path):  # what cannot be looked at fails, and is told, with the first row
+        for path in (self.run.curriculum, self.run.outcomes, self.run.evaluation_rows, self.run.processes):
+            if os.path.exists(path):  # an unreadable one fails, and is reported, with the first row
                 self._sink(path, opens_at_once=True)
         if self._window is not None:
             self._window.start(description, arrays, num_updates=num_updates)
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {} if self._window is None else self._window.description()
 
     def in_flight(self) -> dict[str, np.ndarray]:
@@ -131,7 +131,7 @@ class RunData:
         if (counted := int(attempts["attempts"].sum())) != num_attempts:
             raise ValueError(
                 f"curriculum {self._config.curriculum.name!r}: of {num_attempts:.0f} worlds {counted} have a source; "
-                "Proposal.source must be 0 or more, and less than the number of its sources and places"
+                "Proposal.source must be 0 or more, and less than the number of its sources and slots"
             )
         self._write_outcomes(self._window.add(num_updates, attempts, buffer))
 
@@ -151,7 +151,7 @@ class RunData:
             "sets": {name: rate["levels"] for name, rate in rates.items()},
         }
         self._has_evaluated = True
-        self._sink(self._run.evaluation_rows).write(reported_at, row)
+        self._sink(self.run.evaluation_rows).write(reported_at, row)
 
     def processes(self, num_updates: int, processes: Sequence[Mapping[str, Any]]) -> None:
         """Writes what they are at, if the last line is old enough, or some came or went since."""
@@ -161,34 +161,34 @@ class RunData:
             return
         self._processes_at, self._pids = now, pids
         row = {"format": FORMAT, "time": utc_text(), "update": num_updates, "processes": list(processes)}
-        self._sink(self._run.processes).write(num_updates, row)
+        self._sink(self.run.processes).write(num_updates, row)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
-        """Also says what the threads have to say."""
-        self._news.tell(num_updates)
+        """Metrics of dropped writes. Also reports the events of the threads."""
+        self._sink_events.report(num_updates)
         dropped = self._num_dropped + sum(sink.num_dropped for sink in self._sinks.values())
         return {DROPPED_WRITES: float(dropped)}
 
     def close(self, num_updates: int) -> None:
         """Writes what is queued, as `BackgroundSink.close` does."""
         self._close_sinks()
-        self._news.tell(num_updates)
+        self._sink_events.report(num_updates)
 
     def _write_outcomes(self, lines: Sequence[Row]) -> None:
         for line in lines:
-            self._sink(self._run.outcomes).write(line["update"], line)
+            self._sink(self.run.outcomes).write(line["update"], line)
 
     def _write_snapshot(self, kind: str, num_updates: int, arrays: Callable[[], dict[str, np.ndarray] | None]) -> None:
-        self._sink(self._run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
+        self._sink(self.run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
 
     def _sink(self, path: Path, *, opens_at_once: bool = False) -> BackgroundSink[Any]:
-        """That of a file, or of the directory of snapshots."""
+        """Sink of a file, or of the directory of snapshots."""
         if path not in self._sinks:
-            bound = {"max_queued": MAX_QUEUED_SNAPSHOTS} if path == self._run.curriculum else {}
+            bound = {"max_queued": MAX_QUEUED_SNAPSHOTS} if path == self.run.curriculum else {}
             self._sinks[path] = BackgroundSink(
-                str(path.relative_to(self._run.path)),
-                self._snapshots() if path == self._run.curriculum else self._lines(path),
-                self._news.put,
+                str(path.relative_to(self.run.path)),
+                self._snapshots() if path == self.run.curriculum else self._lines(path),
+                self._sink_events.put,
                 patience_s=0.0,
                 opens_at_once=opens_at_once,
                 **bound,
@@ -203,17 +203,17 @@ class RunData:
             keep = (lambda row: is_earlier(row, resume_at)) if is_first else None
             return LinesSink(path, is_row=is_row, keep=keep)
 
-        return LineFile(self._run.path, open_sink, self._news.put, path).open
+        return LineFile(self.run.path, open_sink, self._sink_events.put, path).open
 
     def _snapshots(self) -> Callable[[], SnapshotSink]:
         sink = SnapshotSink(
-            self._run.curriculum,
+            self.run.curriculum,
             curriculum=self._config.curriculum.name,
             size=self._config.env.size,
             max_snapshots=self._config.curriculum_log.max_snapshots,
             resume_at=self._resume_at,
             is_curated=self._is_curated,
-            tell=self._news.put,
+            on_event=self._sink_events.put,
         )
         return sink.open
 
@@ -237,7 +237,7 @@ class OutcomeWindow:
         self.start({}, {}, num_updates=0)
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
-        """As a checkpoint has it, taken after so many updates; empty where both are."""
+        """Starts as a checkpoint says, taken after so many updates; empty where both are."""
         self._from_update: int = description.get("outcomes_from", num_updates)
         self._buffer: int | None = description.get("outcomes_buffer")
         self._counts = {name: array.astype(np.int64) for name, array in select_arrays(arrays, WINDOW).items()}
@@ -245,7 +245,7 @@ class OutcomeWindow:
     def add(self, num_updates: int, attempts: Counts, buffer: int | None) -> list[dict[str, Any]]:
         """Takes the counts of the update that led to `num_updates`; lines of windows that are over.
 
-        attempts: "solved" and "attempts", [sources + places]; buffer: whose levels the places hold, or None.
+        attempts: "solved" and "attempts", [sources + slots]; buffer: whose levels the slots hold, or None.
         """
         lines = []
         if self._counts and (buffer != self._buffer or self._counts.keys() != attempts.keys()):
@@ -275,7 +275,7 @@ class OutcomeWindow:
         return [line]
 
     def description(self) -> dict[str, Any]:
-        """For a checkpoint."""
+        """Description for a checkpoint."""
         return {"outcomes_from": self._from_update, "outcomes_buffer": self._buffer}
 
     def in_flight(self) -> dict[str, np.ndarray]:

@@ -40,9 +40,9 @@ from kinetix_dist.telemetry.json_lines import (
     replace_file,
     set_aside_file,
     set_aside_unless_readable,
+    utc_text,
 )
 from kinetix_dist.telemetry.status import STATUS
-from kinetix_dist.telemetry.utc import utc_text
 
 EVALUATIONS = "evaluations.jsonl"  # evaluations.json has the summaries of three of them
 PROCESSES = "processes.jsonl"
@@ -54,7 +54,7 @@ class RunDirectoryError(Exception):
 
 
 def no_run_in(path: Path) -> str:
-    """What is wrong with a directory without config.json, and what to do."""
+    """Message for a directory without config.json, and what to do."""
     if not _has_checkpoints(path):
         return f"{path} holds no run (no config.json); start one without --resume"
     return (
@@ -205,7 +205,7 @@ class RunDirectory:
         self._event_log.write_pending()
 
     def set_aside(self, path: Path, num_lines: int) -> None:
-        """Notes that damaged lines of a file of this run were moved to the file beside it."""
+        """Notes that damaged lines of a file of this run were moved to another file next to it."""
         if num_lines:
             names = [str(file.relative_to(self.path)) for file in (path, damaged_path(path))]
             self.event("lines_set_aside", file=names[0], lines=num_lines, to=names[1])
@@ -218,7 +218,7 @@ class RunDirectory:
             file.write(f"{utc_text()}\n{text.rstrip()}\n")
         return path
 
-    def keep_log(self, name: str, text: str) -> Path | None:
+    def try_write_log(self, name: str, text: str) -> Path | None:
         """`write_log` where training goes on: None, with an event, where it cannot be written."""
         try:
             return self.write_log(name, text)
@@ -231,8 +231,11 @@ class RunDirectory:
         replace_file(path, (json.dumps(content, indent=2) + "\n").encode())
 
     def read_json(self, path: Path, *, is_whole: Callable[[Any], bool]) -> Any:
-        """What `write_json` wrote; None where there is no such file. One that cannot be read, or is not `is_whole`, is
-        renamed, with an event."""
+        """Reads what `write_json` wrote; None where there is no such file.
+
+        A file that cannot be read, or is not `is_whole`, is renamed, with an event.
+
+        """
         try:
             content = json.loads(path.read_text())
             if is_whole(content):
@@ -246,9 +249,11 @@ class RunDirectory:
         return None
 
     def restore_config(self) -> bool:
-        """Whether config.json was gone, without which nothing goes on from a checkpoint, and is written again.
+        """Writes config.json again where it is gone, without which no run goes on from a checkpoint; says whether it
+        was.
 
         For any thread. Raises OSError, also where the whole directory is gone.
+
         """
         if not self.path.is_dir():
             raise FileNotFoundError(f"run directory {self.path} is gone; put it back, nothing is saved until then")
@@ -267,7 +272,7 @@ class RunInUseError(RunDirectoryError):
 
 
 def newest_run(parent: Path, name: str) -> Path | None:
-    """Of `name`, `name-2`, `name-3` ... below `parent`, the run with the highest number; None if there is none."""
+    """The run with the highest number among `name`, `name-2`, `name-3` ... below `parent`; None if there is none."""
     numbered = {}
     for path in parent.glob(f"{glob.escape(name)}*") if parent.is_dir() else []:
         match = re.fullmatch(re.escape(name) + r"(?:-(\d+))?", path.name)
@@ -305,7 +310,7 @@ def lock_directory(path: Path, option: str = "--run") -> IO[str]:
     return file
 
 
-MAX_PENDING = 1000  # events kept in memory until they can be written; about 200 kB
+MAX_PENDING = 1000  # events held in memory until they can be written; about 200 kB
 
 
 class EventLog:
@@ -341,4 +346,4 @@ class EventLog:
                 append_line(self._path, {"time": utc_text(), "event": "events_dropped", "events": self._num_dropped})
                 self._num_dropped = 0
         except OSError:
-            return  # kept: nothing is lost while there is memory, and `sink_failing` says what the disk does
+            return  # still pending: nothing is lost while there is memory, and `sink_failing` says what the disk does

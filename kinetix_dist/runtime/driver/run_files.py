@@ -32,42 +32,44 @@ class LineFile(Generic[Sink]):
     """`open` is for a `BackgroundSink`, and called in its thread."""
 
     def __init__(
-        self, run: Path, open_sink: Callable[[bool], Sink], tell: Callable[[str, dict[str, Any]], None], path: Path
+        self, run: Path, open_sink: Callable[[bool], Sink], on_event: Callable[[str, dict[str, Any]], None], path: Path
     ) -> None:
         """run: directory of the run; open_sink(is_first): of `path`, for the first time in the session or again."""
         self._name = str(path.relative_to(run))
         self._open_sink = open_sink
-        self._tell = tell
+        self._on_event = on_event
         self._is_first = True
 
     def open(self) -> Sink:
         sink = self._open_sink(self._is_first)
-        self._is_first = False  # rows of this session are kept from now on
+        self._is_first = False  # rows of this session stay from now on
         if sink.set_aside is not None:
-            self._tell("file_set_aside", {"file": self._name, "to": sink.set_aside.name, "reason": "it cannot be read"})
+            self._on_event(
+                "file_set_aside", {"file": self._name, "to": sink.set_aside.name, "reason": "it cannot be read"}
+            )
         if sink.num_damaged:
             aside = str(Path(self._name).with_name(sink.damaged_path.name))
-            self._tell("lines_set_aside", {"file": self._name, "lines": sink.num_damaged, "to": aside})
+            self._on_event("lines_set_aside", {"file": self._name, "lines": sink.num_damaged, "to": aside})
         return sink
 
 
-class SinkNews:
-    """`put` is for any thread, `tell` for that of the run."""
+class SinkEvents:
+    """`put` is for any thread, `report` for that of the run."""
 
     def __init__(self, run: RunDirectory, note: Callable[[str], None]) -> None:
         self._run = run
         self._note = note
-        self._news: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[str, dict[str, Any]]] = queue.SimpleQueue()
 
     def put(self, kind: str, details: dict[str, Any]) -> None:
         """An event, and what it says."""
-        self._news.put((kind, details))
+        self._queue.put((kind, details))
 
-    def tell(self, num_updates: int) -> None:
+    def report(self, num_updates: int) -> None:
         """All that came since."""
         self._run.write_pending_events()
-        while not self._news.empty():
-            kind, details = self._news.get()
+        while not self._queue.empty():
+            kind, details = self._queue.get()
             self._run.event(kind, update=num_updates, **details)
             if kind == "sink_failing":
                 self._note(f"{details['sink']}: {details['error']}; rows are dropped and counted, training goes on")
@@ -77,7 +79,7 @@ class SinkNews:
 
 @dataclasses.dataclass(frozen=True)
 class UnfinishedSnapshot:
-    """What is to be written."""
+    """Snapshot that is to be written."""
 
     kind: str  # of curriculum_log.KINDS
     written_after: int  # updates
@@ -97,14 +99,14 @@ class SnapshotSink:
         max_snapshots: int,
         resume_at: int,
         is_curated: bool,
-        tell: Callable[[str, dict[str, Any]], None],
+        on_event: Callable[[str, dict[str, Any]], None],
     ) -> None:
         self._directory = directory
         self._known = {"curriculum": np.str_(curriculum), "size": np.str_(size)}
         self._max_snapshots = max_snapshots
         self._resume_at: int | None = resume_at
         self._is_curated = is_curated
-        self._tell = tell
+        self._on_event = on_event
 
     def write(self, update: int, snapshot: UnfinishedSnapshot, /) -> None:
         del update
@@ -131,4 +133,6 @@ class SnapshotSink:
     def _remove_later(self, num_updates: int) -> None:
         for path in remove_later_snapshots(self._directory, num_updates, is_curated=self._is_curated):
             file = f"{self._directory.name}/{path.name}"
-            self._tell("file_set_aside", {"file": file, "to": set_aside_file(path).name, "reason": "it cannot be read"})
+            self._on_event(
+                "file_set_aside", {"file": file, "to": set_aside_file(path).name, "reason": "it cannot be read"}
+            )

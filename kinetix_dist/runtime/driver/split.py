@@ -42,7 +42,7 @@ from kinetix_dist.runtime.driver.work_buffer import (
     copy_metrics,
     straggler_metrics,
 )
-from kinetix_dist.runtime.processes.backend import Backend, Group, Handle, Ticket, resolve
+from kinetix_dist.runtime.processes.backend import Backend, Future, Group, Handle, resolve
 from kinetix_dist.runtime.processes.failures import InputLostError, Loss, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement
 
@@ -62,7 +62,7 @@ class SplitTrainer:
         *,
         on_event: Callable[..., None] = lambda kind, **details: None,
     ) -> None:
-        """`on_event(kind, **details)` hears of rollout actors that are slower than the others."""
+        """on_event: called with kind and details of rollout actors that are slower than the others."""
         self._config = config
         self._schedule = config.schedule
         self.backend = backend
@@ -85,7 +85,7 @@ class SplitTrainer:
         actors = Group(self._rollout_plans, build_rollout, (self._config, len(self._rollout_plans)))
         self._learners, self._actors = self.backend.spawn_groups([learners, actors])
         stored = None if arrays is None else self.backend.put(dict(arrays))
-        self._ask_learners("start", stored)
+        self._from_learners("start", stored)
         self._state = self._learners[0].call("curriculum_state")
         self._weights.publish(num_updates, self._learners[0].call("weights"))
         if arrays is not None and num_updates > 0:
@@ -101,19 +101,19 @@ class SplitTrainer:
         self._learner_plans = placement.of("learner")
         self._rollout_plans = placement.of("rollout")
 
-    def weights(self) -> Ticket:
+    def weights(self) -> Future:
         if self._config.ppo.average_updates:
             return self._learners[0].call("released")
         return self._weights.newest
 
     def adopt(self, parts: Sequence[Any]) -> None:
-        self._ask_learners("adopt", *parts)
+        self._from_learners("adopt", *parts)
         self._state = self._learners[0].call("curriculum_state")
 
-    def probe(self, num_levels: int) -> Ticket:
+    def probe(self, num_levels: int) -> Future:
         return self._learners[0].call("probe", num_levels)
 
-    def refresh_input(self) -> Ticket:
+    def refresh_input(self) -> Future:
         return self._learners[0].call("refresh_input")
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
@@ -125,14 +125,14 @@ class SplitTrainer:
         staged = [added(parts) for parts in zip(*self._staged(num_updates), strict=True)]
         waited, queue_length = time.monotonic() - began, len(self._work)
         works = self._work.take(num_updates)
-        played = [work.stamp for work in works]
+        played = [work.header for work in works]
         # From the order to the answer: waiting for weights and storing the batch too.
-        answered = [{**stamp, "seconds": stamp["answered"]} for stamp in played]
+        answered = [{**header, "seconds": header["answered"]} for header in played]
         self._stragglers.add(num_updates + 1, answered)
-        sums = [stamp["sums"] for stamp in played]
-        learning = [learner.call_stamped("learn", num_updates, *sums) for learner in self._learners]
-        self._receive(num_updates + 1, until=[stamp for stamp, _ in learning])
-        learned = self.backend.gather([stamp for stamp, _ in learning])
+        sums = [header["sums"] for header in played]
+        learning = [learner.call_with_header("learn", num_updates, *sums) for learner in self._learners]
+        self._receive(num_updates + 1, until=[header for header, _ in learning])
+        learned = self.backend.gather([header for header, _ in learning])
         del self._orders[num_updates]
         self._weights.publish(num_updates + 1, learning[0][1])
         if self._observes:
@@ -145,21 +145,21 @@ class SplitTrainer:
             "runtime/queue_length": float(queue_length),
             "runtime/batch_wait_seconds": waited,
             **straggler_metrics(answered),
-            **copy_metrics([*staged, *(_copied(stamp, "store_put") for stamp in played)]),
+            **copy_metrics([*staged, *(_copied(header, "store_put") for header in played)]),
             **copy_metrics([_copied(learned[0], "weights_put")]),
         }
         seconds = {"learn": learned, "rollout": played}
-        slowest = {role: max(stamp["seconds"] for stamp in stamps) for role, stamps in seconds.items()}
+        slowest = {role: max(header["seconds"] for header in headers) for role, headers in seconds.items()}
         by_part = [part[BY_SOURCE] for part in sums]
         attempts = {name: sum(part[name] for part in by_part) for name in by_part[0]}
         return metrics, slowest, attempts
 
     def check(self) -> None:
-        """Of learners alone: a rollout actor that is lost is replaced where its part of a batch is waited for."""
+        """Checks the learners alone: a lost rollout actor is replaced where its part of a batch is waited for."""
         self.backend.check(self._learners)
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        arrays = self._ask_first("snapshot")
+        arrays = self._from_first("snapshot")
         acting_version = max(self._weights_in_flight(), default=None)
         if acting_version is not None:
             arrays |= flatten_arrays({ACTING: resolve(self._weights.get(acting_version))})
@@ -169,13 +169,13 @@ class SplitTrainer:
         return arrays
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
-        return self._ask_first("evaluate", use_policy)
+        return self._from_first("evaluate", use_policy)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
-        return self._ask_first("record", num_rollouts, num_updates)
+        return self._from_first("record", num_rollouts, num_updates)
 
     def topology(self) -> dict[str, Any]:
-        devices = learning_devices(self._ask_first("facts"))
+        devices = learning_devices(self._from_first("facts"))
         processes = len(self._learners) + len(self._actors)
         parts = {"learners": len(self._learners), "rollout_actors": self._actors_in_words()}
         return {"placement": "split", "processes": processes, **parts, **devices}
@@ -187,7 +187,7 @@ class SplitTrainer:
         return number if self._learner_plans[0].gpu is None or not num_on_cpu else f"{number} ({num_on_cpu} on CPU)"
 
     def facts(self) -> dict[str, Any]:
-        return {**self._ask_first("facts"), "processes": self.backend.facts([*self._learners, *self._actors])}
+        return {**self._from_first("facts"), "processes": self.backend.facts([*self._learners, *self._actors])}
 
     def stop(self) -> None:
         handles = [*self._actors, *self._learners]
@@ -203,9 +203,9 @@ class SplitTrainer:
         self._weights = WeightStore(keep_last=2)
         # By update: the policy version and the state of the curriculum that its batch is played with.
         self._orders: dict[int, tuple[int, Any]] = {}
-        self._in_flight: dict[tuple[int, int], tuple[Ticket, Ticket]] = {}  # (update, part) -> stamp, batch
+        self._in_flight: dict[tuple[int, int], tuple[Future, Future]] = {}  # (update, part) -> header, batch
         self._ordered_at: dict[tuple[int, int], float] = {}  # (update, part) -> time.monotonic()
-        self._staging: dict[int, list[list[Ticket]]] = {}  # by update: for each part that came, answers of learners
+        self._staging: dict[int, list[list[Future]]] = {}  # by update: for each part that came, answers of learners
         self._losses: dict[int, list[Loss]] = {}  # by part: since its actor gave something
         self._num_replaced: Counter[int] = Counter()  # by part, since then
         self._state: Any = None  # of the curriculum
@@ -214,12 +214,12 @@ class SplitTrainer:
     def _weights_in_flight(self) -> list[int]:
         return [version for version, _ in self._orders.values()]
 
-    def _ask_first(self, method: str, *arguments: Any) -> Any:
-        """Of what all learners hold."""
+    def _from_first(self, method: str, *arguments: Any) -> Any:
+        """Answer of the first learner about state that all of them hold."""
         return self.backend.gather([self._learners[0].call(method, *arguments)])[0]
 
-    def _ask_learners(self, method: str, *arguments: Any) -> list[Any]:
-        """What they do together."""
+    def _from_learners(self, method: str, *arguments: Any) -> list[Any]:
+        """Answers of all learners to a call that they make together."""
         return self.backend.gather([learner.call(method, *arguments) for learner in self._learners])
 
     def _issue(self, update: int, policy_version: int, state: Any) -> None:
@@ -232,18 +232,20 @@ class SplitTrainer:
         policy_version, state = self._orders[update]
         weights = self._weights.get(policy_version)
         self._ordered_at[update, part] = time.monotonic()
-        self._in_flight[update, part] = self._actors[part].call_stamped("play", update, policy_version, weights, state)
+        self._in_flight[update, part] = self._actors[part].call_with_header(
+            "play", update, policy_version, weights, state
+        )
 
-    def _receive(self, update: int, *, until: Sequence[Ticket] = ()) -> None:
+    def _receive(self, update: int, *, until: Sequence[Future] = ()) -> None:
         """Parts of a batch as they come: all of them, or those that are there before one of `until` is answered.
 
         An actor that is lost is replaced and plays its parts again.
         """
         while missing := self._work.missing(update):
-            stamps = {part: self._in_flight[update, part][0] for part in missing}
+            headers = {part: self._in_flight[update, part][0] for part in missing}
             try:
-                asked = [*until, *stamps.values()]
-                ready = {id(ticket) for ticket in self.backend.first_of(asked, beside=self._learners)}
+                waited_for = [*until, *headers.values()]
+                ready = {id(future) for future in self.backend.first_ready(waited_for, watched=self._learners)}
             except WorkerLostError as error:  # it is silent, or the section takes too long
                 part = next((plan.index for plan in self._rollout_plans if plan.name == error.process), None)
                 if part is None:
@@ -251,28 +253,28 @@ class SplitTrainer:
                 self._replace({part: error})
                 continue
             lost = {}
-            for part, stamp in stamps.items():
-                if id(stamp) in ready and (error := self._accept(update, part)) is not None:
+            for part, header in headers.items():
+                if id(header) in ready and (error := self._accept(update, part)) is not None:
                     lost[part] = error
             if lost:
                 self._replace(lost)
-            if any(id(ticket) in ready for ticket in until):
+            if any(id(future) in ready for future in until):
                 return
 
     def _accept(self, update: int, part: int) -> WorkerLostError | None:
         """Takes a part that is answered and hands it on to all learners; or returns why there is none."""
-        stamp, content = self._in_flight[update, part]
+        header, content = self._in_flight[update, part]
         try:
-            stamped = self.backend.gather([stamp])[0]
+            header = self.backend.gather([header])[0]
         except InputLostError:  # the learner's: the actor is well
             raise
         except WorkerLostError as error:
             return error
         del self._in_flight[update, part]
-        stamped |= {"answered": time.monotonic() - self._ordered_at.pop((update, part))}
-        self._work.put(Work(update=update, part=part, stamp=stamped))
-        asked = ("stage", update, part, len(self._actors), content)
-        self._staging.setdefault(update, []).append([learner.call_beside(*asked) for learner in self._learners])
+        header |= {"answered": time.monotonic() - self._ordered_at.pop((update, part))}
+        self._work.put(Work(update=update, part=part, header=header))
+        call = ("stage", update, part, len(self._actors), content)
+        self._staging.setdefault(update, []).append([learner.call_in_background(*call) for learner in self._learners])
         self._num_replaced.pop(part, None)
         for loss in self._losses.pop(part, []):
             self.backend.losses.recovered(loss, update=self.backend.losses.update)
@@ -281,13 +283,13 @@ class SplitTrainer:
     def _staged(self, update: int) -> list[list[dict[str, tuple[int, float]]]]:
         """Waits until a batch lies on the devices of all learners: by part, what each of them copied."""
         by_part = self._staging.pop(update)
-        answers = iter(self.backend.gather([ticket for tickets in by_part for ticket in tickets]))
-        return [[next(answers) for _ in tickets] for tickets in by_part]
+        answers = iter(self.backend.gather([future for futures in by_part for future in futures]))
+        return [[next(answers) for _ in futures] for futures in by_part]
 
     def _replace(self, lost: Mapping[int, WorkerLostError]) -> None:
         """Rollout actors by others, all at the same time; what they were at is played again."""
         for part, error in lost.items():
-            if self.backend.has_lost_room:  # it went with its node: the whole run is placed again
+            if self.backend.has_lost_resources:  # it went with its node: the whole run is placed again
                 raise error
             self._num_replaced[part] += 1
             if self._num_replaced[part] > _MAX_REPLACEMENTS:
@@ -304,12 +306,12 @@ class SplitTrainer:
         started = self.backend.spawn(plans, build_rollout, self._config, num_parts)
         for part, actor in zip(lost, started, strict=True):
             self._actors[part] = actor
-            self._stragglers.forget(part)
+            self._stragglers.reset(part)
         self.backend.sections.begin_again()
         for update, part in again:
             self._issue_part(update, part)
 
 
-def _copied(stamp: Mapping[str, Any], put: str) -> dict[str, tuple[int, float]]:
-    """What a process copied for an answer, storing it included."""
-    return {**stamp["copies"], put: stamp["put"]}
+def _copied(header: Mapping[str, Any], put: str) -> dict[str, tuple[int, float]]:
+    """Copies that a process made for an answer, storing it included."""
+    return {**header["copies"], put: header["put"]}

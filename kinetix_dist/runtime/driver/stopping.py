@@ -32,7 +32,7 @@ class StopRequested(BaseException):
 
 
 class StoppedError(Exception):
-    """The run ended because it was asked to: after which update, and how to go on."""
+    """The run ended because a stop was requested: after which update, and how to go on."""
 
 
 class StopFailedError(Exception):
@@ -93,7 +93,7 @@ class StopSignals:
 
     @contextmanager
     def deferred(self) -> Generator[None]:
-        """What stands inside is finished first."""
+        """Finishes the block first: a signal inside raises after it."""
         with self._deferring(True):
             yield
 
@@ -159,7 +159,7 @@ class StopSignals:
 
 
 def _is_swallowed(frame: FrameType | None) -> bool:
-    """Whether Python would print what is raised in this frame and go on: callbacks of the garbage collector."""
+    """Says whether Python would print what is raised in this frame and go on: callbacks of the garbage collector."""
     while frame is not None:
         if frame.f_code.co_name in _SWALLOWING:
             return True

@@ -40,7 +40,7 @@ class RoleClock:
             self.totals[name] = self.totals.get(name, 0.0) + value
 
     def start(self) -> None:
-        """The first lap begins now; what was added before is kept in the totals."""
+        """The first lap begins now; what was added before stays in the totals."""
         self._fold()
         self._began = self._lap_began = time.monotonic()
 
@@ -83,7 +83,7 @@ class RoleClock:
 
 
 def is_over(run: RunConfig, *, env_steps: int, training_seconds: float) -> bool:
-    """Whether a run has come to its configured end."""
+    """Says whether a run has come to its configured end."""
     if run.total_env_steps and env_steps >= run.total_env_steps:
         return True
     return bool(run.max_seconds) and training_seconds >= run.max_seconds
@@ -146,7 +146,7 @@ WARNINGS = {
     ),
     "contact_overflow": (
         "contacts found no slot in the engine and did nothing",
-        "levels are more crowded than size env.size has room for; take a larger one",
+        "levels are more crowded than size env.size holds; take a larger one",
     ),
     "missing_effects": (
         "environment steps lacked an effect that their level calls for",
@@ -177,7 +177,7 @@ class PhysicsWatch:
 
     @property
     def totals(self) -> dict[str, int]:
-        """For the report: physics steps of all worlds, and how often each thing happened in them."""
+        """Totals for the report: physics steps of all worlds, and how often each counter was raised in them."""
         return {"physics_steps": self._physics_steps, **self._counts}
 
     def add_earlier(self, totals: Mapping[str, int]) -> None:
@@ -233,7 +233,7 @@ class SkippedUpdates:
         return is_skipped
 
     def is_new_kind(self, skipped_steps: float, *, num_steps: int) -> bool:
-        """Whether a part of an update was skipped for the first time."""
+        """Says whether a part of an update was skipped for the first time."""
         is_new = 0 < skipped_steps < num_steps and not self.had_partly_skipped
         self.had_partly_skipped |= is_new
         return is_new

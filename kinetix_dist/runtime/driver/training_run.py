@@ -19,9 +19,9 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.driver.checkpoints import LINEAGE
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.evaluations import Evaluations, Recorder
-from kinetix_dist.runtime.driver.refreshes import CurationByWorkers, CuratorClient
+from kinetix_dist.runtime.driver.refreshes import CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.reporting import STARTED, RunReporter
 from kinetix_dist.runtime.driver.roles import Curator, Trainer
 from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY
@@ -51,7 +51,7 @@ from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
 
 if TYPE_CHECKING:
-    from kinetix_dist.runtime.driver.resizing import Resizing
+    pass
 
 
 class RunFailedError(RuntimeError):
@@ -72,7 +72,7 @@ def train(
     fork_server: of `start_fork_server`, where that was called before.
 
     Raises PlacementError, PortTakenError, CheckpointError, ValueError for what cannot run, before anything is computed,
-    RunFailedError where a process failed, and StoppedError where `stop` was asked for.
+    RunFailedError where a process failed, and StoppedError where a stop was requested.
     """
     stop = stop or StopSignals()
     stop.hint = f"; go on with --run {run.path} --resume"
@@ -121,7 +121,7 @@ def _train(
             ) from error
         raise RunFailedError(f"{error}; try again with --run {run.path} --resume") from error
     except NotFiniteError as error:
-        raise RunFailedError(f"{error}; checkpoints before them are kept in {run.checkpoints}") from error
+        raise RunFailedError(f"{error}; checkpoints before them are in {run.checkpoints}") from error
     except StopFailedError as error:
         raise RunFailedError(f"{error} with --run {run.path} --resume") from error
     except StoppedError as error:
@@ -153,11 +153,11 @@ def _from_start_to_report(
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
         _write_or_fail(run, run.config_path, stored, "then start the run again")
     try:
-        backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
+        roles = _start_roles(config, run, reporter, recorder, fork_server)
         stop.install()
-        started += [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
-        told = {"on_rollouts": recorder, "stop": stop, "evaluations": evaluations, "resizing": resizing, "began": began}
-        controller = Controller(config, run, trainer, curator, reporter, **told)
+        parts = (roles.curator, roles.evaluations, roles.trainer, roles.trainer.backend)
+        started += [part.stop for part in parts if part is not None]
+        controller = Controller(config, run, roles, reporter, on_rollouts=recorder, stop=stop, began=began)
         started.insert(0, controller.close)
         controller.restore(resume=resume)
     except (ValueError, CheckpointError, FileNotFoundError):  # refused, before anything was computed
@@ -204,7 +204,7 @@ def _from_first_to_last_update(controller: Controller, run: RunDirectory, report
 
 
 def _write_evaluations(run: RunDirectory, reporter: RunReporter, evaluations: dict[str, Any]) -> None:
-    """They are in the report too, and written again after training: no reason to end a run."""
+    """Writes evaluations.json. The report has them too: a failure is an event, no reason to end a run."""
     try:
         run.write_json(run.evaluations_path, evaluations)
     except OSError as error:
@@ -248,8 +248,12 @@ def check_devices(config: TrainConfig) -> None:
 
 
 def start_fork_server(config: TrainConfig) -> ForkServer | None:
-    """What the processes of a run are forked from, before the command itself has done all that it does until then: the
-    server imports meanwhile, on another core. None where there will be none."""
+    """Starts the process that those of a run are forked from, early: it imports on another core while the command goes
+    on.
+
+    None where there will be none.
+
+    """
     if config.run.placement == "local" or "RAY_ADDRESS" in os.environ or not ForkServer.can_run():
         return None
     return ForkServer(MODULES)
@@ -263,7 +267,7 @@ def _failed_run(run: RunDirectory, error: ProcessFailedError | TooManyLossesErro
             where = f"; traceback in {run.write_log(error.process.replace(' ', '_'), error.details)}"
         except OSError as fault:
             where = f"; its traceback could not be written ({one_line(fault)})"
-    return RunFailedError(f"{error}{where}; checkpoints are kept, go on with --run {run.path} --resume")
+    return RunFailedError(f"{error}{where}; checkpoints are untouched, go on with --run {run.path} --resume")
 
 
 def _start_roles(
@@ -272,7 +276,7 @@ def _start_roles(
     reporter: RunReporter,
     recorder: Recorder,
     fork_server: ForkServer | None,
-) -> tuple[Backend, Trainer, Curator | None, Evaluations | None, Resizing | None]:
+) -> Roles:
     hold_to_cpu(config)
     check_devices(config)
     if config.run.placement == "local":
@@ -281,7 +285,7 @@ def _start_roles(
         worker = ProcessPlan(role="worker", index=0)
         local = LocalBackend()
         here = ColocatedTrainer(config, local, [worker])
-        return local, here, _curator(config, local, here, [ProcessPlan(role="curator", index=0)]), None, None
+        return Roles(trainer=here, curator=_curator(config, local, here, [ProcessPlan(role="curator", index=0)]))
     if "RAY_ADDRESS" in os.environ:
         use_token()
     from kinetix_dist.runtime.driver.resizing import Resizing
@@ -306,15 +310,16 @@ def _start_roles(
         trainer = ColocatedTrainer(config, backend, placement.of("worker"))
     curator = _curator(config, backend, trainer, placement.of("curator"))
     evaluators = placement.of("evaluator")
-    told = {"on_event": run.event, "on_rollouts": recorder}
-    evaluations = Evaluations(config, trainer, evaluators[0], **told) if evaluators else None
-    beside: dict[str, CuratorClient | Evaluations] = {}
+    evaluations = None
+    if evaluators:
+        evaluations = Evaluations(config, trainer, evaluators[0], on_event=run.event, on_rollouts=recorder)
+    background: dict[str, CuratorClient | Evaluations] = {}
     if isinstance(curator, CuratorClient):
-        beside["curator"] = curator
+        background["curator"] = curator
     if evaluations is not None:
-        beside["evaluator"] = evaluations
-    resizing = Resizing(config, backend, placement, trainer, beside, on_event=run.event, on_note=reporter.note)
-    return backend, trainer, curator, evaluations, resizing
+        background["evaluator"] = evaluations
+    resizing = Resizing(config, backend, placement, trainer, background, on_event=run.event, on_note=reporter.note)
+    return Roles(trainer=trainer, curator=curator, evaluations=evaluations, resizing=resizing)
 
 
 def _curator(config: TrainConfig, backend: Backend, trainer: Trainer, plans: Sequence[ProcessPlan]) -> Curator | None:
@@ -322,7 +327,7 @@ def _curator(config: TrainConfig, backend: Backend, trainer: Trainer, plans: Seq
         return None
     if config.workers_curate:
         assert isinstance(trainer, ColocatedTrainer), "TrainConfig refuses it for other placements"
-        return CurationByWorkers(trainer)
+        return WorkerCurator(trainer)
     return CuratorClient(config, backend, plans)
 
 

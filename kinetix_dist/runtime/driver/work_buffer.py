@@ -36,16 +36,16 @@ class Work:
 
     update: int  # the update it is for
     part: int  # which part of the worlds
-    stamp: Mapping[str, Any]  # what the rollout actor says of it: "policy_version", "num_env_steps" and more
+    header: Mapping[str, Any]  # what the rollout actor says of it: "policy_version", "num_env_steps" and more
 
     @property
     def policy_version(self) -> int:
-        """Of the policy that acted."""
-        return self.stamp["policy_version"]
+        """Version of the policy that acted."""
+        return self.header["policy_version"]
 
     @property
     def num_env_steps(self) -> int:
-        return self.stamp["num_env_steps"]
+        return self.header["num_env_steps"]
 
 
 class WorkBuffer:
@@ -116,7 +116,7 @@ class WeightStore:
 
     def get(self, version: int) -> Any:
         if version not in self._weights:
-            raise LookupError(f"policy version {version} is not kept; kept are {sorted(self._weights)}")
+            raise LookupError(f"policy version {version} is not stored; stored are {sorted(self._weights)}")
         return self._weights[version]
 
 
@@ -134,17 +134,17 @@ def copy_metrics(processes: Sequence[Copied]) -> dict[str, float]:
 
 
 def added(parts: Sequence[Copied]) -> dict[str, tuple[int, float]]:
-    """Of one process, which copied several parts one after another."""
+    """Copies of one process summed: it made several, one after another."""
     names = dict.fromkeys(name for copied in parts for name in copied)
     of = {name: [copied[name] for copied in parts if name in copied] for name in names}
     return {name: (sum(size for size, _ in found), sum(s for _, s in found)) for name, found in of.items()}
 
 
-def straggler_metrics(stamps: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """The slowest rollout actor of a batch; nothing where there is one only. stamps: in the order of actors."""
-    if len(stamps) < 2:
+def straggler_metrics(headers: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """The slowest rollout actor of a batch; nothing where there is one only. headers: in the order of actors."""
+    if len(headers) < 2:
         return {}
-    seconds = [stamp["seconds"] for stamp in stamps]
+    seconds = [header["seconds"] for header in headers]
     slowest = seconds.index(max(seconds))
     others = statistics.median(seconds[:slowest] + seconds[slowest + 1 :])
     return {"runtime/slowest_actor": float(slowest), "runtime/slowest_actor_lag_seconds": seconds[slowest] - others}
@@ -162,39 +162,39 @@ class Stragglers:
         self._on_event = on_event
         self._found: dict[int, _Found] = {}  # by number of the actor
 
-    def add(self, update: int, stamps: Sequence[Mapping[str, Any]]) -> None:
+    def add(self, update: int, headers: Sequence[Mapping[str, Any]]) -> None:
         """Takes what the actors say of a batch, in their order: "seconds" and "num_env_steps"."""
-        for actor, stamp in enumerate(stamps):
-            others = [*stamps[:actor], *stamps[actor + 1 :]]
+        for actor, header in enumerate(headers):
+            others = [*headers[:actor], *headers[actor + 1 :]]
             if not others:
                 return
             seconds = statistics.median(other["seconds"] for other in others)
             found = self._found.setdefault(actor, _Found())
-            is_slow = stamp["seconds"] > TIMES_THE_OTHERS * seconds * _more_work(stamp, others)
-            if found.is_news(is_slow=is_slow):
+            is_slow = header["seconds"] > TIMES_THE_OTHERS * seconds * _more_work(header, others)
+            if found.becomes_straggler(is_slow=is_slow):
                 self._on_event(
                     "straggler",
                     process=f"rollout {actor}",
                     update=update,
                     in_a_row=UPDATES_IN_A_ROW,
-                    seconds=round(stamp["seconds"], 3),
+                    seconds=round(header["seconds"], 3),
                     seconds_of_others=round(seconds, 3),
                 )
 
-    def forget(self, actor: int) -> None:
+    def reset(self, actor: int) -> None:
         """Another process, perhaps on another machine, has taken its place."""
         self._found.pop(actor, None)
 
 
 @dataclasses.dataclass
 class _Found:
-    """Of one actor."""
+    """State of one actor."""
 
     is_straggler: bool = False
     in_a_row: int = 0  # batches that say the contrary
 
-    def is_news(self, *, is_slow: bool) -> bool:
-        """Whether it has become one with this batch."""
+    def becomes_straggler(self, *, is_slow: bool) -> bool:
+        """Says whether it has become a straggler with this batch."""
         self.in_a_row = self.in_a_row + 1 if is_slow != self.is_straggler else 0
         if self.in_a_row < UPDATES_IN_A_ROW:
             return False
@@ -202,9 +202,9 @@ class _Found:
         return is_slow
 
 
-def _more_work(stamp: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> float:
+def _more_work(header: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> float:
     """Times the steps of the others that an actor plays, where it plays more: parts need not be of one size.
 
     Never below 1: a part of half the size takes more than half the time, on GPUs nearly as much.
     """
-    return max(stamp["num_env_steps"] / statistics.median(other["num_env_steps"] for other in others), 1.0)
+    return max(header["num_env_steps"] / statistics.median(other["num_env_steps"] for other in others), 1.0)

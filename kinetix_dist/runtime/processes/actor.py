@@ -40,7 +40,7 @@ COMPILING = (
 
 @dataclasses.dataclass(frozen=True)
 class Doing:
-    """What a process is at."""
+    """Activity of a process."""
 
     what: str
     is_waiting: bool  # for work, a device or its group: another process may be the cause
@@ -64,10 +64,10 @@ class InStore:
         return value
 
 
-@ray.remote(concurrency_groups={"control": 1, "beside": 1})
+@ray.remote(concurrency_groups={"control": 1, "background": 1})
 class ProcessActor:
     """Holds one core. Methods are called one at a time, except `ping`, `doing` and `read`, which have a thread, and
-    `call_beside`, which has another."""
+    `call_in_background`, which has another."""
 
     def __init__(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> None:
         """`build(*arguments)` makes the core, later: a group has to be joined before JAX computes anything."""
@@ -89,17 +89,17 @@ class ProcessActor:
 
     @ray.method(concurrency_group="control")
     def doing(self) -> Doing:
-        """What this process is at, while a call runs too."""
+        """Activity of this process, while a call runs too."""
         found = [_doing(thread, *working) for thread, working in list(self._working.items())]
         return next((one for one in found if not one.is_waiting), found[0]) if found else Doing("idle", True)
 
     @ray.method(concurrency_group="control")
     def read(self) -> Reading:
-        """What this process measures of itself, while a call runs too."""
+        """Measurements of this process by itself, while a call runs too."""
         return self._meter.read(has_device=self._core is not None)
 
     def prepare(self) -> dict[str, Any]:
-        """Before JAX starts: tells XLA how much of the GPU is its own. Returns where the process is, what it has, and
+        """Before JAX starts: sets how much of the GPU is XLA's. Returns where the process is, what it has, and
         where its packages come from."""
         with self._failures("prepare"):
             if self._plan.memory is not None:
@@ -143,20 +143,20 @@ class ProcessActor:
             self._meter.moved(arguments, answer)
             return answer
 
-    def call_stamped(self, method: str, *arguments: Any) -> Generator[Any]:
-        """The same of a method that returns (stamp, content), as (content, stamp with the cost of storing the content).
+    def call_with_header(self, method: str, *arguments: Any) -> Generator[Any]:
+        """Calls a method that returns (header, content); gives content, then header with the cost of storing content.
 
-        Ray stores what a generator gives before it asks for more.
+        Ray stores what a generator gives before it resumes it.
         """
         with self._failures(method), self._meter.calling(method):
-            stamp, content = getattr(self._core, method)(*arguments)
+            header, content = getattr(self._core, method)(*arguments)
             self._meter.moved(arguments, content)
             began = time.monotonic()
             yield content
-            yield {**stamp, "put": (bytes_of(content), time.monotonic() - began)}
+            yield {**header, "put": (bytes_of(content), time.monotonic() - began)}
 
-    @ray.method(concurrency_group="beside")
-    def call_beside(self, method: str, *arguments: Any) -> Any:
+    @ray.method(concurrency_group="background")
+    def call_in_background(self, method: str, *arguments: Any) -> Any:
         """`core.method(*arguments)` while another call runs. What is in the object store the method fetches."""
         for argument in arguments:
             if isinstance(argument, InStore):

@@ -22,14 +22,14 @@ from kinetix_dist.runtime.processes.failures import Loss, Losses, WorkerLostErro
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
-class Ticket(Protocol):
+class Future(Protocol):
     """An answer that may not be there yet. As an argument of a call it stands for the answer and is not copied."""
 
     def fetch(self) -> Any:
         """The answer; waits for it. Raises as `Backend.gather` does."""
 
     def fetch_in_thread(self) -> Any:
-        """The same for other threads than that of the run: nobody watches the process meanwhile, and what is lost
+        """The same for other threads than that of the run: the process is not watched meanwhile, and a loss
         raises an error of the backend's own."""
 
     def is_ready(self) -> bool: ...
@@ -46,19 +46,19 @@ class Handle(Protocol):
 
     plan: ProcessPlan
 
-    def call(self, method: str, *arguments: Any) -> Ticket:
-        """Asks for `core.method(*arguments)`; calls of one handle are done in order."""
+    def call(self, method: str, *arguments: Any) -> Future:
+        """Calls `core.method(*arguments)`; calls of one handle are done in order."""
 
-    def call_stamped(self, method: str, *arguments: Any) -> tuple[Ticket, Ticket]:
-        """The same for a method that returns (stamp, content): the small stamp can be fetched without the content.
+    def call_with_header(self, method: str, *arguments: Any) -> tuple[Future, Future]:
+        """The same for a method that returns (header, content): the small header can be fetched without the content.
 
-        The stamp, a dictionary, also gets "put": bytes of the content and seconds that storing it took.
+        The header, a dictionary, also gets "put": bytes of the content and seconds that storing it took.
         """
 
-    def call_beside(self, method: str, *arguments: Any) -> Ticket:
+    def call_in_background(self, method: str, *arguments: Any) -> Future:
         """The same while another call runs; calls of this kind are done in order.
 
-        A ticket as an argument stays one: the method fetches it. Its answer has to be there already.
+        A future as an argument stays one: the method fetches it. Its answer has to be there already.
         """
 
 
@@ -76,7 +76,7 @@ class Backend(Protocol):
 
     sections: Sections  # which section of the run waits for processes, and how long it may
     losses: Losses  # of processes so far
-    works_beside: bool  # what is asked of a process is done while others work, and the driver goes on
+    works_in_background: bool  # a call runs while others run, and the driver goes on
 
     def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[Handle]:
         """One core a plan, as `Group` says; several that join a group form one JAX world, by rank."""
@@ -84,29 +84,34 @@ class Backend(Protocol):
     def spawn_groups(self, groups: Sequence[Group]) -> list[list[Handle]]:
         """The same for several groups at the same time: no process waits for one that it does not join."""
 
-    def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> Handle:
-        """The same for one process, without waiting for it: what is asked of it is done once it has started."""
+    def spawn_in_background(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> Handle:
+        """The same for one process, without waiting for it: calls are made once it has started."""
 
-    def watch(self, handle: Handle, ticket: Ticket) -> float:
+    def watch(self, handle: Handle, future: Future) -> float:
         """s for which the process of a handle has not answered a ping; 0 where it is well, or the answer is there.
 
         Raises as `gather` does where the answer is a loss or a failure. Does not wait.
         """
 
     @property
-    def has_lost_room(self) -> bool:
-        """Whether nodes were lost without which the processes of the run have no room; it comes back with them."""
+    def has_lost_resources(self) -> bool:
+        """Says whether nodes were lost without which the processes of the run do not fit; the resources return with
+        them."""
         ...
 
-    def put(self, value: Any) -> Ticket:
+    def put(self, value: Any) -> Future:
         """A value that many calls are given, stored once."""
 
-    def gather(self, tickets: Sequence[Ticket]) -> list[Any]:
+    def gather(self, futures: Sequence[Future]) -> list[Any]:
         """All answers. Raises WorkerLostError as soon as a process is lost, ProcessFailedError as soon as one fails."""
 
-    def first_of(self, tickets: Sequence[Ticket], *, beside: Sequence[Handle] = ()) -> list[Ticket]:
-        """Those that are answered or lost: waits until it is one at least. Raises WorkerLostError where a process is
-        silent for too long or the limit of the section is exceeded, and where one of `beside` is lost."""
+    def first_ready(self, futures: Sequence[Future], *, watched: Sequence[Handle] = ()) -> list[Future]:
+        """Futures that are answered or lost: waits until there is one at least.
+
+        Raises WorkerLostError where a process is silent for too long or the limit of the section is exceeded, and where
+        one of `watched` is lost.
+
+        """
 
     def check(self, handles: Sequence[Handle]) -> None:
         """Raises WorkerLostError where one of them is lost. Does not wait; a death is noticed within five seconds."""
@@ -115,13 +120,13 @@ class Backend(Protocol):
         """Raises WorkerLostError where these, who are waited for, exceed the limit of the section."""
 
     def facts(self, handles: Sequence[Handle]) -> list[dict[str, Any]]:
-        """For the report, of each process: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""
+        """Facts of each process for the report: "process", "pid", "host", "device", on a GPU "gpu" and "memory_mib"."""
 
     def measures(self) -> dict[str, float]:
         """Metrics of all processes: idle shares, memory, what was compiled and moved. Does not wait."""
 
     def processes(self) -> list[dict[str, Any]]:
-        """Of each process what processes.jsonl says, as old as `measures`."""
+        """Rows of processes.jsonl, one a process, as old as `measures`."""
 
     def kill(self, handles: Sequence[Handle]) -> None:
         """Ends processes and returns when they are gone."""
@@ -129,15 +134,15 @@ class Backend(Protocol):
     def stop(self) -> None: ...
 
 
-class ProcessBeside:
-    """It starts with the first request."""
+class BackgroundProcess:
+    """Process that works in the background, one call at a time. It starts with the first request."""
 
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan) -> None:
         self._config = config
         self._backend = backend
         self._plan = plan
         self._handle: Handle | None = None
-        self._call: tuple[Ticket, Ticket] | None = None  # what the process is at: its seconds, what it gives
+        self._call: tuple[Future, Future] | None = None  # what the process is at: its seconds, what it gives
         self._losses: list[Loss] = []  # since something was taken
 
     def place(self, plans: Sequence[ProcessPlan]) -> None:
@@ -151,7 +156,7 @@ class ProcessBeside:
 
     def _started(self, build: Callable[..., Any]) -> Handle:
         if self._handle is None:
-            self._handle = self._backend.spawn_beside(self._plan, build, self._config)
+            self._handle = self._backend.spawn_in_background(self._plan, build, self._config)
         return self._handle
 
     def _silence(self, *, is_waited_for: bool) -> float:
@@ -186,7 +191,7 @@ class Sections:
         self.limit_s = _FOREVER
         self.since = 0.0  # time.monotonic() of its beginning
         self._deadline = _FOREVER
-        self._last_deadline = _FOREVER  # however long somebody compiles
+        self._last_deadline = _FOREVER  # however long a process compiles
         self._compiled: set[str] = set()
 
     @contextmanager
@@ -210,14 +215,14 @@ class Sections:
 
     @property
     def limits_in_words(self) -> str:
-        """Which the section that runs now has."""
+        """Limits of the section that runs now, in words."""
         words = f"the {self.limit_s:g} s of run.limits.{self.name}"
         if self._last_deadline > self.since + self.limit_s:  # a pass that may compile
             words += f" and the {self.limits['compile']:g} s of run.limits.compile"
         return words
 
     def extend(self) -> bool:
-        """Somebody compiles, at a first pass: the limit counts from now. False where that took too long already."""
+        """Restarts the limit where a process compiles, at a first pass. False where that took too long already."""
         self._deadline = min(time.monotonic() + self.limits.get(self.name, _FOREVER), self._last_deadline)
         return not self.is_overdue
 
@@ -225,7 +230,7 @@ class Sections:
         """A process was replaced in the middle of a section: the new one has all of the time, and compiles."""
         self._begin(is_compiled=False)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """All processes are started afresh: what they do first, they compile."""
         self._compiled.clear()
 

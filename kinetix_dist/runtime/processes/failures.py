@@ -22,10 +22,10 @@ from kinetix_dist.telemetry.names import ROLES
 
 MAX_REASON = 400  # characters: XLA's messages can be pages
 
-# In the text of an error: XLA's pool is full; or memory of the device beyond it, which Warp and CUDA ask for.
+# In the text of an error: XLA's pool is full; or memory of the device beyond it, which Warp and CUDA allocate.
 POOL_IS_FULL = ("RESOURCE_EXHAUSTED",)
 DEVICE_IS_FULL = ("Warp CUDA error 2", "CUDA_ERROR_OUT_OF_MEMORY", "cudaErrorMemoryAllocation")
-# What a process hears whose group lost another one, in a collective or from the coordinator.
+# Errors of a process whose group lost another one, in a collective or from the coordinator.
 GROUP_IS_BROKEN = (
     "heartbeat",
     "Gloo",
@@ -38,7 +38,7 @@ GROUP_IS_BROKEN = (
     "Connection closed",
     "Socket closed",
 )
-# What rank 0 of a group hears where another program took the coordinator's port after it was found free.
+# Error of rank 0 of a group where another program took the coordinator's port after it was found free.
 PORT_IS_TAKEN = ("Failed to start RPC server",)
 
 ADVICE = {
@@ -71,7 +71,7 @@ class InputLostError(WorkerLostError):
 
 
 def silent(process: str, seconds: float) -> WorkerLostError:
-    """Of a process that has not answered for so long."""
+    """Loss of a process that has not answered for so long."""
     return WorkerLostError(
         f"{process} has not answered for {seconds:.0f} s", process=process, since=time.monotonic() - seconds
     )
@@ -82,7 +82,7 @@ class TooManyLossesError(RuntimeError):
 
 
 class ProcessFailedError(RuntimeError):
-    """A process raised an error at what it was asked to do."""
+    """A process raised an error in a call."""
 
     def __init__(self, process: str, reason: str, details: str = "") -> None:
         """`reason`: one line. `details`: the traceback, for a log file."""
@@ -96,12 +96,12 @@ class ProcessFailedError(RuntimeError):
 
     @property
     def is_loss_of_group(self) -> bool:
-        """Whether another process of its group is the cause: a collective broke."""
+        """Says whether another process of its group is the cause: a collective broke."""
         return any(sign in self.reason for sign in GROUP_IS_BROKEN)
 
     @property
     def is_taken_port(self) -> bool:
-        """Whether the port of its group's coordinator was taken: with another one it may go well."""
+        """Says whether the port of its group's coordinator was taken: with another one it may go well."""
         return any(sign in self.reason for sign in PORT_IS_TAKEN)
 
 
@@ -136,7 +136,7 @@ def _short(text: str, length: int) -> str:
 
 
 HOUR_S = 3600.0
-MAX_LOG_BYTES = 65536  # of the end of a log that is kept
+MAX_LOG_BYTES = 65536  # of the end of a log that is stored
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ class Loss:
 
 
 class Losses:
-    """Of one run."""
+    """Losses of one run."""
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class Losses:
         on_note: Callable[[str], None] = lambda message: None,
         on_log: Callable[[str, str], Path | None] = lambda name, text: None,
     ) -> None:
-        """limit: of losses within an hour. on_log(name, text): keeps what a lost process wrote last; where it is."""
+        """limit: of losses within an hour. on_log(name, text): stores the last output of a process; returns where."""
         self._limit = limit
         self._on_log = on_log
         self._logs: dict[str, Path] = {}  # by process: the files of this host that they write their errors to
@@ -186,7 +186,7 @@ class Losses:
         """Tells of a loss and counts it. Raises TooManyLossesError where that was one too many within an hour."""
         now = time.monotonic()
         role = error.process.split()[0] if error.process else ""
-        role = role if role in ROLES else "worker"  # not told by whom: it is the group then
+        role = role if role in ROLES else "worker"  # no process is named: it is the group then
         since = error.since if error.since is not None else now
         loss = Loss(process=error.process, role=role, section=error.section, update=self.update, since=since)
         self._times.append(now)
@@ -194,11 +194,11 @@ class Losses:
             self._times.popleft()
         count = len(self._times)
         details = {"process": loss.process, "role": role, "section": loss.section, "update": loss.update}
-        kept = self._keep_logs(loss)
-        log = {"log": str(kept)} if kept is not None else {}
+        stored = self._store_logs(loss)
+        log = {"log": str(stored)} if stored is not None else {}
         self._on_event("process_lost", **details, error=str(error), restart=count, **log)
         where = f" (section {loss.section!r})" if loss.section else ""
-        where += f"; what it wrote last is in {kept}" if kept is not None else ""
+        where += f"; what it wrote last is in {stored}" if stored is not None else ""
         if count > self._limit:
             raise TooManyLossesError(
                 f"{error}{where}; that is loss {count} within an hour, and run.max_restarts is {self._limit}"
@@ -207,14 +207,18 @@ class Losses:
         self._on_note(f"{error}{where}; restart {count} of {self._limit} within an hour")
         return loss
 
-    def _keep_logs(self, loss: Loss) -> Path | None:
-        """Of the lost process and the others of its role: one that dies takes its group along. Where that of the lost
-        one is, if it wrote anything."""
+    def _store_logs(self, loss: Loss) -> Path | None:
+        """Stores the ends of the logs of the lost process and the others of its role: one that dies takes its group
+        along.
+
+        Returns where that of the lost one is, if it wrote anything.
+
+        """
         found = None
         for process, log in self._logs.items():
             if process.split()[0] == loss.role and (text := _end_of(log)):
-                kept = self._on_log(process.replace(" ", "_"), text)
-                found = kept if process == loss.process else found
+                stored = self._on_log(process.replace(" ", "_"), text)
+                found = stored if process == loss.process else found
         return found
 
     def recovered(self, loss: Loss, *, update: int) -> None:

@@ -1,9 +1,10 @@
-"""What Ray runs to set up a process of a run: it asks the fork server for one (`fork_server.py`).
+"""Client of the fork server, which Ray runs to set up a process of a run (`fork_server.py`).
 
     python fork_client.py /.../default_worker.py ARGUMENTS...        stdin, stdout and stderr are handed over
 
-It stands in for Ray's own setup_worker.py, and runs that where the server is not to be asked, or cannot give a process.
-It imports nothing of the project, nor Ray: it has to be short.
+It stands in for Ray's own setup_worker.py, and runs that where no server is to be used, or the server cannot give a
+process. It imports nothing of the project, nor Ray: it has to be short.
+
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import struct
 import sys
 from pathlib import Path
 
-SERVER = "KINETIX_DIST_FORK_SERVER"  # environment variable: the server to ask
+SERVER = "KINETIX_DIST_FORK_SERVER"  # environment variable: the name of the server
 CAN_FORK, FORK, FORKED = b"1", b"2", b"3"  # of the server, of the client, of the server
 ANSWER_LIMIT_S = 20.0  # it may still be importing; after run.heartbeat_seconds the process would count as lost
 _CONTEXT, _LANGUAGE = "--serialized-runtime-env-context=", "--language="

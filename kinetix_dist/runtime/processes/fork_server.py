@@ -10,7 +10,7 @@ shared until it is written to.
     kinetix_dist.runtime.processes.fork_server DESCRIPTOR MODULE...        stdin is a pipe from the driver
 
 consumes      requests, at a socket of the abstract namespace: of this user alone, and without a file to leave behind
-produces      processes, its own children, so that whoever looks for what a driver started finds them
+produces      processes, its own children, so that a search for the processes of a driver finds them
 waits for     requests; the end of the pipe
 unblocked by  the end of the driver, or `ForkServer.stop`
 
@@ -74,7 +74,7 @@ class ForkServer:
 
     @staticmethod
     def can_run() -> bool:
-        """Whether this system has abstract sockets."""
+        """Says whether this system has abstract sockets."""
         return sys.platform == "linux"
 
     @property
@@ -83,8 +83,8 @@ class ForkServer:
         return {SERVER: self._name}
 
     @staticmethod
-    def asked_by_ray() -> contextlib.AbstractContextManager[None]:
-        """A Ray that is started inside asks for its processes by `fork_client.py`."""
+    def used_by_ray() -> contextlib.AbstractContextManager[None]:
+        """Lets a Ray that is started inside set up its processes by `fork_client.py`."""
         return processes_set_up_by(CLIENT)
 
     @property
@@ -93,7 +93,7 @@ class ForkServer:
 
     @property
     def why_no_answer(self) -> str:
-        """What keeps it from answering, as far as can be seen; empty: nothing."""
+        """Reason why it does not answer, as far as can be seen; empty: none."""
         try:
             if psutil.Process(self.pid).status() == psutil.STATUS_STOPPED:
                 return "is stopped"
@@ -108,7 +108,7 @@ class ForkServer:
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """A process that is asked for."""
+    """Request for a process."""
 
     command: list[str]  # a script and its arguments
     environment: dict[str, str]
@@ -117,7 +117,7 @@ class Request:
 
 
 def serve(listener_number: int, modules: Sequence[str]) -> Request | None:
-    """Returns None when stdin has ended; and in each process that was forked, what that was asked for.
+    """Returns None when stdin has ended; and in each process that was forked, its request.
 
     listener_number: descriptor of a socket that listens. modules: to import first.
     """
@@ -134,7 +134,8 @@ def serve(listener_number: int, modules: Sequence[str]) -> Request | None:
 
 
 def _import_all(modules: Sequence[str]) -> None:
-    """What every process of a run imports: not Ray itself, whose numbers at random would be the same in all forks."""
+    """Imports the modules of every process of a run: not Ray itself, whose random numbers would be the same in all
+    forks."""
     gc.disable()  # all that is imported stays: looking for garbage in it takes a seventh of the time
     import google.protobuf.json_format  # noqa: F401
     import jax  # noqa: F401
@@ -216,5 +217,5 @@ def become(request: Request) -> None:
 
 
 if __name__ == "__main__":
-    if (asked := serve(int(sys.argv[1]), sys.argv[2:])) is not None:
-        become(asked)
+    if (request := serve(int(sys.argv[1]), sys.argv[2:])) is not None:
+        become(request)

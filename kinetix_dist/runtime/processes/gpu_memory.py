@@ -5,7 +5,7 @@ XLA takes its pool in advance, so the needs of others have to be left out of it.
     budget    of a process: the curator what its scoring needs, a worker (learner, rollout actor) the rest of its GPU
     reserve   of a budget, outside of XLA's pool: CUDA context, loaded programs, local memory of the engine's threads,
               NCCL where several processes form one JAX world
-    pool      budget - reserve; XLA is told its share of the GPU before JAX starts
+    pool      budget - reserve; XLA gets its share of the GPU before JAX starts
 
 Budgets follow from the run's configuration (`MemoryNeeds`) and from the GPU that a process finds itself on (`Gpu`), so
 processes that share a GPU come to the same table without asking each other. Measured on one H200, jax 0.11: a context
@@ -32,7 +32,7 @@ GIB = 1 << 30
 CONTEXT_BYTES = 640 * MIB  # a JAX process: 560 measured
 PROGRAMS_BYTES = 512 * MIB  # loaded programs: 250 measured
 NCCL_BYTES = 1536 * MIB  # channels and buffers of a rank: an estimate, a few hundred for two GPUs
-UNUSED_SHARE = 0.02  # of a GPU, to nobody: rounding, fragments, what else runs on it
+UNUSED_SHARE = 0.02  # of a GPU, left free: rounding, fragments, what else runs on it
 MIN_POOL_BYTES = 256 * MIB  # less is taken for a mistake
 
 # Local memory that CUDA sets aside for a thread comes on top of what the context has already.
@@ -47,7 +47,7 @@ THREAD_MARGIN = 1.15
 # were measured at 309 MiB with all else. Hence a margin of four.
 SCORING_TENSORS = 8  # of tokens
 SCORING_MARGIN = 4
-CANDIDATE_BYTES = 16 * 1024  # a level twice, while the best are kept
+CANDIDATE_BYTES = 16 * 1024  # a level twice, while the best are selected
 MIN_CURATOR_POOL_BYTES = GIB
 
 
@@ -67,7 +67,7 @@ class Gpu:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MemoryNeeds:
-    """What one process needs on a GPU, known before there is one."""
+    """Needs of one process on a GPU, known before there is one."""
 
     process: str  # "worker 0"
     thread_bytes: int  # local memory of a thread of its largest engine
@@ -86,7 +86,7 @@ class GpuShare:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Of one process on its GPU."""
+    """Budget of one process on its GPU."""
 
     process: str
     gpu: Gpu
@@ -99,7 +99,7 @@ class Budget:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What XLA has to be told before JAX starts."""
+        """Environment variables that XLA reads before JAX starts."""
         return {
             "XLA_PYTHON_CLIENT_PREALLOCATE": "true",
             "XLA_CLIENT_MEM_FRACTION": f"{self.pool_bytes / self.gpu.total_bytes:.6f}",
@@ -162,13 +162,13 @@ def budget_of(process: str, share: GpuShare, gpu: Gpu) -> Budget:
 
 
 def reserve_bytes(needs: MemoryNeeds, gpu: Gpu) -> int:
-    """What a process takes outside of XLA's pool."""
+    """Bytes that a process takes outside of XLA's pool."""
     nccl = NCCL_BYTES if needs.num_in_group > 1 else 0
     return CONTEXT_BYTES + PROGRAMS_BYTES + local_memory_bytes(needs.thread_bytes, gpu) + nccl
 
 
 def local_memory_bytes(thread_bytes: int, gpu: Gpu) -> int:
-    """What CUDA sets aside for every thread that can be resident, once a process, for its most demanding kernel."""
+    """Bytes that CUDA sets aside for all resident threads, once a process, for its most demanding kernel."""
     return max(0, thread_bytes - CONTEXT_THREAD_BYTES) * gpu.num_sms * gpu.threads_per_sm
 
 
@@ -182,17 +182,17 @@ def thread_bytes(capacity: Capacity) -> int:
 
 
 def curator_pool_bytes(config: TrainConfig) -> int:
-    """What scoring a batch of levels needs of XLA, and the candidates of a refresh."""
+    """Bytes of XLA's pool for scoring a batch of levels, and the candidates of a refresh."""
     curriculum = config.curriculum
-    return playing_bytes(config, curriculum.scoring_batch, beside=CANDIDATE_BYTES * curriculum.num_candidates)
+    return playing_bytes(config, curriculum.scoring_batch, extra=CANDIDATE_BYTES * curriculum.num_candidates)
 
 
-def playing_bytes(config: TrainConfig, num_worlds: int, *, beside: int = 0) -> int:
-    """What playing so many worlds at once without learning needs of XLA, with a margin of four, and what is beside."""
+def playing_bytes(config: TrainConfig, num_worlds: int, *, extra: int = 0) -> int:
+    """Bytes of XLA's pool for playing so many worlds at once without learning, with a margin of four, plus `extra`."""
     capacity, policy = config.env.capacity, config.policy
     rows = capacity.shapes + 1 + 2 * capacity.joints + capacity.thrusters
     numbers = SCORING_TENSORS * rows * policy.encoder_size + 2 * policy.num_heads * capacity.shapes**2
-    return max(MIN_CURATOR_POOL_BYTES, SCORING_MARGIN * 4 * numbers * num_worlds + beside)
+    return max(MIN_CURATOR_POOL_BYTES, SCORING_MARGIN * 4 * numbers * num_worlds + extra)
 
 
 def this_gpu() -> Gpu:
@@ -266,7 +266,7 @@ def _device() -> tuple[ctypes.CDLL, ctypes.c_void_p] | None:
 
 
 def gpu_used_share() -> float | None:
-    """Of this process's GPU, what all programs together use; None on a CPU, or where the driver does not say."""
+    """Share of this process's GPU that all programs together use; None on a CPU, or where the driver does not say."""
     import jax
 
     if jax.default_backend() != "gpu" or (found := _device()) is None:
@@ -291,7 +291,7 @@ class Pool(NamedTuple):
 
 
 def pool_use() -> Pool | None:
-    """Of this process's GPU; None on a CPU, or where JAX does not say."""
+    """XLA's pool on this process's GPU; None on a CPU, or where JAX does not say."""
     import jax
 
     statistics = (jax.local_devices()[0].memory_stats() if jax.default_backend() == "gpu" else None) or {}

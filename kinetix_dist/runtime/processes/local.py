@@ -14,7 +14,7 @@ from kinetix_dist.runtime.processes.placement import ProcessPlan
 
 
 @dataclasses.dataclass(frozen=True)
-class LocalTicket:
+class LocalFuture:
     """An answer that is there already."""
 
     value: Any
@@ -36,23 +36,23 @@ class LocalHandle:
         self.plan = plan
         self._core = core
 
-    def call(self, method: str, *arguments: Any) -> LocalTicket:
-        values = [argument.value if isinstance(argument, LocalTicket) else argument for argument in arguments]
-        return LocalTicket(getattr(self._core, method)(*values))
+    def call(self, method: str, *arguments: Any) -> LocalFuture:
+        values = [argument.value if isinstance(argument, LocalFuture) else argument for argument in arguments]
+        return LocalFuture(getattr(self._core, method)(*values))
 
-    def call_stamped(self, method: str, *arguments: Any) -> tuple[LocalTicket, LocalTicket]:
-        stamp, content = self.call(method, *arguments).value
-        return LocalTicket({**stamp, "put": (0, 0.0)}), LocalTicket(content)
+    def call_with_header(self, method: str, *arguments: Any) -> tuple[LocalFuture, LocalFuture]:
+        header, content = self.call(method, *arguments).value
+        return LocalFuture({**header, "put": (0, 0.0)}), LocalFuture(content)
 
-    def call_beside(self, method: str, *arguments: Any) -> LocalTicket:
-        return LocalTicket(getattr(self._core, method)(*arguments))
+    def call_in_background(self, method: str, *arguments: Any) -> LocalFuture:
+        return LocalFuture(getattr(self._core, method)(*arguments))
 
 
 class LocalBackend:
     """Cores share this process and its devices."""
 
-    has_lost_room = False
-    works_beside = False
+    has_lost_resources = False
+    works_in_background = False
 
     def __init__(self) -> None:
         self.sections = Sections()
@@ -66,7 +66,7 @@ class LocalBackend:
     def spawn_groups(self, groups: Sequence[Group]) -> list[list[LocalHandle]]:
         return [self.spawn(group.plans, group.build, *group.arguments) for group in groups]
 
-    def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> LocalHandle:
+    def spawn_in_background(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> LocalHandle:
         return self.spawn([plan], build, *arguments)[0]
 
     def check(self, handles: Sequence[LocalHandle]) -> None:
@@ -75,26 +75,26 @@ class LocalBackend:
     def check_limit(self, handles: Sequence[LocalHandle]) -> None:
         del handles
 
-    def watch(self, handle: LocalHandle, ticket: LocalTicket) -> float:
-        del handle, ticket
+    def watch(self, handle: LocalHandle, future: LocalFuture) -> float:
+        del handle, future
         return 0.0
 
-    def put(self, value: Any) -> LocalTicket:
-        return LocalTicket(value)
+    def put(self, value: Any) -> LocalFuture:
+        return LocalFuture(value)
 
-    def gather(self, tickets: Sequence[LocalTicket]) -> list[Any]:
-        return [ticket.value for ticket in tickets]
+    def gather(self, futures: Sequence[LocalFuture]) -> list[Any]:
+        return [future.value for future in futures]
 
-    def first_of(self, tickets: Sequence[LocalTicket], *, beside: Sequence[LocalHandle] = ()) -> list[LocalTicket]:
-        del beside
-        return list(tickets)
+    def first_ready(self, futures: Sequence[LocalFuture], *, watched: Sequence[LocalHandle] = ()) -> list[LocalFuture]:
+        del watched
+        return list(futures)
 
     def facts(self, handles: Sequence[LocalHandle]) -> list[dict[str, Any]]:
-        """Of this process, once: all of its cores share it."""
+        """Facts of this process, once: all of its cores share it."""
         return [facts_of("local", None)] if handles else []
 
     def measures(self) -> dict[str, float]:
-        """Of this process. How busy it is says `time/idle`; nothing is moved between processes."""
+        """Measures of this process. `time/idle` says how busy it is; nothing is moved between processes."""
         self._reading = self._meter.read(has_device=True)
         found = summary([(None, self._reading)])
         return {name: value for name, value in found.items() if not name.startswith("runtime/moved_mib")}

@@ -1,6 +1,6 @@
 """Measurements of a process: where it runs, how busy it is, what it compiled, its memory, what it moved.
 
-    process:  Meter --Reading-->  backend (asks after every update, and never waits)  --summary()-->  metrics
+    process:  Meter --Reading-->  backend (requests one after every update, never waits)  --summary()-->  metrics
 
 A reading is taken in a thread of its own while a call runs, so it costs the call nothing.
 """
@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.child_python import difference_of_imports
+from kinetix_dist.program_cache import compile_seconds
 from kinetix_dist.runtime.processes.gpu_memory import GIB, MIB, Budget, Pool, gpu_used_share, pool_use
 from kinetix_dist.runtime.processes.placement import PlacementError
-from kinetix_dist.telemetry.compile_time import compile_seconds
 from kinetix_dist.telemetry.sizes import bytes_of
 
 _POOL = (("", "used"), ("peak_", "peak"), ("limit_", "limit"))  # parts of names in processes.jsonl, fields of Pool
@@ -28,7 +28,7 @@ _POOL = (("", "used"), ("peak_", "peak"), ("limit_", "limit"))  # parts of names
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Reading:
-    """Of one process, at one time."""
+    """Measurements of one process at one time."""
 
     name: str  # of the process
     role: str
@@ -142,8 +142,8 @@ def _idle(before: Reading, last: Reading) -> float:
 
 
 def whereabouts(budget: Budget | None) -> dict[str, Any]:
-    """Of the process that calls this: process id, host, and the file that it writes its errors to; with a `budget` also
-    its GPU and what it has of it."""
+    """Location of the process that calls this: process id, host, and the file that it writes its errors to; with a
+    `budget` also its GPU and how much of it."""
     where: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "log": _log_of_this_process()}
     if budget is not None:
         where["gpu"] = os.environ.get("CUDA_VISIBLE_DEVICES", "0")

@@ -44,7 +44,7 @@ class ProcessPlan:
 
     @property
     def joins_group(self) -> bool:
-        """Whether it forms one JAX world with the others of its role."""
+        """Says whether it forms one JAX world with the others of its role."""
         return self.role in ROLES_OF_GROUPS
 
 
@@ -67,14 +67,14 @@ def plan_placement(config: TrainConfig, *, num_gpus: int) -> Placement:
     devices, on_cpu = devices[: len(devices) - num_on_cpu], devices[len(devices) - num_on_cpu :]
     if on_gpus and len(devices) > num_gpus:
         raise PlacementError(_too_few_gpus(config, len(devices), num_gpus))
-    # Beside those that play, which have least to do of all that have a GPU; where none of these has, beside learners.
+    # Next to those that play, which have least to do of all on a GPU; where none of these has one, next to learners.
     first = config.run.num_learners if is_split else 0
-    beside = devices[first:] or devices
+    hosts = devices[first:] or devices
     if config.has_curator:
-        for index in range(min(config.run.num_curators, len(beside)) if on_gpus else config.run.num_curators):
-            beside[index % len(beside)].append(("curator", index))
-    if config.evaluates_beside:
-        beside[0].append(("evaluator", 0))
+        for index in range(min(config.run.num_curators, len(hosts)) if on_gpus else config.run.num_curators):
+            hosts[index % len(hosts)].append(("curator", index))
+    if config.evaluates_in_background:
+        hosts[0].append(("evaluator", 0))
     if not on_gpus:
         devices, on_cpu = [], devices
     return Placement(
@@ -141,9 +141,9 @@ def counted(number: int, role: str) -> str:
 
 
 def resolve_device(device: str, *, num_gpus: int) -> str:
-    """Which of "cpu" and "gpu"; raises PlacementError when a GPU is asked for and none is there."""
+    """Resolves "auto" to "cpu" or "gpu"; raises PlacementError when a GPU is requested and none is there."""
     if device == "gpu" and num_gpus == 0:
-        raise PlacementError("run.device is gpu, but no GPU is visible here; use --run.device cpu, or ask `doctor` why")
+        raise PlacementError("run.device is gpu, but no GPU is visible here; use --run.device cpu, or see `doctor`")
     if device == "auto":
         return "gpu" if num_gpus else "cpu"
     return device
@@ -187,39 +187,39 @@ def _in_order(processes: Iterable[ProcessPlan]) -> tuple[ProcessPlan, ...]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Room:
-    """For processes: one CPU slot each, and GPUs."""
+class Resources:
+    """Resources for processes: one CPU slot each, and GPUs."""
 
     cpus: int
     gpus: int
 
-    def __add__(self, other: Room) -> Room:
-        return Room(self.cpus + other.cpus, self.gpus + other.gpus)
+    def __add__(self, other: Resources) -> Resources:
+        return Resources(self.cpus + other.cpus, self.gpus + other.gpus)
 
-    def at_most(self, other: Room) -> Room:
-        return Room(min(self.cpus, other.cpus), min(self.gpus, other.gpus))
+    def at_most(self, other: Resources) -> Resources:
+        return Resources(min(self.cpus, other.cpus), min(self.gpus, other.gpus))
 
-    def holds(self, needed: Room) -> bool:
+    def holds(self, needed: Resources) -> bool:
         return self.cpus >= needed.cpus and self.gpus >= needed.gpus
 
 
-def needed_by(placement: Placement) -> Room:
+def needed_by(placement: Placement) -> Resources:
     gpus = {process.gpu for process in placement.processes if process.gpu is not None}
-    return Room(len(placement.processes), len(gpus))
+    return Resources(len(placement.processes), len(gpus))
 
 
-def total_room() -> Room:
-    """Of all nodes that live."""
+def total_resources() -> Resources:
+    """Resources of all nodes that live."""
     import ray
 
-    return _room(ray.cluster_resources())
+    return _resources(ray.cluster_resources())
 
 
-def free_room() -> Room:
-    """Of that, what nobody holds."""
+def free_resources() -> Resources:
+    """Resources that no process holds."""
     import ray
 
-    return _room(ray.available_resources())
+    return _resources(ray.available_resources())
 
 
 def nodes_in_words() -> str:
@@ -233,9 +233,9 @@ def nodes_in_words() -> str:
 
 
 def _in_words(resources: Mapping[str, float]) -> str:
-    room = _room(resources)
-    return f"{room.cpus} CPU slots, {room.gpus} GPUs"
+    resources = _resources(resources)
+    return f"{resources.cpus} CPU slots, {resources.gpus} GPUs"
 
 
-def _room(resources: Mapping[str, float]) -> Room:
-    return Room(int(resources.get("CPU", 0)), int(resources.get("GPU", 0)))
+def _resources(resources: Mapping[str, float]) -> Resources:
+    return Resources(int(resources.get("CPU", 0)), int(resources.get("GPU", 0)))

@@ -26,13 +26,13 @@ from kinetix_dist.runtime.processes.placement import PlacementError
 
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
 _COMPUTE_NOTHING = ("orbax-checkpoint", "ray")
-# Placements "local" and "colocated" run the same programs: same bits (split is told apart by the config hash).
+# Placements "local" and "colocated" run the same programs: same bits (split has another config hash).
 _MAKES_NO_DIFFERENCE = ("placement",)
 
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Of Python, of the packages that a run uses, and of the engine."""
+    """Versions of Python, of the packages that a run uses, and of the engine."""
     found = {"python": platform.python_version(), "engine": engine_revision()}
     for name in _PACKAGES:
         try:
@@ -66,9 +66,10 @@ def _revision(package: str) -> str:
 
 
 def what_differs(description: Mapping[str, Any], topology: Mapping[str, Any]) -> list[str]:
-    """What computes now and did not make the checkpoint so described: "devices 2 instead of 4", most telling first.
+    """Differences between what computes now and what made the checkpoint so described: "devices 2 instead of 4".
 
-    Empty where the same devices and versions go on, and for checkpoints of before these were kept.
+    Most telling first. Empty where the same devices and versions go on, and for checkpoints without this record.
+
     """
     now = {name: version for name, version in versions().items() if name not in _COMPUTE_NOTHING}
     pairs = ((topology, description.get("topology", {})), (now, description.get("versions", {})))
@@ -85,7 +86,7 @@ MAX_NAMED = 3  # differences, nodes: a line stays a line
 
 @dataclasses.dataclass(frozen=True)
 class Answer:
-    """Of one node."""
+    """Answer of one node."""
 
     node: str  # host name and address
     found: dict[str, Any]  # what `_look` returned there
@@ -96,7 +97,7 @@ def check_nodes(shared: Path) -> None:
     what this process writes into the directory `shared`."""
     with _mark(shared) as mark:
         here = _look(str(mark))
-        answers = [Answer(node, found) for node, found in ask_nodes(_look, str(mark))]
+        answers = [Answer(node, found) for node, found in query_nodes(_look, str(mark))]
     _check_versions(here, answers)
     if blind := [answer.node for answer in answers if not answer.found["sees_mark"]]:
         raise PlacementError(
@@ -143,7 +144,7 @@ def _mark(directory: Path) -> Generator[Path]:
 
 
 def _look(mark: str) -> dict[str, Any]:
-    """Of the node that this runs on. Stands alone: it is sent to nodes by value."""
+    """Facts of the node that this runs on. Stands alone: it is sent to nodes by value."""
     import os
     import socket
     import time
@@ -168,7 +169,7 @@ def _look(mark: str) -> dict[str, Any]:
 ANSWER_TIMEOUT_S = 90.0  # for a node to start a process
 
 
-def ask_nodes(task: Callable[..., Any], *arguments: Any) -> list[tuple[str, Any]]:
+def query_nodes(task: Callable[..., Any], *arguments: Any) -> list[tuple[str, Any]]:
     """(name, what `task(*arguments)` returned there) of every node that is alive.
 
     task: a function that stands alone; it is sent by value, whatever code a node has. Raises PlacementError where a
@@ -182,18 +183,18 @@ def ask_nodes(task: Callable[..., Any], *arguments: Any) -> list[tuple[str, Any]
     try:
         # One call a process: it sees what is installed now, and leaves nothing behind.
         remote = ray.remote(num_cpus=0, max_retries=0, max_calls=1)(task)
-        asked = {}
+        calls = {}
         for node in ray.nodes():
             if node["Alive"]:
                 where = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-                asked[remote.options(scheduling_strategy=where).remote(*arguments)] = _name(node)
+                calls[remote.options(scheduling_strategy=where).remote(*arguments)] = _name(node)
     finally:
         ray.cloudpickle.unregister_pickle_by_value(module)
-    _, silent = ray.wait(list(asked), num_returns=len(asked), timeout=ANSWER_TIMEOUT_S)
+    _, silent = ray.wait(list(calls), num_returns=len(calls), timeout=ANSWER_TIMEOUT_S)
     if silent:
-        names = ", ".join(asked[reference] for reference in silent[:3])
+        names = ", ".join(calls[reference] for reference in silent[:3])
         raise PlacementError(f"{names} did not start a process within {ANSWER_TIMEOUT_S:g} s; see `ray status`")
-    return [(name, _answer(reference, name)) for reference, name in asked.items()]
+    return [(name, _answer(reference, name)) for reference, name in calls.items()]
 
 
 def _answer(reference: Any, name: str) -> Any:

@@ -27,12 +27,12 @@ from kinetix_dist.runtime.processes.placement import (
     Placement,
     PlacementError,
     ProcessPlan,
-    Room,
+    Resources,
     count_gpus,
-    free_room,
+    free_resources,
     needed_by,
     nodes_in_words,
-    total_room,
+    total_resources,
 )
 from kinetix_dist.runtime.processes.ray_setup import (
     job_of_this_import_path,
@@ -55,7 +55,7 @@ PASSED_ON = ("NCCL_", "GLOO_")
 
 
 @dataclasses.dataclass(frozen=True)
-class RayTicket:
+class RayFuture:
     """A reference into the object store."""
 
     reference: Any
@@ -83,7 +83,7 @@ class RayHandle:
         self.actor = actor
         self.pid = pid
         self.process: psutil.Process | None = None  # the same, where it is known and on this machine
-        self.starting: list[Any] = []  # references to what it is told at the start, where nobody waits for that
+        self.starting: list[Any] = []  # references to its first calls, where no call waits for them
         self._backend = backend
 
     def started_as(self, pid: int) -> None:
@@ -92,23 +92,23 @@ class RayHandle:
             with contextlib.suppress(psutil.NoSuchProcess):  # it has ended already
                 self.process = psutil.Process(pid)
 
-    def call(self, method: str, *arguments: Any) -> RayTicket:
-        return RayTicket(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
+    def call(self, method: str, *arguments: Any) -> RayFuture:
+        return RayFuture(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
 
-    def call_stamped(self, method: str, *arguments: Any) -> tuple[RayTicket, RayTicket]:
-        call = self.actor.call_stamped.options(num_returns=2)
-        content, stamp = call.remote(method, *_references(arguments))
-        return RayTicket(stamp, self.actor, self._backend), RayTicket(content, self.actor, self._backend)
+    def call_with_header(self, method: str, *arguments: Any) -> tuple[RayFuture, RayFuture]:
+        call = self.actor.call_with_header.options(num_returns=2)
+        content, header = call.remote(method, *_references(arguments))
+        return RayFuture(header, self.actor, self._backend), RayFuture(content, self.actor, self._backend)
 
-    def call_beside(self, method: str, *arguments: Any) -> RayTicket:
-        given = [InStore(argument.reference) if isinstance(argument, RayTicket) else argument for argument in arguments]
-        return RayTicket(self.actor.call_beside.remote(method, *given), self.actor, self._backend)
+    def call_in_background(self, method: str, *arguments: Any) -> RayFuture:
+        given = [InStore(argument.reference) if isinstance(argument, RayFuture) else argument for argument in arguments]
+        return RayFuture(self.actor.call_in_background.remote(method, *given), self.actor, self._backend)
 
 
 class RayBackend:
     """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
 
-    works_beside = True
+    works_in_background = True
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class RayBackend:
         modules: Sequence[str] = (),
         fork_server: ForkServer | None = None,
     ) -> None:
-        """`on_event(kind, **details)` hears of every process that starts: who, where, with how much memory. modules:
+        """on_event: called with kind and details of every process that starts: where, with how much memory. modules:
         that processes import, by name; they are forked with them where they can be (`fork_server.py`). fork_server: one
         that was started before, with these modules; it is stopped with the backend."""
         self._on_event = on_event
@@ -130,7 +130,7 @@ class RayBackend:
         self._fork_server = fork_server
         self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
         self._group: Any = None  # the GPUs of the run, one bundle each
-        self._needed = Room(0, 0)  # for all processes of the run
+        self._needed = Resources(0, 0)  # for all processes of the run
         self._readings = Readings()
         self._servers: dict[str, psutil.Process] = {}  # by name, of a Ray that was started here
         self.has_joined_a_cluster = False  # that others started, whose nodes may differ from this one
@@ -140,7 +140,7 @@ class RayBackend:
         self._owns_ray = True
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-        # What nobody asks for any more may have failed: Ray would say so on the console.
+        # A result without a reader may have failed: Ray would say so on the console.
         os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")
         address = os.environ.get("RAY_ADDRESS")
         # log_to_driver: actors log to Ray's session directory; what fails is raised here.
@@ -163,10 +163,10 @@ class RayBackend:
                 "num_gpus": count_gpus(),
                 "include_dashboard": False,
                 "_node_ip_address": "127.0.0.1",
-                # Processes without the variables of ours, which nobody would use.
+                # Processes without the variables of ours, which no run would use.
                 "_system_config": {"prestart_worker_first_driver": False},
             }
-        with warnings.catch_warnings(), joining(address) if address else ForkServer.asked_by_ray():
+        with warnings.catch_warnings(), joining(address) if address else ForkServer.used_by_ray():
             # JAX warns of every fork. Ray's forks run another program at once, so they cannot deadlock.
             warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
             print_nothing()
@@ -180,13 +180,13 @@ class RayBackend:
 
     @property
     def is_on_this_machine(self) -> bool:
-        """Whether all processes are: a Ray that was started here has one node."""
+        """Says whether all processes are on this machine: a Ray that was started here has one node."""
         return self._owns_ray and not self.has_joined_a_cluster
 
     @property
     def num_gpus(self) -> int:
-        """Of the whole cluster."""
-        return total_room().gpus
+        """GPUs of the whole cluster."""
+        return total_resources().gpus
 
     def reserve(self, placement: Placement) -> None:
         """Takes the GPUs of a run, so that who shares one with whom is the same after every restart.
@@ -220,26 +220,28 @@ class RayBackend:
             self._group = None
 
     @property
-    def has_lost_room(self) -> bool:
+    def has_lost_resources(self) -> bool:
         self._check_ray()
         if self._group is not None:
             return ray.util.placement_group_table(self._group)["state"] != "CREATED"
-        return not total_room().holds(self._needed)
+        return not total_resources().holds(self._needed)
 
-    def room(self) -> Room:
-        """What nobody holds, and what the processes of the run do."""
-        held = self._needed if self._group is not None else Room(self._supervisor.num_watched, 0)
-        return (free_room() + held).at_most(total_room())  # Ray counts what was just taken as free for a moment
+    def resources(self) -> Resources:
+        """Resources that no process holds, and those that the processes of the run do."""
+        held = self._needed if self._group is not None else Resources(self._supervisor.num_watched, 0)
+        return (free_resources() + held).at_most(
+            total_resources()
+        )  # Ray counts what was just taken as free for a moment
 
     def _check_cpus(self, needed: int) -> None:
         """Ray itself would wait for ever, without a word."""
-        total, deadline = total_room().cpus, time.monotonic() + FREE_TIMEOUT_S
+        total, deadline = total_resources().cpus, time.monotonic() + FREE_TIMEOUT_S
         advice = "start Ray with more by --num-cpus (they are bookkeeping only), or start fewer processes"
         if total < needed:
             raise PlacementError(
                 f"this run has {needed} processes, and the cluster {total} CPU slots: {nodes_in_words()}; {advice}"
             )
-        while (free := free_room().cpus) < needed:
+        while (free := free_resources().cpus) < needed:
             if time.monotonic() > deadline:
                 raise PlacementError(
                     f"this run needs {needed} of the cluster's {total} CPU slots, and {free} were free within "
@@ -272,20 +274,20 @@ class RayBackend:
     def _start(self, groups: Sequence[Sequence[RayHandle]]) -> None:
         handles = list(itertools.chain(*groups))
         actors = [handle.actor for handle in handles]
-        # Pings first: what dies while it is told more could not be seen to be gone by its number.
+        # Pings first: a process that dies in a later call could not be seen to be gone by its number.
         for handle, pid in zip(handles, self._all(actors, [actor.ping.remote() for actor in actors]), strict=True):
             handle.started_as(pid)
         started = self._all(actors, [actor.prepare.remote() for actor in actors])
         for handle, where in zip(handles, started, strict=True):
             self._note_started(handle, where)
-        # Those that join nobody build first: they do so while the others ask for an address and wait for each other.
+        # Those that join no group build first: they do so while the others get an address and wait for each other.
         calls: list[tuple[Any, Any]] = []
         for group in sorted(groups, key=_joins):
             members = [handle.actor for handle in group]
             if _joins(group):
                 coordinator = self._all(members[:1], [members[0].free_address.remote()])[0]
-                told = (coordinator, len(members), math.ceil(self._heartbeat_seconds + GROUP_GRACE_S))
-                joined = [actor.join.remote(rank, *told) for rank, actor in enumerate(members)]
+                group_arguments = (coordinator, len(members), math.ceil(self._heartbeat_seconds + GROUP_GRACE_S))
+                joined = [actor.join.remote(rank, *group_arguments) for rank, actor in enumerate(members)]
                 calls += zip(joined, members, strict=True)
             calls += [(actor.build.remote(), actor) for actor in members]
         self._supervisor.gather(calls)
@@ -293,7 +295,7 @@ class RayBackend:
     def _all(self, actors: Sequence[Any], references: Sequence[Any]) -> list[Any]:
         return self._supervisor.gather(list(zip(references, actors, strict=True)))
 
-    def spawn_beside(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> RayHandle:
+    def spawn_in_background(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> RayHandle:
         self._check_ray()
         handle = self._create(plan, build, 1, arguments)
         handle.starting = [handle.actor.prepare.remote(), handle.actor.build.remote()]
@@ -305,8 +307,8 @@ class RayBackend:
     def check_limit(self, handles: Sequence[RayHandle]) -> None:
         self._supervisor.check_limit([handle.actor for handle in handles])
 
-    def watch(self, handle: RayHandle, ticket: RayTicket) -> float:
-        if not ticket.is_ready():
+    def watch(self, handle: RayHandle, future: RayFuture) -> float:
+        if not future.is_ready():
             self._note_start(handle)
             silence = self._supervisor.silence(handle.actor, ping_every_s=0.0)
             is_starting = handle.pid is None and silence < self._heartbeat_seconds
@@ -315,11 +317,11 @@ class RayBackend:
         for reference in handle.starting:  # what failed while it started is the cause of all that came after
             self._supervisor.gather([(reference, handle.actor)])
         handle.starting = []
-        self.gather([ticket])
+        self.gather([future])
         return 0.0
 
     def _note_start(self, handle: RayHandle) -> None:
-        """Tells of a process that has started while nobody waited for it."""
+        """Notes a process that has started in the background."""
         if handle.pid is None and ray.wait(handle.starting[:1], timeout=0)[0]:
             where = self._supervisor.gather([(handle.starting[0], handle.actor)])[0]
             handle.started_as(where["pid"])
@@ -359,28 +361,28 @@ class RayBackend:
             )
         return options
 
-    def put(self, value: Any) -> RayTicket:
-        return RayTicket(ray.put(value))
+    def put(self, value: Any) -> RayFuture:
+        return RayFuture(ray.put(value))
 
-    def gather(self, tickets: Sequence[RayTicket]) -> list[Any]:
+    def gather(self, futures: Sequence[RayFuture]) -> list[Any]:
         self._check_ray()
-        return self._supervisor.gather([(ticket.reference, ticket.actor) for ticket in tickets])
+        return self._supervisor.gather([(future.reference, future.actor) for future in futures])
 
-    def first_of(self, tickets: Sequence[RayTicket], *, beside: Sequence[RayHandle] = ()) -> list[RayTicket]:
-        calls = [(ticket.reference, ticket.actor) for ticket in tickets]
-        ready = set(self._supervisor.first_of(calls, beside=[handle.actor for handle in beside]))
-        return [ticket for ticket in tickets if ticket.reference in ready]
+    def first_ready(self, futures: Sequence[RayFuture], *, watched: Sequence[RayHandle] = ()) -> list[RayFuture]:
+        calls = [(future.reference, future.actor) for future in futures]
+        ready = set(self._supervisor.first_ready(calls, watched=[handle.actor for handle in watched]))
+        return [future for future in futures if future.reference in ready]
 
     def kill(self, handles: Sequence[RayHandle]) -> None:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
-        self._supervisor.forget([handle.actor for handle in handles])
-        self._readings.forget([handle.actor for handle in handles])
+        self._supervisor.remove([handle.actor for handle in handles])
+        self._readings.remove([handle.actor for handle in handles])
         if not self._lost_servers():  # without them the call would wait for a minute
             for handle in handles:
                 ray.kill(handle.actor, no_restart=True)
         if self.is_on_this_machine:
             processes = [handle.process for handle in handles if handle.process is not None]
-            _kill_all(processes)  # a Ray that was told to end does nothing more, and may take long
+            _kill_all(processes)  # a Ray that is ending does nothing more, and may take long
             left = wait_until_gone(processes)
             if left:
                 raise WorkerLostError(f"processes {left} could not be ended; end them by hand, then --resume")
@@ -415,7 +417,7 @@ class RayBackend:
                 self._watchdog.end_what_is_left()
 
     def _leave_ray(self) -> bool:
-        """Whether Ray has ended its processes, where they are this backend's to end."""
+        """Leaves Ray; says whether Ray has ended its processes, where they are this backend's to end."""
         if not self._owns_ray:
             self.release()
             return True
@@ -425,7 +427,7 @@ class RayBackend:
         try:
             ray.shutdown()
         finally:
-            _kill_all(family)  # agents of a raylet that somebody else had told to end stay for minutes
+            _kill_all(family)  # agents of a raylet that another program ended stay for minutes
         return True
 
 
@@ -440,4 +442,4 @@ def _joins(group: Sequence[RayHandle]) -> bool:
 
 
 def _references(arguments: Sequence[Any]) -> list[Any]:
-    return [argument.reference if isinstance(argument, RayTicket) else argument for argument in arguments]
+    return [argument.reference if isinstance(argument, RayFuture) else argument for argument in arguments]

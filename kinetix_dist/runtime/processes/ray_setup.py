@@ -34,7 +34,7 @@ _CONNECT_TIMEOUT_S = 5.0
 
 
 def token_file() -> Path | None:
-    """Where Ray will read its token; None where it is in the environment, or none is asked for."""
+    """File that Ray will read its token from; None where it is in the environment, or none is required."""
     if os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_MODE", "").lower() == "disabled":
         return None
     if path := os.environ.get("RAY_AUTH_TOKEN_PATH"):
@@ -44,7 +44,7 @@ def token_file() -> Path | None:
 
 def use_token() -> None:
     """Before Ray is imported to join a cluster: Ray takes a token along only where this is set, though `ray start
-    --head` asks for one wherever it finds one. A cluster that asks for none ignores it."""
+    --head` requires one wherever it finds one. A cluster that requires none ignores it."""
     path = token_file()
     if os.environ.get("RAY_AUTH_TOKEN") or (path is not None and path.exists()):
         os.environ.setdefault("RAY_AUTH_MODE", "token")
@@ -70,7 +70,7 @@ def secure_token() -> Path | None:
             return path
     except OSError as error:
         raise PlacementError(
-            f"Ray's token file {path} cannot be kept from others ({error.strerror}); make it yours with mode 600, or "
+            f"Ray's token file {path} cannot be hidden from others ({error.strerror}); make it yours with mode 600, or "
             "name another with RAY_AUTH_TOKEN_PATH"
         ) from error
     return None
@@ -113,7 +113,7 @@ def joining(address: str) -> Generator[None]:
 
 @contextlib.contextmanager
 def _console_held_back() -> Generator[bytearray]:
-    """What is written to stderr inside, by C++ too, is in the bytearray afterwards."""
+    """Holds back the console: text written to stderr inside, by C++ too, is in the bytearray afterwards."""
     held = bytearray()
     sys.stderr.flush()
     console = os.dup(2)
@@ -130,7 +130,7 @@ def _console_held_back() -> Generator[bytearray]:
 
 
 def _is_there(address: str) -> bool:
-    """Whether somebody listens at "host:port"; True for addresses of other forms ("auto"), which Ray looks up."""
+    """Says whether a server listens at "host:port"; True for addresses of other forms ("auto"), which Ray looks up."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         return True
@@ -141,7 +141,7 @@ def _is_there(address: str) -> bool:
         return False
 
 
-# Methods of Ray's node that start processes which nothing here asks: the autoscaler's monitor, what passes logs of
+# Methods of Ray's node that start processes which no call here needs: the autoscaler's monitor, what passes logs of
 # actors on to the driver (`log_to_driver` is off), and the server of the dashboard and of `ray job`.
 SERVICES = ("start_monitor", "start_log_monitor", "start_api_server")
 
@@ -156,9 +156,12 @@ def print_nothing() -> None:
 
 
 def job_of_this_import_path() -> JobConfig:
-    """For `ray.init`: processes import what this one does. Ray would put the current directory of the driver first,
-    where another checkout or a jax.py may lie. Python's own directories, and those of its installed packages, are left
-    to the Python of each node, which may lie elsewhere."""
+    """Job config for `ray.init`: processes import what this one does.
+
+    Without it Ray puts the current directory of the driver first, where another checkout or a jax.py may lie. Python's
+    own directories, and those of its installed packages, are left to the Python of each node, which may lie elsewhere.
+
+    """
     from ray.job_config import JobConfig
 
     class _Job(JobConfig):
@@ -211,7 +214,7 @@ def without_services() -> Generator[None]:
 
 
 def own_servers() -> dict[str, psutil.Process]:
-    """By name: processes that a Ray which this process started cannot be without."""
+    """Processes, by name, that a Ray which this process started cannot be without."""
     return {child.name(): child for child in psutil.Process().children() if child.name() in SERVERS}
 
 

@@ -27,8 +27,8 @@ from kinetix_dist.runtime.processes.watchdog import is_alive
 POLL_S = 1.0
 PING_EVERY_S = 5.0
 DOING_TIMEOUT_S = 2.0  # for processes of an overdue section to say what they are at
-CAUSE_GRACE_S = 3.0  # for the process that died or failed to be heard of, after another has lost it
-FAILURE_GRACE_S = 0.5  # for a failure to be heard of, after another process died
+CAUSE_GRACE_S = 3.0  # for the process that died or failed to be noticed, after another has lost it
+FAILURE_GRACE_S = 0.5  # for a failure to be noticed, after another process died
 GONE_TIMEOUT_S = 30.0  # for the kernel to end a killed process, GPU memory included
 
 
@@ -39,7 +39,7 @@ class Supervisor:
         self._limit_s = heartbeat_seconds
         self._sections = sections
         self._names: dict[Any, str] = {}  # of actors
-        self._pings: dict[Any, tuple[Any, float]] = {}  # actor -> (reference to its answer, when it was asked)
+        self._pings: dict[Any, tuple[Any, float]] = {}  # actor -> (reference to its answer, when it was requested)
 
     def add(self, actor: Any, name: str) -> None:
         self._names[actor] = name
@@ -49,7 +49,7 @@ class Supervisor:
         """Processes that were started and not forgotten."""
         return len(self._names)
 
-    def forget(self, actors: Sequence[Any]) -> None:
+    def remove(self, actors: Sequence[Any]) -> None:
         for actor in actors:
             self._pings.pop(actor, None)
             self._names.pop(actor, None)
@@ -75,15 +75,15 @@ class Supervisor:
                 self._check([actor_of[reference] for reference in waiting])
         return [results[reference] for reference, _ in calls]
 
-    def first_of(self, calls: Sequence[tuple[Any, Any]], *, beside: Sequence[Any] = ()) -> list[Any]:
+    def first_ready(self, calls: Sequence[tuple[Any, Any]], *, watched: Sequence[Any] = ()) -> list[Any]:
         """References of those (reference, actor) whose result or loss is there: waits until it is one at least.
 
         Raises WorkerLostError where an actor has been silent for too long or the limit of the section is exceeded,
-        and where one of `beside`, of whom nothing is waited for, is lost.
+        and where one of `watched`, of whom nothing is waited for, is lost.
         """
         references = [reference for reference, _ in calls]
         while not ray.wait(references, num_returns=1, timeout=POLL_S)[0]:
-            self.check_alive(beside)
+            self.check_alive(watched)
             self._check([actor for _, actor in calls])
         return ray.wait(references, num_returns=len(references), timeout=0)[0]
 
@@ -96,11 +96,11 @@ class Supervisor:
         if actor not in self._pings:
             self._pings[actor] = (actor.ping.remote(), now)
             return 0.0
-        answer, asked = self._pings[actor]
+        answer, requested_at = self._pings[actor]
         if not ray.wait([answer], timeout=0)[0]:
-            return now - asked
+            return now - requested_at
         self._result(answer, actor)
-        if now - asked >= ping_every_s:
+        if now - requested_at >= ping_every_s:
             self._pings[actor] = (actor.ping.remote(), now)
         return 0.0
 
@@ -118,14 +118,14 @@ class Supervisor:
     def check_limit(self, actors: Sequence[Any]) -> None:
         """Raises WorkerLostError where these, who are waited for, exceed the limit of the section and do not compile.
 
-        Names who is to blame: who does not say what it is at, else who is at something other than waiting.
+        Names the processes to blame: those that do not answer, else those that do other than wait.
         """
         if not self._sections.is_overdue:
             return
-        asked = {actor.doing.remote(): actor for actor in actors}
-        ready, silent = ray.wait(list(asked), num_returns=len(asked), timeout=DOING_TIMEOUT_S) if asked else ([], [])
-        to_blame = {asked[reference]: "does not answer" for reference in silent}
-        said = {asked[reference]: self._result(reference, asked[reference]) for reference in ready}
+        calls = {actor.doing.remote(): actor for actor in actors}
+        ready, silent = ray.wait(list(calls), num_returns=len(calls), timeout=DOING_TIMEOUT_S) if calls else ([], [])
+        to_blame = {calls[reference]: "does not answer" for reference in silent}
+        said = {calls[reference]: self._result(reference, calls[reference]) for reference in ready}
         if any(doing.is_compiling for doing in said.values()) and self._sections.extend():
             return
         if not to_blame:
@@ -165,7 +165,7 @@ class Supervisor:
             raise failure from None
 
     def _cause(self, error: WorkerLostError, others: dict[Any, Any]) -> Exception:
-        """A process that dies or fails takes its group along; whichever is heard of first, that one is to be told."""
+        """Cause of a loss in a group: a process that dies takes its group along, and another may be noticed first."""
         began = time.monotonic()
         grace = CAUSE_GRACE_S if isinstance(error, _GroupLostError) else FAILURE_GRACE_S
         found: Exception = error
@@ -206,55 +206,56 @@ def wait_until_gone(processes: Sequence[psutil.Process]) -> list[int]:
 
 
 def _exit_of(error: Exception) -> str:
-    """What Ray knows about the end of a process, in a few words: its texts are advice for the most part."""
+    """Reason of the end of a process as Ray knows it, in a few words: its texts are advice for the most part."""
     found = re.search(r"exit detail: (.+?)(?:\. |$)", " ".join(str(error).split()))
     return f" ({found[1][:100]})" if found else ""
 
 
 class Readings:
-    """Of all actors of a backend, and of the driver itself. What is told is as old as one update."""
+    """Readings of all actors of a backend, and of the driver itself. They are as old as one update."""
 
     def __init__(self) -> None:
         self._driver = Meter("driver", "driver")
-        self._asked: dict[Any, Any] = {}  # actor -> reference to its next reading, or None
-        self._asked_at: dict[Any, float] = {}  # actor -> s of time.monotonic() here
-        # Actor -> the one before, the last one, when that was asked for.
+        self._requested: dict[Any, Any] = {}  # actor -> reference to its next reading, or None
+        self._requested_at: dict[Any, float] = {}  # actor -> s of time.monotonic() here
+        # Actor -> the one before, the last one, when that was requested.
         self._last: dict[Any, tuple[Reading | None, Reading, float]] = {}
 
     def add(self, actor: Any) -> None:
-        self._asked[actor] = None
+        self._requested[actor] = None
 
-    def forget(self, actors: Sequence[Any]) -> None:
+    def remove(self, actors: Sequence[Any]) -> None:
         for actor in actors:
-            for known in (self._asked, self._asked_at, self._last):
+            for known in (self._requested, self._requested_at, self._last):
                 known.pop(actor, None)
 
     def metrics(self) -> dict[str, float]:
-        """From what has been answered so far; asks again whoever has answered."""
-        for actor, reference in self._asked.items():
+        """Metrics of what has been answered so far; requests the next of those that have answered."""
+        for actor, reference in self._requested.items():
             if reference is not None and not ray.wait([reference], timeout=0)[0]:
                 continue
             if reference is not None:
                 self._take(actor, reference)
-            self._asked[actor], self._asked_at[actor] = actor.read.remote(), time.monotonic()
+            self._requested[actor], self._requested_at[actor] = actor.read.remote(), time.monotonic()
         driver = self._driver.read(has_device=False)
         found = summary([*((before, last) for before, last, _ in self._last.values()), (None, driver)])
         del found["runtime/moved_mib_driver"]  # it passes references on
         return found
 
     def processes(self) -> list[dict[str, Any]]:
-        """What was answered last of each, and the driver now, as `measures.description` says it."""
+        """Last answer of each process, and the driver now, as `measures.description` gives them."""
         now = time.monotonic()
         found = [
-            description(before, last, age_seconds=now - asked_at) for before, last, asked_at in self._last.values()
+            description(before, last, age_seconds=now - requested_at)
+            for before, last, requested_at in self._last.values()
         ]
         return [*found, description(None, self._driver.read(has_device=False), age_seconds=0.0)]
 
     def _take(self, actor: Any, reference: Any) -> None:
         try:
             reading = ray.get(reference)
-        except ray.exceptions.RayError:  # it is lost: whoever waits for its work tells of that
+        except ray.exceptions.RayError:  # it is lost: the call that waits for its work reports that
             self._last.pop(actor, None)
             return
         before = self._last.get(actor)
-        self._last[actor] = (before[1] if before else None, reading, self._asked_at[actor])
+        self._last[actor] = (before[1] if before else None, reading, self._requested_at[actor])

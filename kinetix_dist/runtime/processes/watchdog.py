@@ -43,7 +43,7 @@ class Watchdog:
         self._process.wait()
 
     def end_what_is_left(self) -> None:
-        """Of the driver's descendants, though the driver goes on: Ray cannot, for one. Does not wait for it."""
+        """Ends the driver's descendants, though the driver goes on: Ray cannot, for one. Does not wait for it."""
         assert self._process.stdin is not None
         self._process.stdin.close()
 
