@@ -114,17 +114,13 @@ def test_rates_of_scored_levels_are_means_over_levels_not_of_all_their_episodes(
     assert nothing["rate"] is None and nothing["levels"] == 0
 
 
-def test_what_is_not_played_is_not_claimed_and_what_is_played_twice_counts_once(tmp_path: Path) -> None:
-    arrays = write_refresh(tmp_path, 0, np.random.default_rng(0))
-    write_snapshot(tmp_path / DIRECTORY, REFRESH, 0, arrays | {"in_play": np.int32(2)})
+def test_a_level_that_is_played_twice_counts_once(tmp_path: Path) -> None:
+    write_refresh(tmp_path, 0, np.random.default_rng(0))
     twice = {"index": [0, 0, 1, 1], "solved": [4, 4, 1, 1], "finished": [4] * 4}
     probe = {f"probe/{name}": np.array(values, np.int32) for name, values in twice.items()}
     arrays = write_refresh(tmp_path, 16, np.random.default_rng(1), probe_of=0)
     write_snapshot(tmp_path / DIRECTORY, REFRESH, 16, arrays | probe)
     first, _ = Refreshes(tmp_path).summaries()["snapshots"]
-    assert first["buffer"]["levels"] == 2
-    claimed = plug_in_learnability(arrays["solved"][:2], arrays["finished"][:2]).mean()
-    assert first["buffer"]["claimed"] == pytest.approx(claimed)
     assert first["probe"]["levels"] == 2
     assert (first["probe"]["after"]["solved"], first["probe"]["after"]["episodes"]) == (5, 8)
 

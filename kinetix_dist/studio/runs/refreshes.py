@@ -160,8 +160,7 @@ def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
     }
     if snapshot.kind == BUFFER:
         return described
-    in_play = int(arrays.get("in_play", len(arrays["solved"])))  # earlier versions played all of them
-    solved, finished = (arrays[name][:in_play].astype(np.int64) for name in ("solved", "finished"))
+    solved, finished = (arrays[name].astype(np.int64) for name in ("solved", "finished"))
     all_solved = arrays["candidates/solved"].astype(np.int64)
     all_finished = arrays["candidates/finished"].astype(np.int64)
     is_sample = described["curriculum"] not in CHOOSES_WHILE_SCORING
