@@ -26,7 +26,7 @@ import psutil
 from bench.program import exit_code, output_file, parser_of
 from bench.worker_client import Client
 from kinetix_dist.checkpoint import flatten_arrays
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, LEVELS, REFRESH, write_snapshot
 

@@ -13,30 +13,26 @@ from kinetix_dist import prng
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
-from kinetix_dist.level.filters import generate_filtered
+from kinetix_dist.level.generator import generate_filtered
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.level.simulation import noop_solved
 
 RANDOM = "random"  # name of levels that are drawn from a seed
 
 
 class LevelPool:
-    """Prepared levels of an environment without effect groups."""
+    """Prepared levels of an environment."""
 
     def __init__(self, env: Environment, levels: Level) -> None:
         """levels: [N, ...] on every field. Raises ValueError for what the environment does not take."""
-        if env.config.effect_groups:
-            raise ValueError(
-                f"EnvConfig.effect_groups is {env.config.effect_groups}; wrappers play worlds without groups: use 0"
-            )
         self.env = env
         self.num_levels: int = levels.angle.shape[0]
         self._prepared = env.prepare(levels)
 
     def select(self, numbers: Array) -> PreparedLevels:
-        """Prepared levels of numbers [W] int32."""
+        """Prepared levels of these numbers, [W] int32."""
         prepared = self._prepared
         # Packed arrays have worlds last, all others first.
         packed = {

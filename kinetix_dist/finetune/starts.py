@@ -1,4 +1,4 @@
-"""What specialists start from: the seed, or the parameters of a policy that exists."""
+"""Starting points of specialists: the seed, or the parameters of a policy that exists."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Start:
 
     @property
     def label(self) -> str:
-        """For a person."""
+        """Name for a person."""
         return "from scratch" if self.description is None else f"from {self.name}"
 
 
@@ -49,29 +49,25 @@ def start_from(trained: Trained) -> Start:
         raise UserError(f"{path} has no name for results; give a checkpoint in a directory of its own")
     if name == FROM_SCRATCH:
         raise UserError(f"{path} is called {name!r} like a start from the seed; rename the directory")
-    told = checkpoint.description
+    description = checkpoint.description
     return Start(
         name=name,
         checkpoint=str(path),
         description={
             "checkpoint": str(path),
             "sha256": hashlib.sha256((path / MANIFEST_NAME).read_bytes()).hexdigest(),  # of the sums of all its files
-            "policy_updates": told["num_updates"],
-            "env_steps": told.get("env_steps"),
-            "config_hash": told.get("config_hash"),
+            "policy_updates": description["num_updates"],
+            "env_steps": description.get("env_steps"),
+            "config_hash": description.get("config_hash"),
             "start_from": trained.config.run.start_from,  # what that policy was trained from in its turn
         },
     )
 
 
 def like_policy(config: TrainConfig, trained: Trained) -> TrainConfig:
-    """`config` with the network and the environment of a policy, and the modules that its parts come from.
-
-    Groups of engines stay those of `config`: they change no number.
-    """
+    """`config` with the network and the environment of a policy, and the modules that its parts come from."""
     theirs = trained.config
-    env = dataclasses.replace(theirs.env, effect_groups=config.env.effect_groups)
     plugins = tuple(dict.fromkeys((*config.run.plugins, *theirs.run.plugins)))
     return dataclasses.replace(
-        config, env=env, policy=theirs.policy, run=dataclasses.replace(config.run, plugins=plugins)
+        config, env=theirs.env, policy=theirs.policy, run=dataclasses.replace(config.run, plugins=plugins)
     )

@@ -40,7 +40,10 @@ from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.step_size import Sizes, average, guarded, sizes
 from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.gru import has_memory
+from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
+from kinetix_dist.models.kernels.support import traced_for
 from kinetix_dist.models.stored import stored
+from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
 
 METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "learning_rate")
 
@@ -48,6 +51,7 @@ METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "l
 IN_SPECS = PartitionSpec(), PartitionSpec(DATA_AXIS), PartitionSpec(None, DATA_AXIS), PartitionSpec(DATA_AXIS)
 OUT_SPECS = PartitionSpec(), PartitionSpec()  # and what it gives: learner state, metrics
 
+CACHE = "updates"  # folder in the program cache
 Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
 
 
@@ -112,6 +116,35 @@ def make_update(
         return on_mesh(state, static, trajectory, last_value)
 
     return jax.jit(update)
+
+
+@functools.lru_cache(maxsize=8)
+def exported_update(
+    policy: nn.Module,
+    observation: Observation,
+    distribution: ActionDistribution,
+    config: PpoConfig,
+    mesh: Mesh,
+    *,
+    division: Division | None = None,
+) -> Update:
+    """Returns `make_update`, from the program cache where a process has traced it for equal arguments and arrays.
+
+    An update with a part of a class from outside of this project is traced in every process: that code may change.
+    """
+    update = make_update(policy, observation, distribution, config, mesh, division=division)
+    parts = policy, observation, distribution
+    if not is_cacheable(*parts):
+        return update
+    key = ProgramKey(
+        kind=CACHE,
+        module=__name__,
+        parts=parts,
+        depends_on=(config, division),
+        at_trace=traced_for,
+        custom_calls=CUSTOM_CALLS,
+    )
+    return exported_on_mesh(update, key, mesh, in_specs=IN_SPECS, out_specs=OUT_SPECS)
 
 
 def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig) -> Array:
@@ -267,6 +300,28 @@ def _advantage_statistics(
     return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
 
 
+def minibatch_loss(
+    program: _Program, now: Sizes, obs: Any, samples: Samples, minibatch_size: int, memory: dict[str, Array]
+) -> Callable[[Any], tuple[Array, tuple[Array, Array]]]:
+    """Loss as a function of the parameters: this device's share of the mean loss, (shares of LOSS_METRICS, log-probs).
+
+    memory: further input of a recurrent policy, see models/gru.py.
+    """
+    config = program.config
+    counted = {} if samples.bound_heads is None else {"bound": samples.bound_heads}
+
+    def loss(params: Any) -> tuple[Array, tuple[Array, Array]]:
+        outputs, values = program.policy.apply(params, obs, **memory)
+        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions, **counted)
+        value_clip = now.clip if config.value_clip else None
+        terms = ppo_terms(log_probs, entropies, values, samples, clip=now.clip, value_clip=value_clip)
+        means = terms / minibatch_size
+        weights = {"value_coefficient": config.value_coefficient, "entropy_coefficient": now.entropy_coefficient}
+        return total_loss(means, **weights), (means, log_probs)
+
+    return loss
+
+
 def _gradient(
     program: _Program,
     now: Sizes,
@@ -276,23 +331,10 @@ def _gradient(
     minibatch_size: int,
     memory: dict[str, Array],
 ) -> tuple[Any, Array]:
-    """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS.
-
-    memory: what a recurrent policy is told beside `obs`, see models/gru.py.
-    """
-    config = program.config
-    counted = {} if samples.bound_heads is None else {"bound": samples.bound_heads}
-
-    def loss(params: Any) -> tuple[Array, Array]:
-        outputs, values = program.policy.apply(params, obs, **memory)
-        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions, **counted)
-        value_clip = now.clip if config.value_clip else None
-        terms = ppo_terms(log_probs, entropies, values, samples, clip=now.clip, value_clip=value_clip)
-        means = terms / minibatch_size
-        weights = {"value_coefficient": config.value_coefficient, "entropy_coefficient": now.entropy_coefficient}
-        return total_loss(means, **weights), means
-
-    return jax.grad(loss, has_aux=True)(params)
+    """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS."""
+    loss = minibatch_loss(program, now, obs, samples, minibatch_size, memory)
+    gradient, (means, _) = jax.grad(loss, has_aux=True)(params)
+    return gradient, means
 
 
 def _apply(

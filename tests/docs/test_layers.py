@@ -21,15 +21,14 @@ LAYERS = (
     ("studio",),
     ("trained_policy",),
     ("config",),
-    ("phases",),
     ("actors", "learner", "curator", "evaluation"),
     ("messages",),
     ("models",),
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
-    ("engine_package", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
+    ("child_python", "jax_checks", "prng", "program_cache", "registry", "setting", "text_files", "user_directories"),
+    ("atomic_files", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Subpackages of packages that have them, and which of the others each may import.

@@ -17,8 +17,7 @@ from kinetix_dist.env.device_memory import DeviceMemoryError
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.env.observations.pixels import FAR_M, PIXELS, PixelStatic, picture, static_picture
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Level, Role
 from kinetix_dist.level.sets import load_level_set
 from tests.env.worlds import BOX, DISC_1, DISC_2, MOTOR_JOINT, THRUSTER, batch, small_level
 
@@ -139,7 +138,7 @@ def test_the_environment_gives_pictures_of_where_bodies_are(levels: Level):
     assert obs.nbytes == len(obs) * 7 * 12  # what a rollout stores
     for _ in range(5):
         state, obs, *_ = env.step(prepared, state, env.action_space.sample(jax.random.key(0), len(obs)))
-    position, angle, *_ = env.stepper.bodies(prepared.packed_scene, state.packed_state)
+    position, angle, *_ = env.engine.bodies(state.packed_state)
     seen = np.asarray(env.observe(prepared, obs))
     poses = np.concatenate([position, angle[..., None]], axis=-1)
     for world in range(0, len(obs), 4):

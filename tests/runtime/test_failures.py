@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.models.kernels import support
 from tests.runtime.sockets import listening, places_of
 from tests.runtime.train_process import TINY, kill_newest, rows, start, wait_for

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.start_warnings import noop_warning, start_warnings
 from kinetix_dist.studio.worker.document_check import check_document

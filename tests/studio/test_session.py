@@ -21,7 +21,7 @@ from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import load_level, turned_colours_of
 from kinetix_dist.studio.worker import frames, programs
@@ -68,7 +68,7 @@ def environment_frames() -> list[tuple[np.ndarray, float, bool, bool]]:
     found = []
     for action in actions():
         state, _, reward, done, info = env.step(prepared, state, action[None])
-        position, angle, *_ = env.stepper.bodies(prepared.packed_scene, state.packed_state)
+        position, angle, *_ = env.engine.bodies(state.packed_state)
         poses = np.concatenate([np.asarray(position)[0], np.asarray(angle)[0][:, None]], axis=-1)
         found.append((poses, float(reward[0]), bool(done[0]), bool(info.solved[0])))
     return found

@@ -24,7 +24,7 @@ from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.installation import data_directory
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.studio.worker import frames, programs, wire

@@ -21,10 +21,16 @@ from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import PreparedLevels
 from kinetix_dist.env.reward import goal_distance, judge
-from kinetix_dist.level.control import driving_motors, motors_with_effect, pushing_thrusters
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
+from kinetix_dist.level.level import (
+    NUM_MOTOR_COLOURS,
+    NUM_THRUSTER_COLOURS,
+    Level,
+    Role,
+    driving_motors,
+    motors_with_effect,
+    pushing_thrusters,
+)
 from kinetix_dist.level.overlap import surface_distance, world_corners
-from kinetix_dist.level.roles import Role
 
 START_NOISE_M_S = 1e-4  # on velocities of slightly different starts; a hundred times what float32 rounds off
 
@@ -177,8 +183,8 @@ def _play(env: Environment, prepared: PreparedLevels, goal: GoalPair, packed_sta
         controls, _ = controls_of(
             env.action_space, step_actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
         )
-        state, touching = env.stepper.step(scene, state, controls, env.config.frame_skip)
-        position, angle, velocity, spin = env.stepper.bodies(scene, state)
+        state, touching = env.engine.step_packed(scene, state, controls, env.config.frame_skip)
+        position, angle, velocity, spin = env.engine.bodies(state)
         numbers = jnp.concatenate([position, velocity, angle[..., None], spin[..., None]], axis=-1)
         outcome = judge(
             touching.during,
@@ -202,7 +208,7 @@ def _play(env: Environment, prepared: PreparedLevels, goal: GoalPair, packed_sta
         jnp.int32(1),
     )
     state, solved_after, is_over, min_distance, min_gap, _ = jax.lax.scan(step, first, actions)[0]
-    position, angle, velocity, _ = env.stepper.bodies(scene, state)
+    position, angle, velocity, _ = env.engine.bodies(state)
     return Played(
         solved_after=solved_after,
         is_over=is_over,

@@ -13,7 +13,7 @@ from typing import Any
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.run_files import last_row, member, read_object
 from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
-from kinetix_dist.level.varied_sets import base_levels
+from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.telemetry.json_lines import read_lines
 
 LAST_BYTES = 1 << 20  # in which the last line is looked for; a set of 2,048 levels has 50 kB

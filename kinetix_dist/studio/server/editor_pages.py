@@ -19,8 +19,7 @@ from typing import Any
 
 from aiohttp import web
 
-from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.set_files import designed_sets
+from kinetix_dist.level.level_data import designed_sets, levels_root
 from kinetix_dist.studio.server.level_files import ConflictError, FileNameError, LevelFiles
 from kinetix_dist.studio.server.responses import BadRequestError, error_response, json_response
 from kinetix_dist.studio.server.worker_client import WorkerClient

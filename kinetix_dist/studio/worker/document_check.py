@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.level.control import motors_with_effect, pushing_thrusters
 from kinetix_dist.level.fit import capacity_of_size, usage
 from kinetix_dist.level.kinetix_format import is_kinetix_document
-from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
+from kinetix_dist.level.level import NUM_WALLS, SIZES, Level, motors_with_effect, pushing_thrusters
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.start_warnings import StartWarning, paths_in, start_warnings
 from kinetix_dist.level.validate import LevelFormatError, problems_of

@@ -14,13 +14,13 @@ from jax2d.display_list import DisplayList, display_list
 from jax2d.scene import Array, Capacity
 from kinetix_dist import prng
 from kinetix_dist.level.document import LevelInfo, level_to_json
-from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fit import capacity_of
+from kinetix_dist.level.generator import generate_filtered
 from kinetix_dist.level.generator_config import GENERATORS, GeneratorConfig, generator
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.mutators import MUTATORS, apply, mutate
-from kinetix_dist.level.noop import noop_solved
+from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.level.start_warnings import noop_warning
 from kinetix_dist.studio.worker import programs
 from kinetix_dist.studio.worker.attempts import steps_until_noop_solves
