@@ -34,7 +34,7 @@ def cache(tmp_path: Path) -> Iterator[Path]:
 
 
 def assert_same_levels(levels: Level, expected: Level) -> None:
-    """Other programs round the last bits otherwise."""
+    """Other programs round the last bits differently."""
     assert jax.tree.structure(levels) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(levels), jax.tree.leaves(expected), strict=True):
         assert one.dtype == other.dtype
@@ -103,7 +103,7 @@ def test_another_setting_of_jax_is_another_program_that_draws_the_same_levels(ca
 def test_a_module_that_changes_while_a_process_runs_does_not_give_its_program_another_name(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Or the program of the old module would be read by whoever has the new one."""
+    """A program of the old module must not be read by a process with the new one."""
     keys = level_keys(KEY, 2)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "read_bytes", _changed(Path.read_bytes))
