@@ -44,7 +44,7 @@ from jax2d.scene import stack_worlds
 from jax2d.settings import PRESETS
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.variant import CompileOptions, KernelVariant
-from kinetix_dist.benchmarks.random_play import FRAME_SKIP, Play, random_play
+from kinetix_dist.benchmarks.engine_worlds import FRAME_SKIP, Play, random_play
 from kinetix_dist.errors import UserError
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels

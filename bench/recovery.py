@@ -41,8 +41,8 @@ from bench.fault_run import (
 )
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
+from kinetix_dist.program_cache import default_directory
 from kinetix_dist.recipes import recipe
-from kinetix_dist.telemetry.compile_cache import default_directory
 from kinetix_dist.telemetry.json_lines import read_lines
 
 PLACEMENTS = {"curator": "colocated", "worker": "colocated", "driver": "colocated", "rollout": "split"}

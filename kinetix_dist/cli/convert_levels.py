@@ -20,8 +20,8 @@ from typing import Literal
 import tyro
 
 from kinetix_dist.cli.checks import check_output_file
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 
@@ -150,4 +150,4 @@ def _export_file(file: Path, out: Path, size: str | None) -> str:
 
 def _refuse_same(file: Path, out: Path) -> None:
     if out.exists() and out.samefile(file):
-        raise ValueError(f"{file} would be written over by what is made of it; name another place")
+        raise ValueError(f"{file} would be written over by what is made of it; name another path")

@@ -37,7 +37,7 @@ def level_directory(folder: Path) -> Path:
 
 
 def config_of(levels: Path, **sections) -> TrainConfig:
-    """What OPTIONS say."""
+    """Configuration of OPTIONS."""
     config = recipe("tiny")
     return dataclasses.replace(
         config,

@@ -80,7 +80,7 @@ class Compiler:
     def __init__(self, directory: str) -> None:
         import jax
 
-        from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+        from kinetix_dist.program_cache import enable_compile_cache
 
         self._num_hits = 0
         self._handed: Any = None

@@ -16,6 +16,7 @@ import pytest
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, save_checkpoint
 from kinetix_dist.config import to_dict
 from kinetix_dist.phases import PhaseConfig
+from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
 from kinetix_dist.runtime.driver import refreshes
 from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
@@ -26,7 +27,6 @@ from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
-from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
 from kinetix_dist.telemetry.curriculum_log import REFRESH, CurriculumLogConfig, list_snapshots, read_snapshot
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import (

@@ -515,7 +515,7 @@ def test_the_command_keeps_off_gpus_before_it_reads_levels(options, tmp_path):
     code = (
         "import sys, jax\n"
         "from kinetix_dist.cli import main, train\n"
-        "from kinetix_dist.cli.errors import UserError\n"
+        "from kinetix_dist.errors import UserError\n"
         "def stop(config):\n"
         "    raise UserError(f'platforms {jax.config.jax_platforms}')\n"
         "train._check_levels = stop\n"

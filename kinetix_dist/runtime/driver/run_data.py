@@ -37,10 +37,9 @@ from kinetix_dist.telemetry.curriculum_log import (
     REFRESH,
     is_outcomes,
 )
-from kinetix_dist.telemetry.json_lines import Row
+from kinetix_dist.telemetry.json_lines import Row, utc_text
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, close_sinks
 from kinetix_dist.telemetry.sinks.jsonl import LinesSink
-from kinetix_dist.telemetry.utc import utc_text
 
 FORMAT = 1  # of evaluations.jsonl and processes.jsonl
 RANDOM_POLICY = "random_policy"  # a phase in evaluations.jsonl

@@ -21,10 +21,9 @@ import numpy as np
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.studio.runs.series import SeriesTable
-from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.json_lines import parse_line
+from kinetix_dist.telemetry.json_lines import MAX_INTEGER, parse_line
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
-from kinetix_dist.telemetry.tail import KEPT_BYTES, Tail
+from kinetix_dist.telemetry.tail import COMPARED_BYTES, Tail
 
 LONG_BYTES = 32 << 20  # from here on it pays to start a process: a second
 PIECE_BYTES = 32 << 20
@@ -45,7 +44,7 @@ class LongRead:
 
     def hand_over(self, tail: Tail) -> None:
         """Lets `tail` go on from the offset."""
-        tail.go_on(inode=self.inode, offset=self.offset, kept=self.tail_bytes, num_damaged=self.num_damaged)
+        tail.go_on(inode=self.inode, offset=self.offset, last_bytes=self.tail_bytes, num_damaged=self.num_damaged)
 
 
 def read_long(path: Path, report: Callable[[int], None]) -> LongRead | None:
@@ -95,7 +94,7 @@ def main(path: Path, out: IO[bytes]) -> None:
             else:
                 table.extend(columns)
             offset += len(piece)
-            tail_bytes = (tail_bytes + piece)[-KEPT_BYTES:]
+            tail_bytes = (tail_bytes + piece)[-COMPARED_BYTES:]
             _write_line(out, {"done": offset})
     names = ["update", *table.names]
     about = {"names": names, "rows": table.num_rows, "offset": offset, "inode": inode, "damaged": damaged}
@@ -141,7 +140,7 @@ def _columns(piece: bytes) -> dict[str, np.ndarray] | None:
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
             chunks = table[name].cast(pa.float64(), safe=False).chunks
             numbers[name] = np.concatenate([_values_of(chunk) for chunk in chunks if len(chunk)])
-            if (np.abs(numbers[name]) > strict_json.MAX_INTEGER).any():  # 1e999 is infinite here
+            if (np.abs(numbers[name]) > MAX_INTEGER).any():  # 1e999 is infinite here
                 return None
     return numbers
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kinetix_dist.telemetry import curriculum_log, status, strict_json
-from kinetix_dist.telemetry.json_lines import Row, parse_row
+from kinetix_dist.telemetry import curriculum_log, status
+from kinetix_dist.telemetry.json_lines import Row, loads_json, parse_row
 
 T = TypeVar("T")
 
@@ -48,7 +48,7 @@ def read_object(path: Path) -> dict[str, Any] | None:
     if len(content) > MAX_JSON_BYTES:
         raise RunFileError(f"{path.name} is larger than {MAX_JSON_BYTES >> 20} MiB; no run writes such a file")
     try:
-        found = strict_json.loads(content)
+        found = loads_json(content)
     except ValueError as error:
         raise RunFileError(f"{path.name} is damaged ({error})") from error
     if not isinstance(found, dict):

@@ -29,7 +29,7 @@ from kinetix_dist.telemetry.status import (
     judged,
     read_status,
 )
-from kinetix_dist.telemetry.utc import utc_seconds
+from kinetix_dist.telemetry.json_lines import utc_seconds
 
 DEPTH = 2  # levels of directories below a path in which runs are looked for
 MAX_RUNS = 5000

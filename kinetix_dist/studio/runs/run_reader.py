@@ -20,7 +20,7 @@ from kinetix_dist.studio.runs.long_metrics import LONG_BYTES, read_long
 from kinetix_dist.studio.runs.series import SeriesTable
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.tail import Tail
-from kinetix_dist.telemetry.utc import utc_seconds
+from kinetix_dist.telemetry.json_lines import utc_seconds
 
 
 @dataclasses.dataclass(frozen=True)

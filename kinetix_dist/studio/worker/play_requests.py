@@ -15,6 +15,7 @@ from kinetix_dist.evaluation.learnability import unbiased_learnability
 from kinetix_dist.evaluation.policies import distinct_attempts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import turned_colours_of
+from kinetix_dist.program_cache import compile_seconds
 from kinetix_dist.studio.worker.attempts import MAX_ATTEMPTS, Progress, play_attempts
 from kinetix_dist.studio.worker.level_requests import MAX_SEED, Answer, display_of
 from kinetix_dist.studio.worker.levels import level_of
@@ -22,7 +23,6 @@ from kinetix_dist.studio.worker.request import KEYS, Request, env_of, policy_of
 from kinetix_dist.studio.worker.session import Actor, Session
 from kinetix_dist.studio.worker.session_loop import MAX_SPEED, MIN_SPEED, Running, SessionLoop
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, RequestError
-from kinetix_dist.telemetry.compile_time import compile_seconds
 
 MAX_STEPS_AT_ONCE = 1_000_000
 MAX_SESSION = 0xFFFF

@@ -37,18 +37,17 @@ def main() -> None:
     _prepare_process()
     # jax is imported below this line, once the process is prepared for it.
     from kinetix_dist.errors import UserError
-    from kinetix_dist.jax_arithmetic import check_arithmetic
-    from kinetix_dist.jax_settings import check_settings
+    from kinetix_dist.jax_checks import check_arithmetic, check_settings
 
     try:
         check_settings()
         check_arithmetic()
     except UserError as error:
         sys.exit(str(error))  # the server shows it
+    from kinetix_dist.program_cache import enable_compile_cache
     from kinetix_dist.studio.worker.programs import release_programs
     from kinetix_dist.studio.worker.service import Service, hello
     from kinetix_dist.studio.worker.wire import Outbox
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
     enable_compile_cache("")
     outbox = Outbox(pipe)

@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from jax2d import palette
-from kinetix_dist.checkpoint.pretrained import pretrained_names
+from kinetix_dist.checkpoint.store import pretrained_names
 from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.level.generator_config import GENERATORS
 from kinetix_dist.level.level import NUM_WALLS, SIZES

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist import engine_package
+from kinetix_dist import installation
 from kinetix_dist.cli.doctor import check_engine
 from kinetix_dist.cli.main import COMMANDS, main
-from kinetix_dist.engine_package import ENGINE, engine_complaint, engine_note
+from kinetix_dist.installation import ENGINE, engine_complaint, engine_note
 from tests.cli.test_main import assert_one_line, run_command
 from tests.helpers import REPOSITORY
 
@@ -61,17 +61,17 @@ def test_importing_what_needs_the_engine_says_so(published):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(published), str(REPOSITORY)])}
     command = [sys.executable, "-P", "-c", "import kinetix_dist.config"]
     said = subprocess.run(command, env=environment, capture_output=True, text=True).stderr.splitlines()
-    assert said[-1].startswith("kinetix_dist.engine_package.EngineImportError: the package jax2d at ")
+    assert said[-1].startswith("kinetix_dist.installation.EngineImportError: the package jax2d at ")
 
 
 def test_the_engine_first_and_the_published_package_elsewhere_is_a_warning(published, monkeypatch):
     monkeypatch.setattr(sys, "path", [str(REPOSITORY), *sys.path])
     assert engine_complaint() == ""
     with pytest.warns(UserWarning, match=r"^the published package jax2d 1\.0\.1 is installed at .*; jax2d is the"):
-        engine_package.guard()
+        installation.guard()
     assert check_engine().status == "warning"
 
 
 def test_files_of_both_in_one_directory_are_refused(published, monkeypatch):
-    monkeypatch.setattr(engine_package, "ENGINE", Path(published / "jax2d").resolve())
+    monkeypatch.setattr(installation, "ENGINE", Path(published / "jax2d").resolve())
     assert engine_complaint().startswith("files of the published package jax2d 1.0.1 lie among those of the engine")

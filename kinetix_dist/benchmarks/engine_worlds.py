@@ -1,4 +1,7 @@
-"""The levels that engines are measured on: the public Kinetix levels of a size, else levels drawn at random."""
+"""Worlds that engines are measured on: levels of a size, and random actions, each held for two physics steps.
+
+Levels are the public Kinetix levels, or else drawn at random. Actions are drawn inside the compiled program.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,23 @@ import dataclasses
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jax2d
 import kinetix_dist
+from jax2d import Controls, Engine
 from jax2d.engine import BACKENDS
 from jax2d.scene import stack_worlds
 from kinetix_dist import prng
-from kinetix_dist.benchmarks.results import BenchmarkOptions
+from kinetix_dist.benchmarks.measuring import BenchmarkOptions
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_level
@@ -34,7 +39,7 @@ NUM_RANDOM_LEVELS = 32  # a size, where the public ones are absent
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EngineOptions(BenchmarkOptions):
-    """What every benchmark of the engine takes."""
+    """Options of every benchmark of the engine."""
 
     sizes: tuple[Literal["s", "m", "l"], ...] = ("s", "m", "l")
     """Level sizes."""
@@ -43,7 +48,7 @@ class EngineOptions(BenchmarkOptions):
     repeats: int = 5
     """Timed runs of which the median counts, after one that is not timed; at least 5."""
     levels: Path | None = None
-    """Folder of the public Kinetix levels (s/, m/, l/). Default: $KINETIX_LEVELS, else beside the checkout, else
+    """Folder of the public Kinetix levels (s/, m/, l/). Default: $KINETIX_LEVELS, else next to the checkout, else
     levels drawn at random."""
     seed: int = 0
     """Seed of the actions, and of the levels where they are drawn."""
@@ -77,7 +82,7 @@ def check_steps(steps: int) -> None:
 def level_files(size: str, levels: Path | None, seed: int) -> Iterator[tuple[list[Path], str]]:
     """Level files of one size in the public format, and a phrase that says where they are from.
 
-    `levels`: the folder to take them from, with s/, m/ and l/; None: the first of the usual places that has them.
+    `levels`: the folder to take them from, with s/, m/ and l/; None: the first of the usual directories that has them.
     """
     usual = [os.environ.get("KINETIX_LEVELS"), CHECKOUT.parent / "shared" / "kinetix_levels"]
     for directory in usual if levels is None else [levels]:
@@ -107,3 +112,37 @@ def _random_level_files(folder: Path, size: str, seed: int) -> list[Path]:
         document = export_kinetix(jax.tree.map(lambda x, i=index: np.asarray(x)[i], levels))
         files[-1].write_text(json.dumps(document))
     return files
+
+
+EPISODE_STEPS = 512  # physics steps: 256 environment steps of 2
+FRAME_SKIP = 2  # physics steps that an action is held for, and of one launch
+
+# (packed scene, packed state, key) -> packed state
+Play = Callable[[Any, Any, jax.Array], Any]
+
+
+def random_controls(engine: Engine, shape: tuple[int, ...], key: jax.Array) -> Controls:
+    """Motors from -1, 0, 1 and thrusters from 0, 1; `shape` is that of the batch, [..., W]."""
+    motor_key, thruster_key = prng.split(key)
+    return Controls(
+        motor=prng.randint(motor_key, (*shape, engine.capacity.joints), -1, 2).astype(jnp.float32),
+        thruster=prng.randint(thruster_key, (*shape, engine.capacity.thrusters), 0, 2).astype(jnp.float32),
+    )
+
+
+def random_play(engine: Engine, worlds: int, steps: int) -> Play:
+    """The program that plays `steps` physics steps of `worlds` packed worlds; not compiled yet."""
+
+    def launch(scene: Any, state: Any, key: jax.Array) -> tuple[Any, None]:
+        controls = random_controls(engine, (worlds,), key)
+        return engine.step_packed(scene, state, controls, num_steps=FRAME_SKIP)[0], None
+
+    def play(scene: Any, state: Any, key: jax.Array) -> Any:
+        return jax.lax.scan(partial(launch, scene), state, prng.split(key, steps // FRAME_SKIP))[0]
+
+    return play
+
+
+def take_worlds(packed: Any, order: jax.Array) -> Any:
+    """Packed worlds in this order, some several times: packed arrays have the world axis last."""
+    return jax.tree.map(lambda x: jnp.take(x, order, axis=-1), packed)

@@ -1,12 +1,16 @@
-"""Where the records of a benchmark go: a list in memory, a JSON file that is complete after every record."""
+"""Options, records and clocks that all benchmarks share. The JSON file is complete after every record."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import statistics
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
+
+import jax
 
 from kinetix_dist.errors import user_errors
 
@@ -15,7 +19,7 @@ Record = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BenchmarkOptions:
-    """What every benchmark takes."""
+    """Options of every benchmark."""
 
     json: Path | None = None
     """Write the records here."""
@@ -41,7 +45,7 @@ class Results:
         self.save()
 
     def replace(self, records: Iterable[Record]) -> None:
-        """Other records in the place of all: those of a benchmark whose every run changes what is known of several."""
+        """Replaces all records: for a benchmark whose every run changes several of them."""
         self.records = list(records)
         self.save()
 
@@ -52,3 +56,23 @@ class Results:
     def save(self) -> None:
         if self.file is not None:
             self.file.write_text(json.dumps(self.records, indent=1) + "\n")
+
+
+def compute_clock(device: Any) -> Callable[[], float]:
+    """Seconds of a launch on `device`: wall time on a GPU, the time of this process's processor on a CPU.
+
+    A launch uses one core there, so processor time is what it would take with that core to itself: other jobs change
+    it less.
+    """
+    return time.perf_counter if device.platform == "gpu" else time.process_time
+
+
+def median_seconds(function: Callable[[], Any], repeats: int) -> float:
+    """Median wall time of `repeats` calls, after one that is not counted (it may compile)."""
+    jax.block_until_ready(function())
+    seconds = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        jax.block_until_ready(function())
+        seconds.append(time.perf_counter() - started)
+    return statistics.median(seconds)

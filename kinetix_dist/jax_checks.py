@@ -1,17 +1,62 @@
-"""Check of the installed JAX: a program that some versions compile to wrong arithmetic, run and compared with numpy.
+"""Checks of the installed JAX before anything is computed: its settings, and its arithmetic.
+
+JAX takes its settings from the environment (`JAX_NUMPY_RANK_PROMOTION=raise`) or from `jax.config`. Some end a program
+in the middle, others change what it computes. A row of `SETTINGS` makes such a value one line at the start.
 
 jax-ml/jax#39103: jax 0.10.2 on CPUs computes `vmap(lambda r: sum((m @ r) ** 2))` wrongly in rows beyond 32,768 of
-float32. Programs of training and of the engine map over worlds in the same way. The program itself is run, in 50 ms:
-which versions and machines are concerned need not be known.
+float32. Programs of training and of the engine map over worlds in the same way. The program itself is run, in 50 ms,
+and compared with numpy: which versions and machines are concerned need not be known.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
 
 from kinetix_dist.errors import UserError
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """A setting of JAX and its values that commands run with, the default first."""
+
+    name: str
+    values: tuple[object, ...]
+    reason: str  # completes "with another value ..."
+
+
+_TRANSFERS = (None, "allow", "log", "log_explicit")
+_COPIES = "arrays of numpy could not be handed to programs"
+SETTINGS = (
+    Setting("jax_numpy_rank_promotion", ("allow", "warn"), "arrays of different ranks could not be combined"),
+    Setting("jax_numpy_dtype_promotion", ("standard",), "arrays of different types could not be combined"),
+    Setting("jax_transfer_guard", _TRANSFERS, _COPIES),
+    Setting("jax_transfer_guard_host_to_device", _TRANSFERS, _COPIES),
+    Setting("jax_transfer_guard_device_to_device", _TRANSFERS, _COPIES),
+    Setting("jax_transfer_guard_device_to_host", _TRANSFERS, "results could not be read"),
+)
+
+
+def check_settings() -> None:
+    """Raises UserError for the first setting of JAX in the list that commands do not run with."""
+    import jax
+
+    for setting in SETTINGS:
+        if getattr(jax.config, setting.name) not in setting.values:
+            raise UserError(_complaint(setting))
+
+
+def _complaint(setting: Setting) -> str:
+    import jax
+
+    value = getattr(jax.config, setting.name)
+    return (
+        f"{setting.name.upper()} is {str(getattr(value, 'value', value))!r}, with which {setting.reason}; "
+        f"unset it, or set it to {setting.values[0] or 'allow'!r}"
+    )
+
 
 NUM_ROWS = 32_769  # one more than are right in jax 0.10.2
 RELATIVE_TOLERANCE = 1e-3  # sums of 3 squares in float32 are right to 1e-6; the wrong row is another number altogether

@@ -1,4 +1,4 @@
-"""What stands between a sweep and `kinetix-dist train`: cores, and the signal when the sweep dies."""
+"""Worker slots of a sweep: cores, the signal when the sweep dies, and devices that a process sees."""
 
 import os
 import signal
@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.sweep.lanes import Lane
+from kinetix_dist.sweep.slots import Slot
 from tests.helpers import PATIENCE_S, REPOSITORY, python_path
 
-# In the place of Python, which it becomes: says which cores it has, and when it is told to stop.
+# Instead of Python, which it becomes: writes which cores it has, and when it is stopped.
 SHELL = """#!/bin/sh
 trap 'echo stopped >> {file}; exit 75' TERM
 echo "$(grep Cpus_allowed_list /proc/self/status) $*" >> {file}
@@ -21,7 +21,7 @@ for number in $(seq 200); do sleep 0.05; done
 # A sweep: starts it, and waits.
 PARENT = """
 import subprocess, sys
-code = "import sys; sys.executable = {shell!r}; from kinetix_dist.sweep.lane_process import main; main(*{arguments})"
+code = "import sys; sys.executable = {shell!r}; from kinetix_dist.sweep.slots import become; become(*{arguments})"
 child = subprocess.Popen([sys.executable, "-c", code], start_new_session=True)
 sys.exit(child.wait())
 """
@@ -47,7 +47,7 @@ def _start(tmp_path, parent: str = "__import__('os').getppid()"):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_run_has_its_cores_and_is_told_to_stop_when_the_sweep_dies(tmp_path, number):
+def test_a_run_has_its_cores_and_is_stopped_when_the_sweep_dies(tmp_path, number):
     core, sweep = _start(tmp_path)
     said = _wait_for(tmp_path / "said", "train")
     assert f"Cpus_allowed_list:\t{core} -P " in said and "kinetix_dist.cli.main train --run x" in said
@@ -62,6 +62,6 @@ def test_nothing_runs_where_the_sweep_is_gone_already(tmp_path):
     assert not (tmp_path / "said").exists()
 
 
-def test_lanes_show_their_devices_alone():
-    assert Lane(name="gpu 3", gpu="3").environment == {"CUDA_VISIBLE_DEVICES": "3"}
-    assert Lane(name="cpu 0", cores=(0,)).environment == {"CUDA_VISIBLE_DEVICES": "", "JAX_PLATFORMS": "cpu"}
+def test_slots_show_their_devices_alone():
+    assert Slot(name="gpu 3", gpu="3").environment == {"CUDA_VISIBLE_DEVICES": "3"}
+    assert Slot(name="cpu 0", cores=(0,)).environment == {"CUDA_VISIBLE_DEVICES": "", "JAX_PLATFORMS": "cpu"}

@@ -12,13 +12,12 @@ import jax
 import numpy as np
 import pytest
 
-from kinetix_dist import jax_arithmetic, user_directories
+from kinetix_dist import jax_checks, user_directories
 from kinetix_dist.cli import doctor
-from kinetix_dist.cli.computing import start_computing
+from kinetix_dist.cli.checks import start_computing
 from kinetix_dist.cli.main import main
-from kinetix_dist.jax_arithmetic import NUM_ROWS, arithmetic_complaint, wrong_rows
-from kinetix_dist.jax_settings import SETTINGS, check_settings
-from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+from kinetix_dist.jax_checks import NUM_ROWS, SETTINGS, arithmetic_complaint, check_settings, wrong_rows
+from kinetix_dist.program_cache import enable_compile_cache
 
 # Commands with which somebody computes; {tmp} is an empty directory.
 COMMANDS = (
@@ -56,14 +55,14 @@ def test_one_wrong_row_is_found(value):
 @pytest.fixture
 def wrong_arithmetic(monkeypatch):
     """A JAX like 0.10.2, whose last row is not what it should be."""
-    right = jax_arithmetic._computed
+    right = jax_checks._computed
 
     def wrong(matrix, rows):
         computed = right(matrix, rows).copy()
         computed[-1] *= 0.5
         return computed
 
-    monkeypatch.setattr(jax_arithmetic, "_computed", wrong)
+    monkeypatch.setattr(jax_checks, "_computed", wrong)
     arithmetic_complaint.cache_clear()
     yield
     arithmetic_complaint.cache_clear()
