@@ -38,7 +38,6 @@ class Batch(NamedTuple):
     """Batch that the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded.
 
     Worlds lie in all slots of a division, see `Division.spread`.
-
     """
 
     static: Any  # `StaticInput`
@@ -181,7 +180,7 @@ def rollout_core(
             kind=CACHE,
             module=__name__,
             parts=parts,
-            depends_on=(settings, env.variants, groups, division),
+            depends_on=(settings, groups, division),
             at_trace=traced_for,
             custom_calls=CUSTOM_CALLS,
         )
