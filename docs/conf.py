@@ -36,8 +36,8 @@ exclude_patterns = [
 
 # Anchors of headings, as code hosts make them.
 myst_heading_anchors = 4
-# Docstrings are plain text with `names`, not reStructuredText: the hook below helps, and what is left is no error. Links
-# of pages are MyST's and stay errors.
+# Docstrings are plain text with `names`, not reStructuredText: the hook below helps, and what is left is no error.
+# Links of pages are MyST's and stay errors.
 suppress_warnings = ["misc.highlighting_failure", "docutils"]
 
 html_theme = "furo"
