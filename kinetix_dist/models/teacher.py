@@ -1,4 +1,4 @@
-"""The policy of a teacher that builds levels: what it sees of a level that is being built, and its network.
+"""The policy of a teacher that builds levels: its observation of a level under construction, and its network.
 
 A flat network over numbers for every slot, whose outputs are limited to the choices that a step allows.
 """
@@ -23,7 +23,7 @@ NUM_NOISE = 8  # random numbers of a level that its teacher sees from the start,
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TeacherObs:
-    """Addition the teacher sees before a step."""
+    """Observation of a teacher before a step."""
 
     features: Array  # [B, features] float32
     allowed: tuple[Array, ...]  # [B, choices] bool of each head

@@ -1,4 +1,4 @@
-"""Building action by action: whatever is chosen of what is allowed, a valid level comes out."""
+"""Building action by action: every sequence of allowed choices gives a valid level."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ NUM_DRAWS = 8  # uniform numbers of a step
 
 
 class Addition(enum.IntEnum):
-    """Addition of a step."""
+    """Shape or thruster that a step adds."""
 
     NOTHING = 0
     BOX = 1
