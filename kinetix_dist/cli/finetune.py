@@ -27,7 +27,7 @@ from kinetix_dist.errors import UserError, one_line, user_errors
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
     from kinetix_dist.finetune.results import Record
-    from kinetix_dist.finetune.starts import Start
+    from kinetix_dist.finetune.specialists import Start
 
 PROG = "kinetix-dist finetune"
 DEFAULT_RECIPE = "single_level"
@@ -88,7 +88,7 @@ def parse(argv: Sequence[str]) -> Args:
 
 def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
     _check(known)
-    from kinetix_dist.finetune.starts import SCRATCH, like_policy, policy_at, start_from
+    from kinetix_dist.finetune.specialists import SCRATCH, like_policy, policy_at, start_from
 
     trained = None if known.start is None else policy_at(Path(known.start))
     start = SCRATCH if trained is None else start_from(trained)
@@ -184,8 +184,7 @@ def _each(args: Args, config: TrainConfig) -> int:
 
 def _show(path: Path) -> int:
     """The table and the picture of what is stored."""
-    from kinetix_dist.finetune.picture import draw
-    from kinetix_dist.finetune.results import read_results
+    from kinetix_dist.finetune.results import draw, read_results
 
     records = read_results(path)
     say(_table(records), sys.stdout)

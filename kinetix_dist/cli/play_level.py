@@ -14,8 +14,8 @@ from pathlib import Path
 
 import tyro
 
+from kinetix_dist.cli.dashboard import ServerArgs, serve_pages
 from kinetix_dist.cli.edit import PAGE, editor_of
-from kinetix_dist.cli.page_server import ServerArgs, serve_pages
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.studio.server.app import ServerConfig
