@@ -1,4 +1,4 @@
-"""One specialist a level, from each start, stored as they come: `kinetix-dist finetune --each`."""
+"""One specialist per level, from each start, stored as they come: `kinetix-dist finetune --each`."""
 
 from __future__ import annotations
 
