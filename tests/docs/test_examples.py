@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from PIL import Image
 
 from tests.helpers import REPOSITORY
@@ -62,3 +64,13 @@ def test_a_network_of_ones_own_is_trained(tmp_path: Path) -> None:
     """The other two parts of a user are trained with in tests/runtime/test_ray_run.py."""
     options = ("--curriculum.name", "domain_randomization", "--run.total_env_steps", "256")
     assert "env steps/s in training" in run_example("own_network.py", "--run", str(tmp_path / "run"), *options)
+
+
+@pytest.mark.parametrize(("page", "size"), [("README.md", "num_envs=16"), ("docs/tutorial.md", "num_envs=64")])
+def test_the_python_of_a_page_runs(page: str, size: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(REPOSITORY)
+    [code] = re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text(), re.DOTALL)
+    assert size in code
+    names: dict = {}
+    exec(compile(code.replace(size, "num_envs=4"), page, "exec"), names)
+    assert names["image"].dtype == "uint8" and names["solved"].any()
