@@ -24,7 +24,7 @@ from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
-from kinetix_dist.finetune.starts import policy_at
+from kinetix_dist.finetune.specialists import policy_at
 from kinetix_dist.level.fingerprints import fingerprint
 from kinetix_dist.level.frontier import (
     MAX_RANDOM_RATE,
