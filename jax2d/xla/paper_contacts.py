@@ -9,52 +9,45 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jax2d.scene import Capacity
 from jax2d.solver_numbers import SolverNumbers
-from jax2d.xla import published, published_order, vec2
+from jax2d.xla import vec2
 from jax2d.xla.bodies import Bodies, Velocities, apply_impulse, pair_velocities, relative_velocity, scatter_velocities
-from jax2d.xla.contact_solver import rows_of, solve_friction, with_impulses
+from jax2d.xla.contact_solver import Row, rows_of, solve_friction, with_impulses
 from jax2d.xla.contacts import Contacts
 from jax2d.xla.rules import Rules
 
 
-def solve_hard(
-    bodies: Bodies, contacts: Contacts, params: SolverNumbers, rules: Rules, capacity: Capacity
-) -> tuple[Bodies, Contacts]:
+def solve_hard(bodies: Bodies, contacts: Contacts, params: SolverNumbers, rules: Rules) -> tuple[Bodies, Contacts]:
     """One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and penetration
     bias in the numerator, accumulated impulse never negative, friction by Coulomb's law."""
-    bias = params.collision_correction / params.dt * jnp.maximum(-contacts.separation - params.slop, 0)
-    wanted = bias - contacts.restitution * contacts.approach  # m/s, separating
-    details, batch_size = rules.published_details, rules.solver_batch_size
-    rows = rows_of(contacts)
-    if "arms_follow_joints" in details:
-        rows = published.arms_from_here(bodies, rows)
-
-    def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
-        c, wanted = row
-        before = of = pair_velocities(c.pair, velocities)
-        vn = vec2.dot(c.normal, relative_velocity(of, c.arm_a, c.arm_b))
-        normal_total = jnp.maximum(c.impulse_normal + c.mass_normal * (wanted - vn), 0)
-        of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * (normal_total - c.impulse_normal)[..., None])
-        of, tangent_total = solve_friction(of, c, normal_total)
-        return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total)
-
-    if "solve_order" in details:
-        velocities, (normal, tangent) = published_order.in_turn(
-            solve, bodies.velocities, rows, wanted, contacts.solve_order, published_order.num_batches(capacity, rules)
-        )
-    elif batch_size == 1:
-        velocities, (normal, tangent) = jax.lax.scan(solve, bodies.velocities, (rows, wanted))
-    else:
-        velocities, (normal, tangent) = _in_batches(solve, bodies.velocities, (rows, wanted), batch_size)
+    work = (rows_of(contacts), wanted_speed(contacts, params))
+    velocities, (normal, tangent) = solve_work(bodies.velocities, work, rules.solver_batch_size)
     contacts = with_impulses(contacts, normal, tangent)
-    if "last_pair" in details:
-        assert contacts.solve_order is not None
-        is_warm = ~contacts.solve_order.is_dropped
-        contacts = contacts._replace(
-            impulse_normal=jnp.where(is_warm, normal, 0), impulse_tangent=jnp.where(is_warm, tangent, 0)
-        )
     return bodies._replace(velocities=velocities), contacts
+
+
+def solve_work(velocities: Velocities, work: Any, batch_size: int) -> tuple[Velocities, Any]:
+    """Solves all rows, `batch_size` at a time."""
+    if batch_size == 1:
+        return jax.lax.scan(solve_rows, velocities, work)
+    return _in_batches(solve_rows, velocities, work, batch_size)
+
+
+def wanted_speed(contacts: Contacts, params: SolverNumbers) -> jax.Array:
+    """[K] m/s at which contacts shall separate: undoes penetration, and bounces."""
+    bias = params.collision_correction / params.dt * jnp.maximum(-contacts.separation - params.slop, 0)
+    return bias - contacts.restitution * contacts.approach
+
+
+def solve_rows(velocities: Velocities, work: tuple[Row, jax.Array]) -> tuple[Velocities, tuple[jax.Array, jax.Array]]:
+    """Velocities after the impulses of one contact, or of several from the same velocities; their new totals."""
+    c, wanted = work
+    before = of = pair_velocities(c.pair, velocities)
+    vn = vec2.dot(c.normal, relative_velocity(of, c.arm_a, c.arm_b))
+    normal_total = jnp.maximum(c.impulse_normal + c.mass_normal * (wanted - vn), 0)
+    of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * (normal_total - c.impulse_normal)[..., None])
+    of, tangent_total = solve_friction(of, c, normal_total)
+    return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total)
 
 
 def _in_batches(solve: Callable, velocities: Velocities, rows: Any, batch_size: int) -> tuple[Velocities, Any]:

@@ -37,10 +37,10 @@ class EnvConfig:
         for name in ("frame_skip", "max_steps"):
             if whole_number(f"EnvConfig.{name}", getattr(self, name)) < 1:
                 raise ValueError(f"EnvConfig.{name} is {getattr(self, name)}; it must be 1 or more")
-        if self.physics.solver_batch_size > 1 or self.physics.published_details:
+        if self.physics.solver_batch_size > 1:
             raise ValueError(
-                f"EnvConfig.physics has solver_batch_size {self.physics.solver_batch_size}, published_details "
-                f"{self.physics.published_details}; environments are stepped by the kernel: use 1 and ()"
+                f"EnvConfig.physics has solver_batch_size {self.physics.solver_batch_size}; the kernel, which steps "
+                "environments, solves one contact after another: use 1"
             )
         if whole_number("EnvConfig.effect_groups", self.effect_groups) < 0:
             raise ValueError(f"EnvConfig.effect_groups is {self.effect_groups}; it must be 0 or more")
