@@ -443,7 +443,7 @@ def test_a_family_of_mechanisms_that_a_size_has_no_room_for(capsys, options, siz
     parse(["--recipe", "tiny", "--curriculum.generator", "runner", "--env.size", "l"])
     assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
     line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")
-    assert "environments are stepped by the kernel: use 1 and ()" in line
+    assert "environments, solves one contact after another: use 1" in line
 
 
 def test_an_action_space_that_training_has_no_policy_for(capsys, monkeypatch):
