@@ -19,7 +19,7 @@ from jax2d.scene import Capacity, Controls, Scene, State, only_what_acts
 from jax2d.settings import Settings
 from jax2d.solver_numbers import Scalar, SolverNumbers, solver_numbers
 from jax2d.xla import bodies as bodies_of
-from jax2d.xla import contact_solver, contacts, forces, geometry, manifolds, paper, paper_contacts, polygon_pairs, vec2
+from jax2d.xla import contact_solver, contacts, forces, geometry, manifolds, paper, polygon_pairs, vec2
 from jax2d.xla import joints as joints_of
 from jax2d.xla.bodies import Bodies, Velocities, pair_mass, pick
 from jax2d.xla.contact_solver import Row
@@ -247,17 +247,17 @@ def solve_contacts(
     """One iteration over all contacts."""
     _, params, _, capacity = context
     details = published.details
-    rows, wanted = contact_solver.rows_of(found), paper_contacts.wanted_speed(found, params)
+    rows, wanted = contact_solver.rows_of(found), paper.wanted_speed(found, params)
     if "arms_follow_joints" in details:
         rows = arms_from_here(bodies, rows)
     work = (rows, wanted)
     if "solve_order" in details:
         num_batches = published_order.num_batches(capacity, published)
         velocities, totals = published_order.in_turn(
-            paper_contacts.solve_rows, bodies.velocities, rows, wanted, order, num_batches
+            paper.solve_rows, bodies.velocities, rows, wanted, order, num_batches
         )
     else:
-        velocities, totals = paper_contacts.solve_work(bodies.velocities, work, published.batch_size)
+        velocities, totals = paper.solve_work(bodies.velocities, work, published.batch_size)
     found = contact_solver.with_impulses(found, *totals)
     if "last_pair" in details:
         found = contacts.reset_impulses(found, order.is_dropped)

@@ -18,7 +18,6 @@ from jax2d.xla import (
     geometry,
     impact_propagation,
     paper,
-    paper_contacts,
     reports,
 )
 from jax2d.xla import contacts as contacts_of
@@ -306,7 +305,7 @@ def paper_step(
     def iteration(carry: tuple[Bodies, Joints, Contacts], _: None) -> tuple[tuple[Bodies, Joints, Contacts], None]:
         bodies, joints, contacts = carry
         bodies, joints = paper.solve(bodies, joints, params)
-        bodies, contacts = paper_contacts.solve_hard(bodies, contacts, params, rules)
+        bodies, contacts = paper.solve_hard(bodies, contacts, params, rules)
         return (bodies, joints, contacts), None
 
     (bodies, joints, contacts), _ = jax.lax.scan(iteration, (bodies, joints, contacts), length=rules.substeps)

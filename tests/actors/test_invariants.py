@@ -146,7 +146,7 @@ def test_a_function_in_which_nothing_is_known_before_stays_one_call_and_others_a
 
 @pytest.mark.parametrize("by", [0, 1, 2])
 def test_a_gradient_is_refused(by):
-    """It would lack the rule of `product`, without a word."""
+    """The gradient would lack the rule of `product`, without a word."""
 
     def total(x, kernel, table):
         step = a_step(kernel, table, jax.random.key(0))

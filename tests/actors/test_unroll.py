@@ -118,7 +118,9 @@ def test_inside_shard_map_the_trajectory_is_the_same(problem):
         size = levels.position.shape[0]
         numbers = jax.lax.axis_index(DATA_AXIS) * size + jnp.arange(size)
         start = Worlds(prepared, *problem.env.reset(prepared))
-        return unroll(problem.policy, problem.params, problem.env, start._replace(numbers=numbers), key, STEPS).trajectory
+        return unroll(
+            problem.policy, problem.params, problem.env, start._replace(numbers=numbers), key, STEPS
+        ).trajectory
 
     on_mesh = jax.shard_map(
         local,

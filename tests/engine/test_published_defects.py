@@ -17,7 +17,7 @@ from jax2d import Engine, SceneBuilder, State, measure, stack_worlds
 from jax2d.fidelity import Trajectory, record_worlds
 from jax2d.fidelity.hard_scenes import CAPACITY as LARGE
 from jax2d.fidelity.hard_scenes import HardSceneBuilder
-from jax2d.fidelity.hard_scenes.structures import cantilever
+from jax2d.fidelity.hard_scenes.chains import cantilever
 from kinetix_dist.level.level import SIZES
 from tests.engine.worlds import CAPACITY, builder, engine, run
 

@@ -7,7 +7,7 @@
 typedef float real;
 #define KFN CUDA_CALLABLE inline
 
-// An array of a struct: in memory of its own, which ../native_arrays.py declares and points to. A GPU keeps what is used
+// An array of a struct: in memory of its own, which ../source.py declares and points to. A GPU keeps what is used
 // by an index in local memory, and with it all of the object that it is in: what is left of a struct is in registers.
 #define ARRAY(type, name, size) type* name
 
